@@ -75,6 +75,20 @@ class Condensed:
         held = conditions.kind == Condition.ZERO_TRACE
         x.array_w[self._dofs[held]] = conditions.values_where(held)
 
+    def respond(self, conditions: SiteConditions, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve with another right side, under conditions without values (collective).
+
+        Raises:
+            LinearSolveFailure: If the solve fails.
+        """
+        kept = self._b.array_r.copy(), self._free
+        self._b.array_w[:] = b.array_r
+        try:
+            self._free = self._traces(np.zeros(len(self._measure)))
+            self.solve(conditions, x)
+        finally:
+            self._b.array_w[:], self._free = kept
+
     def solve_until(self, conditions: SiteConditions, _enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """The traces, as `Inexact.solve_until` says; they are exact up to rounding (collective)."""
         flux = self._multiplier(conditions)

@@ -7,12 +7,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
 
 import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
@@ -26,8 +27,11 @@ from signorini_fenicsx.solving.options import Options
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from ufl import Form
 
     from signorini_fenicsx.certificate.certify import Certificate
+    from signorini_fenicsx.derivatives.controls import Control
+    from signorini_fenicsx.derivatives.gradient import Change, Gradient
 
 type Columns = Mapping[str, npt.NDArray]
 """The columns of a table by their names."""
@@ -190,6 +194,54 @@ class Solved(ABC):
         from signorini_fenicsx.certificate.of_solution import certify
 
         return certify(self, for_signorini=for_signorini)
+
+    def of_problem(self, problem: Any) -> Self:
+        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        raise InputError(f"solutions of {self.physics} have no derivatives")
+
+    def linearised(self, tolerance: float) -> Any:
+        """The problem linearised at this solution, which knows the change with its data (collective).
+
+        Args:
+            tolerance: Sites whose p and σ·n are on a corner of their law, but for this share of their sizes, are
+                biactive.
+
+        Raises:
+            InputError: If there are no derivatives of such solutions.
+        """
+        raise InputError(f"solutions of {self.physics} have no derivatives")
+
+    @collector_off()
+    def gradient(self, J: Form, controls: Sequence[Control | str], **tolerance: float) -> Gradient:
+        """A functional of this solution and its derivatives by controls, see `derivatives.gradient` (collective).
+
+        Args:
+            J: Integrals, in UFL, in `sigma`, `u` and `p` of this solution, and in controls.
+            controls: Scalar constants and functions in the data of the problem, with the values of when it was solved;
+                or paths to numbers in it, such as "problem.kappa.rock".
+            **tolerance: By this name, which sites are biactive.
+
+        Raises:
+            InputError: If a control is none, or in neither; if there are no derivatives.
+        """
+        from signorini_fenicsx.derivatives.gradient import gradient
+
+        return gradient(self, J, controls, **tolerance)
+
+    @collector_off()
+    def derivative(self, direction: Mapping[Control | str, Any], **tolerance: float) -> Change:
+        """The change of this solution with controls, see `derivatives.gradient.derivative` (collective).
+
+        Args:
+            direction: For each control, or path, its change: for a function one of its space, else a number.
+            **tolerance: By this name, which sites are biactive.
+
+        Raises:
+            InputError: If a control is none, or in no datum; if there are no derivatives.
+        """
+        from signorini_fenicsx.derivatives.gradient import derivative
+
+        return derivative(self, direction, **tolerance)
 
     @collector_off()
     def _repr_html_(self) -> str | None:

@@ -1,5 +1,8 @@
 """The facet system: one SPD problem with one unknown per facet, from which the mixed solution is recovered."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -20,6 +23,26 @@ from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.jumps import jumps_of_facets
 from signorini_fenicsx.physics.diffusion.sources import sources
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Any right side of the mixed problem.
+
+    It is (κ_h⁻¹σ, τ) + (u, ∇·τ) − ⟨û, τ·n⟩ = ⟨z, τ·n⟩, with the sum of ⟨·, ·⟩_∂T over all cells on both sides, and
+    −∇·σ + cu = f. So u_CR + z, which jumps between cells, stands where u_CR does without z.
+
+    Attributes:
+        jumps: z on each facet of each owned cell, shape (cells, dim + 1).
+        source: f of each owned cell.
+        held: u_T of each owned cell where a law in Ω holds it, 0 elsewhere.
+        forces: What is given of ∫σ·n on each facet, for the owned unknowns.
+    """
+
+    jumps: Array
+    source: Array
+    held: Array
+    forces: Array
 
 
 class FacetSystem:
@@ -222,6 +245,56 @@ class FacetSystem:
             held, value = cells.kind == Condition.ZERO_TRACE, self._data.inside.as_linear(cells)[1]
             u.x.array[held] = value[held]
         return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u, cells=cells)
+
+    def respond(
+        self,
+        conditions: SiteConditions,
+        loads: Loads,
+        solve: Callable[[PETSc.Vec, PETSc.Vec], None],
+    ) -> tuple[fem.Function, fem.Function, Array]:
+        """Solve with any right side, without the data, under conditions that were imposed last (collective).
+
+        Args:
+            conditions: These conditions; their values do not matter.
+            loads: The right side.
+            solve: Solves with `matrix`.
+
+        Returns:
+            σ and u, and û of each facet that is owned, on inner ones of Γ_S its jump.
+        """
+        dofs, owned, jumps = self.space.dofmap.list, len(loads.forces), loads.jumps
+        through, _ = self._through(jumps, loads)
+        sums = fem.Function(self.space).x
+        sums.array[:] = np.bincount(dofs.ravel(), -through.ravel(), len(sums.array))
+        sums.scatter_reverse(la.InsertMode.add)
+        sums.array[self._across] += sums.array[self._named]
+        b, x = (vector.duplicate() for vector in (self.b, self.x))
+        b.array_w[:] = sums.array[:owned] + loads.forces
+        b.array_w[self._fixed(conditions.take(self._facets))] = 0.0
+        x.set(0.0)
+        solve(b, x)
+        trace, u_cr = x.array_r.copy(), fem.Function(self.space)
+        u_cr.x.array[:owned] = trace
+        u_cr.x.array[self._named] += trace[self._across]
+        u_cr.x.scatter_forward()
+        sigma, u = fem.Function(self.spaces.V, name="sigma"), fem.Function(self.spaces.Q, name="u")
+        through, u.x.array[:] = self._through(jumps + u_cr.x.array[dofs], loads)
+        sigma.x.array[self.spaces.V.dofmap.list] = through / self.spaces.outflow
+        sigma.x.scatter_forward()
+        self.spaces.carry_across(sigma)
+        for vector in (b, x):
+            vector.destroy()
+        return sigma, u, trace
+
+    def _through(self, values: Array, loads: Loads) -> tuple[Array, Array]:
+        """∫σ·n out of each cell through each facet, and u_T, from u on the facets of each cell (collective)."""
+        s = np.zeros(len(values)) if self.sources.s is None else self.sources.s.x.array
+        moments, means = self.sources.moments, np.einsum("cf->c", values) / values.shape[1]
+        y, broken = fem.Function(self.spaces.Q), fem.Function(self.spaces.broken_crouzeix_raviart)
+        y.x.array[:] = (1 - s * moments) * loads.source + s * (loads.held - means)
+        broken.x.array[broken.function_space.dofmap.list] = values
+        through = assembled(self.spaces.kept(_outflow, self._data.kappa_h, y, broken))
+        return through[broken.function_space.dofmap.list], means + moments * y.x.array
 
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """Trace and flux per site as `recover` gives them, for an x that need not be a solution (collective).

@@ -2,7 +2,12 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
@@ -13,7 +18,7 @@ from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.diffusion.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem, Loads
 from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.patch import Patch
@@ -142,6 +147,20 @@ class HybridBackend(FacetBackend):
         self._solve(conditions)
         return self.reached(conditions)
 
+    def respond(self, conditions: SiteConditions, loads: Loads) -> tuple[fem.Function, fem.Function, Array]:
+        """Solve with any right side, see `FacetSystem.respond`; the last solution stays (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        plain = replace(conditions, value=0.0)
+        if self._condensed is not None:
+            return self._system.respond(plain, loads, partial(self._condensed.respond, plain))
+        if self._applied is None or not plain.same(replace(self._applied, value=0.0), self.comm):
+            self._applied = None
+            self._impose(plain)
+        return self._system.respond(plain, loads, self._solver.solve)
+
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
 
@@ -187,13 +206,18 @@ class HybridBackend(FacetBackend):
             if not conditions.same(self._held, self.comm):
                 self._regret, self._moved = self._regret + FACTORISATION, True
             self._held = conditions
-            essential = self._system.apply(conditions)
+            essential = self._impose(conditions)
             if self._renewed:
                 self._earlier.combine(self._system.matrix, self._system.b, self._system.x, essential)
                 self._renewed = False
-            if self._solver.levels is not None:
-                with self._solver.options():
-                    self._solver.levels.update(conditions.take(self.facets), essential)
             self._applied, self._iterations = conditions, 0
         self._solver.solve(self._system.b, self._system.x)
         self._iterations += self._solver.ksp.getIterationNumber()
+
+    def _impose(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
+        """Apply the conditions, to multigrid as well, and return the owned unknowns that they fix (collective)."""
+        essential = self._system.apply(conditions)
+        if self._solver.levels is not None:
+            with self._solver.options():
+                self._solver.levels.update(conditions.take(self.facets), essential)
+        return essential

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import dolfinx.mesh
 import numpy as np
@@ -30,7 +30,7 @@ from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion import shown
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.differences import differences
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -78,6 +78,7 @@ class Solution(Solved):
         kkt: Residuals of the discrete Signorini problem.
         source: The `cases.case.Case` from which the problem was read; None if it was given in Python.
         step: Number of the step of a problem in time, from 1; None for others.
+        system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
     """
@@ -94,12 +95,27 @@ class Solution(Solved):
     kkt: Residuals
     source: object = None
     step: int | None = None
+    system: Callable[[], Any] | None = field(default=None, compare=False)
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
     order = 1
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns, other_tables = shown.table, shown.columns, shown.other_tables
     differences = differences
+
+    def of_problem(self, problem: Problem) -> Self:
+        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        return replace(self, problem=problem, data=project_data(self.spaces, problem).after(self.data.memory))
+
+    def linearised(self, tolerance: float) -> Any:
+        """The problem linearised at this solution, see `linearised.Linearised` (collective).
+
+        Raises:
+            InputError: If the method solves another discrete problem.
+        """
+        from signorini_fenicsx.physics.diffusion.linearised import linearised  # which knows solutions
+
+        return linearised(self, tolerance)
 
     @collector_off()
     def flux_through(self, parts: str | Sequence[str] | None = None) -> float:
@@ -216,7 +232,7 @@ class Solution(Solved):
         found: dict[str, dict[str, Any]] = {}
         spaces, laws = self.spaces, self.data.inside
         for part in laws.of_regions if laws is not None else ():
-            names, segment = part.law.segments, self._segments_of(part)
+            names, segment = part.law.segments, self.segments_of_law(part)
             on = [part.rows[segment == number] for number in range(len(names))]
             local = np.array([[len(some), spaces.cell_measures[some].sum()] for some in on])
             counts = spaces.mesh.comm.allreduce(local).tolist()
@@ -226,7 +242,7 @@ class Solution(Solved):
             }
         return found
 
-    def _segments_of(self, part: PartLaw) -> Indices:
+    def segments_of_law(self, part: PartLaw) -> Indices:
         """The segment of one law in Ω that each of its cells is on (collective)."""
         laws, cells, own = self.data.inside, self.segments().cells, part.rows
         assert laws is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
+from weakref import ref
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
@@ -42,6 +43,7 @@ class System:
     Attributes:
         spaces: The discrete spaces.
         boundary: The parts that are Γ_S and Γ_N, and those inside the domain; the rest is Γ_D.
+        solved: The last outcome and the data that the method got; None before the first.
     """
 
     def __init__(self, domain: Domain, boundary: Boundary, problem: Problem | None):
@@ -55,6 +57,7 @@ class System:
         self.spaces = build_spaces(domain, self.boundary.signorini, self.boundary.neumann, self.boundary.inner)
         self._known = Known(domain.mesh.comm)
         self._backend: Backend[Iterate] | None = None
+        self.solved: tuple[ref[Outcome], Data] | None = None
         self._made_for: tuple[object, Tuning, bool] | None = None
 
     def prepared(self, given: tuple[Boundary, Problem], wish: Wish) -> DiffusionRun:
@@ -86,7 +89,7 @@ class System:
             tuning=options.tuning,
             watch=wish.watch,
         )
-        return DiffusionRun(task, options, self.boundary, problem, data, constant)
+        return DiffusionRun(task, options, self.boundary, problem, data, constant, self)
 
     def check(self, given: tuple[Boundary, Problem]) -> None:
         """Read the data and check them, see `solving.system.System` (collective).
@@ -106,6 +109,13 @@ class System:
         if start is not None:
             check_start(self.spaces, start)
         return DiffusionSteps(self.spaces, problem, evolution, start)
+
+    def backend_of(self, outcome: Outcome) -> HybridBackend | None:
+        """The backend that is set up for the problem with this outcome; None if there is none, or it is another."""
+        backend = self._backend
+        if self.solved is None or self.solved[0]() is not outcome or not isinstance(backend, HybridBackend):
+            return None
+        return backend if backend.data is self.solved[1] else None
 
     def forget(self) -> None:
         """Drop the backend of the last solve."""
@@ -132,6 +142,7 @@ class DiffusionRun:
         problem: The data as given.
         data: The data on the mesh.
         constant: What is taken from u.
+        system: What it was prepared by.
     """
 
     task: DiffusionTask
@@ -140,6 +151,7 @@ class DiffusionRun:
     problem: Problem
     data: Data
     constant: float
+    system: System
 
     def outcome(self) -> Outcome:
         """Run the method; if it is interrupted, return its last state (collective)."""
@@ -163,6 +175,7 @@ class DiffusionRun:
     def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> Solution:
         """The solution (collective)."""
         spaces = self.task.spaces
+        self.system.solved = ref(outcome), self.task.data
         return Solution(
             boundary=self.boundary,
             problem=self.problem,
@@ -172,6 +185,7 @@ class DiffusionRun:
             p=spaces.multiplier(outcome.iterate.p + self.data.psi_h),
             outcome=outcome,
             kkt=kkt,
+            system=ref(self.system),
             **about,
         )
 

@@ -1,0 +1,1 @@
+"""Derivatives of solutions by their data, through contact."""

@@ -1,0 +1,157 @@
+"""Derivatives of a functional of a solution, and of the solution itself, by what is in the data of its problem.
+
+They are those of the discrete problem: the program solves no other, so a Taylor test has order 2 on any mesh.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from ufl import Form
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.derivatives.controls import Control, check_control, gradient_of, occurs, sum_of, varied
+from signorini_fenicsx.derivatives.paths import with_constants
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.meshes.sampling import at_points
+
+BIACTIVE = 1e-8
+"""Sites that are on a corner of their law but for this share of the sizes of p and σ·n are biactive."""
+
+
+class NotDifferentiable(UserWarning):
+    """Says that a gradient is one of several.
+
+    Attributes:
+        places: The midpoints of the biactive sites, shape (sites, dim).
+    """
+
+    def __init__(self, places: Array, tolerance: float):
+        """Say it, with the first place."""
+        first = ", ".join(f"{x:.4g}" for x in places[0])
+        sites = counted(len(places), "site")
+        super().__init__(
+            f"{sites} may leave a corner of the law, as at ({first}) to {tolerance:g}: one of several gradients"
+        )
+        self.places = places
+
+
+class Gradient(NamedTuple):
+    """A functional of a solution with its gradient.
+
+    Attributes:
+        value: Its value.
+        gradients: Its derivative by each control: a number for a constant; for a function the derivatives by its owned
+            coefficients.
+    """
+
+    value: float
+    gradients: list[float | Array]
+
+
+@dataclass(frozen=True)
+class Change:
+    """The change of a solution with its data: functions of the spaces of σ, u and p.
+
+    Attributes:
+        sigma: That of σ.
+        u: That of u.
+        p: That of p.
+        spaces: The discrete spaces.
+    """
+
+    sigma: fem.Function
+    u: fem.Function
+    p: fem.Function
+    spaces: MeshSpaces
+
+    def at(self, points: npt.ArrayLike) -> tuple[Array, Array]:
+        """The changes of u and σ at points, as `Solution.at` has u and σ there (collective).
+
+        Raises:
+            InputError: On all ranks, if the points of one rank have another shape.
+        """
+        values = []
+        for function in (self.u, self.sigma):
+            domain = replace(self.spaces.domain, mesh=function.function_space.mesh)
+            (found,) = at_points([function], domain, points)
+            values.append(found.reshape(len(found), *function.ufl_shape))
+        return values[0], values[1]
+
+
+def gradient(solution: Any, J: Form, controls: Sequence[Control | str], tolerance: float = BIACTIVE) -> Gradient:
+    """The value of a functional and its derivatives by controls, by one linear solve (collective).
+
+    Where sites are biactive there is no gradient. Then it is that under the present segments, and rank 0 warns, see
+    `NotDifferentiable`.
+
+    Args:
+        solution: A solution; the controls have the values with which it was solved.
+        J: Integrals, in UFL, in its `sigma`, `u` and `p`, and in controls.
+        controls: Scalar constants and functions in the data of the problem, or in J; or paths to numbers in it, such as
+            "problem.kappa.rock".
+        tolerance: Which sites are biactive.
+
+    Raises:
+        InputError: If a control is none, or in neither; if the solution has no derivatives.
+        LinearSolveFailure: If the linear solver does not converge.
+    """
+    solution, constants = with_constants(solution, controls)
+    for control in constants:
+        check_control(control)
+    problem, spaces = solution.linearised(tolerance), solution.spaces
+    comm = spaces.mesh.comm
+    places = np.concatenate(comm.allgather(problem.places()))
+    if len(places) > 0 and comm.rank == 0:
+        warnings.warn(NotDifferentiable(places, tolerance), stacklevel=3)
+    sensitivities = problem.adjoint(J)
+    of_data = sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
+    whole = J + of_data
+    for number, control in enumerate(constants):
+        if not occurs(control, whole):
+            raise InputError(f"controls: number {number + 1} is in no datum of the problem that was solved")
+    return Gradient(spaces.integrate(J), [gradient_of(spaces, whole, control) for control in constants])
+
+
+def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance: float = BIACTIVE) -> Change:
+    """The change of a solution, by one linear solve (collective).
+
+    Biactive sites move along one of the two segments that meet there, so it is the derivative in this direction alone,
+    and one linear solve for each set of theirs.
+
+    Args:
+        solution: A solution; the controls have the values with which it was solved.
+        direction: For each control, or path, its change: for a function one of its space, else a number.
+        tolerance: Which sites are biactive.
+
+    Raises:
+        InputError: If a control is none, or in no datum; if the solution has no derivatives.
+        LinearSolveFailure: If the linear solver does not converge.
+        NumericalFailure: If the sets of biactive sites do not settle.
+    """
+    solution, controls = with_constants(solution, direction)
+    for control in controls:
+        check_control(control)
+    problem = solution.linearised(tolerance)
+    moved = list(zip(controls, direction.values(), strict=True))
+    used: set[int] = set()
+
+    def vary(form: Form) -> Form:
+        present = [number for number, control in enumerate(controls) if occurs(control, form)]
+        used.update(present)
+        return sum_of([varied(form, *moved[number]) for number in present])
+
+    changes = {name: seen.changes(vary) for name, seen in problem.seen.items()}
+    if len(used) < len(controls):
+        raise InputError(
+            f"direction: {counted(len(controls) - len(used), 'control')} in no datum of the problem that was solved"
+        )
+    return Change(**problem.change(changes)._asdict(), spaces=solution.spaces)

@@ -1,0 +1,78 @@
+"""Controls by paths: numbers of a problem as case files name them, such as "problem.kappa.rock" and "law.0.g"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.expressions import TREES, polynomial_degree, values
+from signorini_fenicsx.expressions.given import parsed
+
+
+def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[Any]]:
+    """The solution of a problem with constants in the place of the numbers at some paths (collective).
+
+    Args:
+        solution: A solution.
+        controls: Constants and functions, and paths.
+
+    Returns:
+        The solution, and the controls with these constants in the place of paths.
+
+    Raises:
+        InputError: If there is no number at a path.
+    """
+    problem = solution.problem
+    found: list[Any] = []
+    for control in controls:
+        if isinstance(control, str):
+            section, *names = control.split(".")
+            make = partial(_constant, control, solution.spaces.mesh, found)
+            problem = _replaced(problem, [*{"law": ["laws"]}.get(section, []), *names], make, control)
+        else:
+            found.append(control)
+    return solution if problem is solution.problem else solution.of_problem(problem), found
+
+
+def _constant(path: str, mesh: dolfinx.mesh.Mesh, found: list[Any], given: Any) -> fem.Constant:
+    """A constant with the value of a number, also added to a list.
+
+    Raises:
+        InputError: If it is no number.
+    """
+    tree = parsed(given, "xyzt", path)
+    if not isinstance(tree, TREES) or polynomial_degree(tree) != 0:
+        raise InputError(f"{path}: is no number; in Python put a Constant or Function there")
+    found.append(fem.Constant(mesh, float(values(tree, dict.fromkeys("xyzt", np.zeros(1)))[0])))
+    return found[-1]
+
+
+def _replaced(given: Any, names: Sequence[str], make: Callable[[Any], Any], path: str) -> Any:
+    """What was given, with another value at a place in it.
+
+    Raises:
+        InputError: If there is no such place.
+    """
+    if not names:
+        return make(given)
+    name, *rest = names
+    if isinstance(given, Mapping) and name in given:
+        return {**given, name: _replaced(given[name], rest, make, path)}
+    if isinstance(given, list | tuple) and name.isdigit() and int(name) < len(given):
+        inner = _replaced(given[int(name)], rest, make, path)
+        return type(given)(inner if index == int(name) else each for index, each in enumerate(given))
+    known = is_dataclass(given) and not isinstance(given, TREES)
+    if known and name in [field.name for field in fields(given) if field.init]:
+        changed = replace(given, **{name: _replaced(getattr(given, name), rest, make, path)})
+        if isinstance(given, Law):
+            object.__setattr__(changed, "region", given.region)
+        return changed
+    raise InputError(f"{path}: there is no such number in the problem; paths are such as problem.kappa or law.0.g")

@@ -1,0 +1,276 @@
+"""Derivatives through contact: Taylor remainders of all kinds of data, laws, methods and ranks; refusals."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx import (
+    Corners,
+    Diffusion,
+    Dirichlet,
+    Domain,
+    Friction,
+    InputError,
+    Neumann,
+    Obstacle,
+    Options,
+    Regulator,
+    River,
+    Signorini,
+    Solver,
+    TwoSided,
+    Wall,
+    domain_of,
+    load_case,
+    solve,
+    solve_case,
+)
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.derivatives.gradient import NotDifferentiable
+from signorini_fenicsx.meshes.meshing import build_domain
+
+COMM = MPI.COMM_WORLD
+
+
+@dataclass
+class Controlled:
+    """A problem with the controls in its data."""
+
+    domain: Domain
+    problem: Any
+    controls: list[Any]
+    options: Options | None = None
+
+    def functional(self, solution: Any) -> Any:
+        """Something of all parts of the solution, and of a control."""
+        n, x, ds = solution.spaces.n, ufl.SpatialCoordinate(self.domain.mesh), solution.spaces.ds
+        flux = ufl.dot(solution.sigma, n)
+        J = (solution.u**2 * (1 + x[0]) + x[1] * ufl.inner(solution.sigma, solution.sigma)) * ufl.dx
+        J += ((1 + x[0]) * solution.p**2 + x[1] * flux**2 + flux) * ds + flux * x[0] * ufl.ds
+        return J + self.controls[0] ** 2 * solution.u * ufl.dx
+
+
+def constants(domain: Domain, *values: float) -> list[fem.Constant]:
+    return [fem.Constant(domain.mesh, value) for value in values]
+
+
+def function(domain: Domain, of: Callable[[Any], Any], element: tuple[str, int] = ("P", 1)) -> fem.Function:
+    found = fem.Function(fem.functionspace(domain.mesh, element))
+    found.interpolate(of)
+    return found
+
+
+def one_law(comm: MPI.Comm, options: Options | None = None) -> Controlled:
+    """All data, in a problem with one law."""
+    domain = build_domain(comm, "square", 0.15, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    k, q, g, u_D, psi, f = given = constants(domain, 1.3, 0.1, 0.3, 0.2, -0.05, 40.0)
+    m = function(domain, lambda x: 1 + x[0] * x[1])
+    conditions = [Signorini("bottom", psi=psi * x[0], q_S=q * x[0]), Neumann("right", g * x[1] ** 2)]
+    problem = Diffusion(
+        f=f * (x[0] - 0.6) * m, kappa=k * m + x[1] ** 2, c=m * k, u_D=u_D * x[0] ** 3, conditions=conditions
+    )
+    return Controlled(domain, problem, [*given, m], options)
+
+
+def many_laws(comm: MPI.Comm) -> Controlled:
+    """Laws with slopes and several corners on all sides, one with a weighted mean; κ a matrix."""
+    domain = build_domain(comm, "square", 0.15, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    beta, level, r, bed, k, low, high, g = given = constants(domain, 2.0, 0.05, 1.5, -0.3, 3.0, -0.4, 0.1, 0.05)
+    kappa = function(domain, lambda x: 1 + 0.5 * np.sin(3 * x[0]), ("DG", 1))
+    conditions = [
+        Wall("bottom", beta=beta * (1 + x[0]), level=level * ufl.sin(4 * x[0])),
+        River("left", r=r * (1 + x[1]), level=level + 0.1 * x[1], bed=bed, q=0.1),
+        Regulator("right", k=k, g_low=low, g_high=high * (1 + x[1]), a=0.1 * level),
+        Friction("top", g=g),
+    ]
+    matrix = ufl.as_matrix([[kappa, 0.3 * x[0]], [0.3 * x[0], 1 + kappa**2]])
+    return Controlled(domain, Diffusion(f=20 * (x[0] - 0.6), kappa=matrix, conditions=conditions), [*given, kappa])
+
+
+def in_the_domain(comm: MPI.Comm) -> Controlled:
+    """Two laws in Ω that add up, and c > 0."""
+    domain = build_domain(comm, "square", 0.15, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    k, psi, slope, theta, c, upper = given = constants(domain, 1.2, -0.1, 2.0, 3.0, 0.7, 0.1)
+    conditions = [
+        Obstacle(region="all", psi=psi * (1 + x[1])),  # type: ignore[call-arg]
+        Corners(region="all", corners=[(0.0, 0.0), (0.02, theta)], before=slope, beyond=slope),  # type: ignore[call-arg]
+        TwoSided("bottom", psi=-0.05, psi_upper=upper * x[0]),
+        Dirichlet(["top", "left", "right"], 0.0),
+    ]
+    problem = Diffusion(f=60 * (x[0] - 0.6), kappa=k + x[0], c=c * (1 + x[0]), conditions=conditions)
+    return Controlled(domain, problem, given)
+
+
+def across(comm: MPI.Comm) -> Controlled:
+    """Friction between two bodies."""
+    mesh = dolfinx.mesh.create_unit_square(comm, 6, 6, ghost_mode=dolfinx.mesh.GhostMode.none)
+    sides = {"fault": lambda x: np.isclose(x[1], 0.5), "sides": lambda x: np.isclose(x[0] * (1 - x[0]), 0)}
+    domain = domain_of(mesh, sides, inner=["fault"])
+    x = ufl.SpatialCoordinate(domain.mesh)
+    k, g, u_D = given = constants(domain, 1.1, 0.25, 0.5)
+    conditions = [Friction("fault", g=g * (1 + x[0])), Neumann("sides", 0.1 * g)]
+    problem = Diffusion(f=4 * (x[0] - 0.5) * k**2, kappa=k + x[1], u_D=u_D * x[1] * x[0], conditions=conditions)
+    return Controlled(domain, problem, given)
+
+
+PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
+    "all data": one_law,
+    "alg2": lambda comm: one_law(comm, options=Options(algorithm="alg2")),
+    "alg3": lambda comm: one_law(comm, options=Options(algorithm="alg3", eps=0.02)),
+    "alg4": lambda comm: one_law(comm, options=Options(algorithm="alg4", eps=0.3)),
+    "mixed": lambda comm: one_law(comm, options=Options(backend="mixed")),
+    "laws": many_laws,
+    "in Ω": in_the_domain,
+    "inside": across,
+}
+
+
+def directions_of(controls: list[Any]) -> list[Any]:
+    """A direction of all controls, the same on any ranks."""
+    directions: list[Any] = []
+    for number, control in enumerate(controls):
+        if isinstance(control, fem.Constant):
+            directions.append((1 + number % 3) * (-1) ** number * abs(float(control.value)) / 3)
+        else:
+            directions.append(fem.Function(control.function_space))
+            directions[-1].interpolate(lambda x: 0.3 * np.sin(5 * x[0] + x[1]))
+    return directions
+
+
+def move(controls: list[Any], directions: list[Any], step: float) -> None:
+    """Change the values of the controls in place."""
+    for control, direction in zip(controls, directions, strict=True):
+        if isinstance(control, fem.Constant):
+            control.value = control.value + step * direction
+        else:
+            control.x.array[:] += step * direction.x.array
+
+
+def pairing(gradients: list[Any], directions: list[Any]) -> float:
+    """The derivative in a direction."""
+    terms = [
+        direction.function_space.mesh.comm.allreduce(float(gradient @ direction.x.array[: len(gradient)]))
+        if isinstance(direction, fem.Function)
+        else gradient * direction
+        for gradient, direction in zip(gradients, directions, strict=True)
+    ]
+    return float(sum(terms))
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_taylor(name: str):
+    """The remainder has order 2, so the gradient is that of the discrete problem; all controls move at once."""
+    given = PROBLEMS[name](COMM)
+    solver = Solver(given.domain, given.problem)
+    solution = solver.solve(given.problem, given.options)
+    value, gradients = solution.gradient(given.functional(solution), given.controls)
+    remainders, directions = [], directions_of(given.controls)
+    for step in (4e-3, 2e-3):
+        move(given.controls, directions, step)
+        other = solver.solve(given.problem, given.options)
+        there = other.spaces.integrate(given.functional(other))
+        move(given.controls, directions, -step)
+        remainders.append(there - value - step * pairing(gradients, directions))
+        assert (other.segments().segment == solution.segments().segment).all()
+    change = solution.derivative(dict(zip(given.controls, directions, strict=True)))
+    J, direct = given.functional(solution), 0.0
+    for function, its in ((solution.sigma, change.sigma), (solution.u, change.u), (solution.p, change.p)):
+        direct += solution.spaces.integrate(ufl.derivative(J, function, its))
+    first = given.controls[0]
+    direct += directions[0] * 2 * solution.spaces.integrate(first * solution.u * ufl.dx)
+    assert pairing(gradients, directions) == pytest.approx(direct, rel=1e-9)
+    assert abs(remainders[1]) < 0.05 * abs(there - value)
+    assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize("name", ["all data", "laws", "in Ω", "inside"])
+def test_ranks(name: str):
+    """Value and derivatives do not depend on the number of ranks."""
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        given = PROBLEMS[name](comm)
+        solution = solve(given.domain, given.problem, given.options)
+        value, gradients = solution.gradient(given.functional(solution), given.controls)
+        numbers = [gradient for gradient in gradients if isinstance(gradient, float)]
+        found.append([value, pairing(gradients, directions_of(given.controls)), *numbers])
+    assert found[0] == pytest.approx(found[1], rel=1e-9, abs=1e-10)
+
+
+def test_biactive():
+    """On a corner of the law the derivative is one-sided, exact, and no gradient is claimed."""
+    domain = build_domain(COMM, "square", 0.15, mesh="structured")
+    (f,) = constants(domain, -4.0)
+    psi, lift, bump = (function(domain, lambda x: 0 * x[0], element) for element in (("DG", 0), ("P", 1), ("P", 1)))
+    psi.x.array[:] = -1.0
+    bump.interpolate(lambda x: np.sin(6 * x[0]) * x[1])
+    problem = Diffusion(f=f, conditions=[Signorini("bottom", psi=psi), Dirichlet(["top", "left", "right"], lift)])
+    free = solve(domain, problem)
+    psi.x.array[free.spaces.cells[2:6]] = free.p.x.array[2:6]  # p − ψ = σ·n − q_S = 0 on these four facets
+    solution = solve(domain, problem)
+    for sign in (1.0, -1.0):
+        change = solution.derivative({f: sign, lift: bump})
+        f.value, lift.x.array[:] = -4.0 + 0.01 * sign, 0.01 * bump.x.array
+        there = solve(domain, problem)
+        f.value, lift.x.array[:] = -4.0, 0.0
+        for part, before, its in (
+            (there.u, solution.u, change.u),
+            (there.p, solution.p, change.p),
+            (there.sigma, solution.sigma, change.sigma),
+        ):
+            assert part.x.array == pytest.approx(before.x.array + 0.01 * its.x.array, abs=1e-11)
+    assert solution.derivative({f: 1.0}).p.x.array[3] > 0
+    assert solution.derivative({f: -1.0}).p.x.array[3] == 0
+    with pytest.warns(NotDifferentiable, match="4 sites") as warned:
+        solution.gradient(solution.u * ufl.dx, [f])
+    assert warned[0].message.places.shape == (4, 2)  # type: ignore[union-attr]
+
+
+def test_refusals():
+    """What is no control, is in no datum, or solves another problem."""
+    given = one_law(COMM)
+    solution = solve(given.domain, given.problem)
+    (stranger,) = constants(given.domain, 1.0)
+    with pytest.raises(InputError, match="not float"):
+        solution.gradient(solution.u * ufl.dx, [1.0])
+    with pytest.raises(InputError, match="number 2 is in no datum"):
+        solution.gradient(solution.u * ufl.dx, [given.controls[0], stranger])
+    with pytest.raises(InputError, match="1 control in no datum"):
+        solution.derivative({stranger: 1.0})
+    with pytest.raises(InputError, match="must be a scalar"):
+        solution.derivative({fem.Constant(given.domain.mesh, (1.0, 2.0)): 1.0})
+    other = solve(given.domain, given.problem, Options(algorithm="slimane", eps=1e-3))
+    with pytest.raises(InputError, match="solves another discrete problem"):
+        other.gradient(other.u * ufl.dx, given.controls)
+
+
+def test_paths():
+    """Numbers of a case are controls by their paths; the gradient is that of differences."""
+    case = load_case("dam")
+    solver = Solver(mesh_case(case, COMM), case.posed(2))
+    paths = ["problem.kappa.core", "problem.kappa.shell"]
+    solution = solve_case(case, domain=solver)
+    _, gradients = solution.gradient(solution.u**2 * ufl.dx, [*paths, "problem.f"])
+    change = solution.derivative({paths[0]: 1.0})
+    of_core = solution.spaces.integrate(2 * solution.u * change.u * ufl.dx)
+    assert gradients[0] == pytest.approx(of_core, rel=1e-9)
+    for core, shell, gradient in ((1e-3, 0.0, gradients[0]), (0.0, 1e-3, gradients[1])):
+        sides = []
+        for sign in (1, -1):
+            kappa = {"core": 0.3 + sign * core, "shell": 1.0 + sign * shell}
+            other = solve_case(case.with_values({"problem.kappa": kappa}), domain=solver)
+            sides.append(other.spaces.integrate(other.u**2 * ufl.dx))
+        assert (sides[0] - sides[1]) / 2e-3 == pytest.approx(gradient, rel=1e-4)
+    for path, match in (("problem.psi", "no number"), ("problem.kappa.rock", "no such"), ("law.0.g", "no such")):
+        with pytest.raises(InputError, match=match):
+            solution.gradient(solution.u * ufl.dx, [path])
