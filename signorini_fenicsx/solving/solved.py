@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from signorini_fenicsx.certificate.certify import Certificate
+    from signorini_fenicsx.quantities import Kind, Quantity
 
 type Columns = Mapping[str, npt.NDArray]
 """The columns of a table by their names."""
@@ -190,6 +191,20 @@ class Solved(ABC):
         from signorini_fenicsx.certificate.of_solution import certify
 
         return certify(self, for_signorini=for_signorini)
+
+    @collector_off()
+    def quantity(self, kind: Kind) -> Quantity:
+        """Prove a quantity of the exact solution from both sides (collective).
+
+        Args:
+            kind: What quantity, of `signorini_fenicsx.quantities`.
+
+        Raises:
+            InputError: If it is not one of this problem.
+        """
+        from signorini_fenicsx.quantities.of_solution import quantity
+
+        return quantity(self, kind)
 
     @collector_off()
     def _repr_html_(self) -> str | None:
