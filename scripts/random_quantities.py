@@ -1,6 +1,7 @@
 """Tests intervals of quantities on random problems against solutions on a mesh 4 times as fine: never outside.
 
 uv run python scripts/random_quantities.py --seeds 60        (also under mpirun)
+uv run python scripts/random_quantities.py --orders          how intervals shrink with h
 
 A seed chooses a shape, a load, κ, laws on parts of the boundary and in Ω, and a quantity. A row has the interval, and
 that on the finer mesh (in space 3 times as fine). The exact value is in both; if they do not meet, one of them is
@@ -125,12 +126,27 @@ def random_row(seed: int, shapes: tuple[str, ...] = ("square", "lshape", "cube")
     return Row(seed, f"{shape}, {', '.join(laws)}, {inside or 'no law'} in Ω", kind, *found)
 
 
+def orders() -> None:
+    """Print half the length of some intervals on finer and finer meshes (collective)."""
+    problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
+    kinds = [Integral(weight="1 if x < 0.5 else 0"), Mean(), Flux(["left", "bottom", "top"]), Energy()]
+    for n in (16, 32, 64, 128):
+        solution = solve(build_domain(MPI.COMM_WORLD, "square", 1.001 * 2**0.5 / n, mesh="structured"), problem)
+        found = [solution.quantity(kind) for kind in kinds]
+        if MPI.COMM_WORLD.rank == 0:
+            print(f"{n:4d} " + "  ".join(f"{each.value:.6f} ± {each.width / 2:.2e}" for each in found), flush=True)
+
+
 def main() -> None:
     """Print the rows and how many hold."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--orders", action="store_true")
     given = parser.parse_args()
+    if given.orders:
+        orders()
+        return
     rows = []
     for seed in range(given.first, given.first + given.seeds):
         rows.append(random_row(seed))

@@ -1,10 +1,13 @@
 """Quantities are within their intervals, which shrink as they should; fluxes without bounds are told."""
 
+import json
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import signorini
 from conftest import case_of
 from mpi4py import MPI
 from random_quantities import random_row
@@ -168,3 +171,59 @@ def test_on_ranks():
         for name in ("value", "lower", "upper"):
             assert getattr(many, name) == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-12)
         assert many.guaranteed == one.guaranteed
+
+
+CASE = """
+[geometry]
+shape = "square"
+mesh = "structured"
+
+[boundary]
+signorini = ["bottom"]
+neumann = ["right"]
+
+[problem]
+f = "-10 if x < 0.5 else 10"
+
+[solve]
+h = "1/4"
+
+[[quantity]]
+name = "left half"
+kind = "integral"
+weight = "1 if x < 0.5 else 0"
+
+[[quantity]]
+name = "inflow"
+kind = "flux"
+parts = ["left", "bottom", "top"]
+
+[[quantity]]
+name = "unbounded"
+kind = "flux"
+parts = "left"
+"""
+
+
+def test_case_file(folder: Path):
+    """`solve` computes what [[quantity]] asks for; what is no quantity is refused before anything runs."""
+    (folder / "case.toml").write_text(CASE, encoding="utf-8")
+    printed = signorini(folder, "solve", "case.toml", "--output", "found").stdout
+    assert "left half" in printed
+    assert "without bounds: this flux is unbounded" in printed
+    found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]
+    assert list(found) == ["left half", "inflow", "unbounded"]
+    assert found["unbounded"]["lower"] is None or found["unbounded"]["upper"] is None
+    expected = solve_case(load_case(folder / "case.toml")).quantity(Integral(weight=LEFT))
+    assert found["left half"] == expected.summary()
+    for change, words in (
+        ('quantity.1.parts="nowhere"', "unknown part 'nowhere'"),
+        ("quantity.1.weight=2", "a quantity 'flux' has no weight"),
+        ('quantity.1.kind="flow"', "unknown quantity 'flow'"),
+        ('quantity.1.name="left half"', "name of two quantities"),
+        ('quantity.0.weight="1 +"', "quantity.0.weight: "),
+    ):
+        refused = signorini(folder, "solve", "case.toml", "--set", change, "--output", "refused")
+        assert refused.returncode == 2
+        assert words in refused.stderr
+        assert not (folder / "refused").exists()

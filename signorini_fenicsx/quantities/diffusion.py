@@ -40,7 +40,7 @@ def quantity(solution: Solution, kind: Kind) -> Quantity:
     Of a solution by a penalty method it is that of the problem without the penalty.
 
     Raises:
-        InputError: If the quantity is not one of this problem.
+        InputError: If it is a step of a problem in time.
     """
     if solution.step is not None:
         raise InputError("quantities of a step of a problem in time have no bounds")
@@ -48,9 +48,37 @@ def quantity(solution: Solution, kind: Kind) -> Quantity:
         return _energy(solution)
     if isinstance(kind, Flux):
         return _Fluxes(solution, kind).interval()
-    if isinstance(kind, Integral):
-        return _Integrals(solution, kind).interval()
-    raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
+    assert isinstance(kind, Integral)
+    return _Integrals(solution, kind).interval()
+
+
+def check(domain: Domain, posed: Posed, kind: Kind) -> None:
+    """Refuse what is no quantity of a problem (collective).
+
+    Raises:
+        InputError: If a name is unknown, or the quantity is given by the data.
+    """
+    if isinstance(kind, Energy):
+        if posed[1].laws or posed[1].obstacle is not None:
+            raise InputError("the energy has bounds under the law of Signorini alone")
+    elif not isinstance(kind, Flux | Integral):
+        raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
+    else:
+        _moved(domain, posed, kind, 0.0)
+
+
+def _moved(domain: Domain, posed: Posed, kind: Flux | Integral, tau: float) -> Posed:
+    """The problem with data that differ by τ (collective).
+
+    Raises:
+        InputError: As `check`.
+    """
+    posed = posed[0], posed[1].parsed(domain.mesh.geometry.dim)
+    if isinstance(kind, Flux):
+        return with_trace(domain, posed, kind.parts, tau)
+    if kind.parts:
+        return with_flux(domain, posed, kind.weight, kind.parts, tau)
+    return with_load(domain, posed, kind.weight, kind.region, tau)
 
 
 @dataclass(frozen=True)
@@ -94,8 +122,8 @@ def _reason(of_y: Admissible, share: float) -> str:
 class _Shifted:
     """Problems on either side of that of a solution, with data that differ by ±τ, and what they say."""
 
-    def __init__(self, solution: Solution):
-        self.solution, self.spaces = solution, solution.spaces
+    def __init__(self, solution: Solution, kind: Flux | Integral):
+        self.solution, self.spaces, self._kind = solution, solution.spaces, kind
         self.domain: Domain = solution.spaces.domain
         self.posed: Posed = (solution.boundary, solution.problem.parsed(self.spaces.mesh.geometry.dim))
         self.comm = self.spaces.mesh.comm
@@ -104,7 +132,7 @@ class _Shifted:
 
     def shifted(self, tau: float) -> Posed:
         """The problem with data that differ by τ (collective)."""
-        raise NotImplementedError
+        return _moved(self.domain, self.posed, self._kind, tau)
 
     def ends(self, tau: float) -> Ends:
         """The bounds from one τ (collective)."""
@@ -148,7 +176,7 @@ class _Fluxes(_Shifted):
     """The flux through some parts."""
 
     def __init__(self, solution: Solution, kind: Flux):
-        super().__init__(solution)
+        super().__init__(solution, kind)
         self.parts = kind.parts
         boundary, problem = self.shifted(0.0)
         self.moves_walls = boundary == self.posed[0] and problem.u_D is not self.posed[1].u_D
@@ -159,10 +187,6 @@ class _Fluxes(_Shifted):
         response = math.sqrt(kappa * self.comm.allreduce(measures.sum())) / self.spaces.length
         found = bracket(self.ends, self.first(response), self.solution.flux_through(self.parts))
         return found if math.isfinite(found.width) else replace(found, reason=f"{UNBOUNDED}: {found.reason}")
-
-    def shifted(self, tau: float) -> Posed:
-        """The problem with u larger by τ on the parts, see `with_trace`."""
-        return with_trace(self.domain, self.posed, self.parts, tau)
 
     def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, str]]:
         """The bounds; F(y') is the flux of y', as η' has the same means."""
@@ -184,10 +208,9 @@ class _Integrals(_Shifted):
     """The integral of u with a weight, or its mean."""
 
     def __init__(self, solution: Solution, kind: Integral):
-        super().__init__(solution)
+        super().__init__(solution, kind)
         names = "xyz"[: self.spaces.mesh.geometry.dim]
         self.kind, self.weight = kind, datum_of(self.spaces, "weight", parsed(kind.weight, names, "weight"))
-        self.shifted(0.0)  # refuses unknown names
 
     def interval(self) -> Quantity:
         """The interval (collective)."""
@@ -210,12 +233,6 @@ class _Integrals(_Shifted):
             raise InputError("weight: its integral is 0, so there is no mean with it")
         lower, upper = sorted((found.lower / total, found.upper / total))
         return replace(found, value=found.value / total, lower=lower, upper=upper)
-
-    def shifted(self, tau: float) -> Posed:
-        """The problem whose load is larger by τ times the weight."""
-        if self.kind.parts:
-            return with_flux(self.domain, self.posed, self.kind.weight, self.kind.parts, tau)
-        return with_load(self.domain, self.posed, self.kind.weight, self.kind.region, tau)
 
     def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, str]]:
         """The bounds."""
@@ -249,14 +266,8 @@ class _Integrals(_Shifted):
 
 
 def _energy(solution: Solution) -> Quantity:
-    """The interval for the energy J(u): J(v) − gap − Σ osc_T‖κ∇v − y‖_T − ½osc² ≤ J(u) ≤ J(v) (collective).
-
-    Raises:
-        InputError: If there are other laws than Signorini's.
-    """
+    """The interval for the energy J(u): J(v) − gap − Σ osc_T‖κ∇v − y‖_T − ½osc² ≤ J(u) ≤ J(v) (collective)."""
     goal = Goal.of(solution, for_signorini=True)
-    if not goal.plain or solution.data.inside is not None:
-        raise InputError("the energy has bounds under the law of Signorini alone")
     with np.errstate(all="ignore"):
         own = Admissible.of(solution, goal)
         parts = gap_parts(own, own, goal)
