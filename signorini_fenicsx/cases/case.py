@@ -24,6 +24,7 @@ from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
+from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cases.texts import ProblemTexts, Time, Times
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import ExpressionByRegion, Positive, Whole, choice, texts_of, within
@@ -77,6 +78,7 @@ class CaseFile(Section):
     geometry: Geometry
     solve: Solve = Solve()
     time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
+    quantity: Annotated[list[QuantityTexts], Field(default=[], exclude_if=lambda quantities: not quantities)]
     costs: ClassVar[Mapping[int, Cost]] = COSTS
     """What it costs to solve it, by dimension."""
     lacks: ClassVar[Sequence[str]] = ()
@@ -145,6 +147,16 @@ class CaseFile(Section):
         return self.parts.condition_of(part)
 
     @model_validator(mode="after")
+    def _measures_once(self) -> Self:
+        names = [quantity.name for quantity in self.quantity]
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                raise ValueError(f"quantity.{i}.name: '{name}' is the name of two quantities")
+        if names and self.time is not None:
+            raise ValueError("[[quantity]]: a problem in time has none")
+        return self
+
+    @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.geometry.shape is not None:
             self._check_shape(shape_of(self.geometry.shape))
@@ -196,7 +208,8 @@ class CaseFile(Section):
 
     def _check_expressions(self, dim: int) -> None:
         x = reference_coordinate(dim)
-        for section, name, text in self.texts():
+        weights = [("", f"quantity.{i}.weight", each.weight) for i, each in enumerate(self.quantity) if each.weight]
+        for section, name, text in (*self.texts(), *weights):
             try:
                 parse_expression(text, x, self.last_time if section != "time" else None)
             except InputError as error:
@@ -329,8 +342,8 @@ def _below(branch: Any, section: str, key: str) -> Any:
         return branch[int(section)]
     if not isinstance(branch, dict):
         raise InputError(f"{key}: no such key in a case")
-    if section == "law" and section not in branch:
-        raise InputError(f"{key}: the case has no [[law]]")
+    if section in ("law", "quantity") and section not in branch:
+        raise InputError(f"{key}: the case has no [[{section}]]")
     return branch.setdefault(section, {})
 
 

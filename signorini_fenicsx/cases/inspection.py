@@ -19,6 +19,7 @@ from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.quantities.of_solution import check_quantities
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.system import System, Wish, system_on
 
@@ -141,6 +142,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
         domain = mesh_case(case, comm)
     with doing("assembly"):
         posed = case.posed(domain.mesh.geometry.dim)
+        check_quantities(domain, posed, [each.measured for each in case.quantity])
         system = system_on(domain, *posed)
         spaces, contact = system.spaces, next(iter(system.boundary.named))
         if case.time is None:

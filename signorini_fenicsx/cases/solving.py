@@ -17,6 +17,8 @@ from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
+from signorini_fenicsx.quantities import Quantity
+from signorini_fenicsx.quantities.of_solution import check_quantities
 from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
@@ -58,6 +60,7 @@ def solve_case(
     remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh))
     with watch.phase("assembly"):
         posed = case.posed(mesh.mesh.geometry.dim)
+        check_quantities(mesh, posed, [each.measured for each in case.quantity])
         solver = place if isinstance(place, Solver) else Solver(place, posed)
     return solver.solve(
         posed,
@@ -81,6 +84,13 @@ def _remade(case: CaseFile, present: Domain, factor: float) -> Domain:
     asked = case.solve.h if case.geometry.shape is not None else case.file_h
     h = present.h if asked is None else asked  # a geometry that is meshed with its own sizes
     return mesh_case(case.with_values({"solve.h": factor * h}), present.mesh.comm)
+
+
+@collector_off()
+def quantities_of(solution: Solved) -> dict[str, Quantity]:
+    """The intervals for the quantities of the case of a solution, by their names (collective)."""
+    listed = solution.source.quantity if isinstance(solution.source, CaseFile) else []
+    return {each.name: solution.quantity(each.measured) for each in listed}
 
 
 @collector_off()

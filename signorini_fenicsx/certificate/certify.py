@@ -52,7 +52,7 @@ from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.hidden import Pressure, degree_near, hidden_parts
 from signorini_fenicsx.certificate.inside import Inside
 from signorini_fenicsx.certificate.law_trace import law_trace
-from signorini_fenicsx.certificate.laws import Goal, LawGap, not_polynomial
+from signorini_fenicsx.certificate.laws import Area, Goal, LawGap, gap, not_polynomial
 from signorini_fenicsx.certificate.local_fluxes import FacetLoad, Projection, positive_quadrature
 from signorini_fenicsx.certificate.mean_loads import load_left
 from signorini_fenicsx.certificate.metric import CellMetric, cell_metric
@@ -160,44 +160,22 @@ def certify(solution: Solution, *, for_signorini: bool = False, memory: Memory |
 
 
 def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certificate:
-    spaces, data = solution.spaces, solution.data
-    comm = spaces.mesh.comm
-    metric = cell_metric(spaces, data)
-    size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
-    cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
-    resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
-    metric, deviation = resolution.conductivity(metric, size)
-    y, flux, level, remainder = admissible_flux(solution, metric, goal)
-    inside = Inside.of(solution, y, level, resolution)
-    trace, contact, load, pressure = _on_gamma_s(solution, metric, goal, y, inside, resolution)
-    of_laws = None
-    if inside is not None:
-        gap_inside, of_laws = inside.gap(trace, metric, resolution)
-        contact = contact + gap_inside
-    reaction = reaction_terms(spaces, data, metric, trace, level, resolution)
-    takes_f = None if inside is None else inside.takes_f
-    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, takes_f)
-    if reaction is not None:
-        contact = contact + reaction.gap
-    mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), deviation)
-    known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
-    hidden = hidden_parts(resolution, trace, metric, pressure, inside, known)
-    contact = contact + hidden.gap
-    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
-    least = None if reaction is None else reaction.least
-    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * known))
-    oscillation = _with_more(oscillation, left, metric, comm)
+    own = Admissible.of(solution, goal)
+    spaces, resolution, trace, remainder = solution.spaces, own.resolution, own.trace, own.remainder
+    comm, size = spaces.mesh.comm, own.size
+    parts = gap_parts(own, own, goal, memory)
     indicator = fem.Function(spaces.Q, name="indicator")
-    squares = mismatch + contact + oscillation**2
+    squares = parts.mismatch + parts.contact + parts.oscillation**2
     indicator.x.array[:] = np.sqrt(np.maximum(squares, 0.0))  # no ghost cells; < 0: no bound
-    sums = np.array([(mismatch + contact).sum() / 2, (oscillation**2).sum(), resolution.missed.sum()])
+    gap = (parts.mismatch + parts.contact).sum() / 2
+    sums = np.array([gap, (parts.oscillation**2).sum(), resolution.missed.sum()])
     total_gap, total_oscillation, missed = comm.allreduce(sums).tolist()
     bound = sigma_bound = np.inf
     if not trace.hindrance and np.isfinite(total_gap + total_oscillation):
         total_gap = max(total_gap, 0.0)  # < 0 by rounding
         bound = np.sqrt(2 * total_gap) + np.sqrt(total_oscillation) + remainder
         sigma_bound = np.sqrt(2 * total_gap + total_oscillation) + remainder
-    enclosed = np.sqrt(missed) + left
+    enclosed = np.sqrt(missed) + parts.left
     unresolved = resolution.account(enclosed / bound if bound > 0 else 0.0)
     PETSc.garbage_cleanup(comm)
     return Certificate(
@@ -213,10 +191,118 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
         coarse=resolution.coarse,
         indicator=indicator,
         v=trace.v,
-        of_laws=of_laws,
+        of_laws=parts.of_laws,
         of_penalty=goal.of_penalty,
         if_none="" if np.isfinite(bound) else _why_none(trace, remainder),
     )
+
+
+@dataclass(frozen=True)
+class Admissible:
+    """The admissible v and y of a solution.
+
+    Attributes:
+        solution: The solution.
+        goal: The problem to which the distance is bounded.
+        metric: Metric of the owned cells.
+        size: ‖σ_h‖.
+        resolution: Encloses the data, and records what quadrature may miss.
+        deviation: S of κ, see `resolution`.
+        y: y.
+        flux: y cell by cell.
+        level: u*.
+        remainder: Bound of ‖y − σ_h‖.
+        inside: The laws in Ω; None without any.
+        on: Γ_S with the pieces of the laws, and y·n.
+        trace: v.
+    """
+
+    solution: Solution
+    goal: Goal
+    metric: CellMetric
+    size: float
+    resolution: Resolution
+    deviation: Array
+    y: fem.Function
+    flux: CellFlux
+    level: fem.Function
+    remainder: float
+    inside: Inside | None
+    on: OnGammaS
+    trace: Trace
+
+    @classmethod
+    def of(cls, solution: Solution, goal: Goal) -> Admissible:
+        """Those of a solution (collective)."""
+        spaces, data = solution.spaces, solution.data
+        comm = spaces.mesh.comm
+        metric = cell_metric(spaces, data)
+        size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
+        cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
+        resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
+        metric, deviation = resolution.conductivity(metric, size)
+        y, flux, level, remainder = admissible_flux(solution, metric, goal)
+        inside = Inside.of(solution, y, level, resolution)
+        on = OnGammaS.of(solution, goal, metric, y)
+        trace = law_trace(solution, metric, y, on, inside)
+        return cls(solution, goal, metric, size, resolution, deviation, y, flux, level, remainder, inside, on, trace)
+
+
+@dataclass(frozen=True)
+class GapParts:
+    """What v and y, of one solution or of two, leave of the gap, per owned cell.
+
+    Attributes:
+        mismatch: ‖κ∇v − y‖².
+        reaction: ‖c^-½ g‖², see `reaction`; a part of `contact`.
+        contact: Twice what laws and cu add to the gap.
+        oscillation: osc_T, with its share of `left`.
+        left: What the means of the loads may add.
+        of_laws: The load s_T − η of laws in Ω; None without any.
+    """
+
+    mismatch: Array
+    reaction: Array
+    contact: Array
+    oscillation: Array
+    left: float
+    of_laws: Projection | None
+
+
+def gap_parts(
+    of_v: Admissible, of_y: Admissible, goal: Goal, memory: Memory | None = None, area: Area = gap
+) -> GapParts:
+    """The gap of v and y, with the loads that y balances (collective).
+
+    Args:
+        of_v: Has v, with u_D and the bounds that it obeys.
+        of_y: Has y, with the loads that it balances. It is `of_v` for the bound of one solution.
+        goal: The laws on Γ_S between v and y·n.
+        memory: For a step in time, the load that it takes from those before, see `certify`.
+        area: What a law adds for values of v and η, see `laws`.
+    """
+    solution, resolution, metric, inside, flux = of_y.solution, of_y.resolution, of_y.metric, of_y.inside, of_y.flux
+    spaces, data, trace, comm = solution.spaces, solution.data, of_v.trace, solution.spaces.mesh.comm
+    contact, load, pressure = _on_gamma_s(of_v, of_y, goal, area)
+    of_laws = None
+    if inside is not None:
+        gap_inside, of_laws = inside.gap(trace, metric, resolution, area)
+        contact = contact + gap_inside
+    reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution)
+    takes_f = None if inside is None else inside.takes_f
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, takes_f)
+    of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
+    if reaction is not None:
+        contact = contact + reaction.gap
+    mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), of_y.deviation)
+    known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
+    hidden = hidden_parts(resolution, trace, of_v.solution.data.u_D, metric, pressure, inside, known)
+    contact = contact + hidden.gap
+    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
+    least = None if reaction is None else reaction.least
+    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * known))
+    oscillation = _with_more(oscillation, left, metric, comm)
+    return GapParts(mismatch, of_reaction, contact, oscillation, left, of_laws)
 
 
 def _why_none(trace: Trace, remainder: float) -> str:
@@ -237,27 +323,22 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
 
 
 def _on_gamma_s(
-    solution: Solution,
-    metric: CellMetric,
-    goal: Goal,
-    y: fem.Function,
-    inside: Inside | None,
-    resolution: Resolution,
-) -> tuple[Trace, Array, list[FacetLoad], Pressure | None]:
-    """v, twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
-    spaces, data = solution.spaces, solution.data
-    on, number = OnGammaS.of(solution, goal, metric, y), len(metric.volume)
-    trace = law_trace(solution, metric, y, on, inside)
-    if goal.plain and inside is None:
-        points, excess, load = contact_excess(spaces, data, metric, on.flux, resolution)
-        above = np.maximum(trace.on_gamma_s(points) - data.psi.values(points), 0.0)
-        gap = points.per_cell(2 * points.integrals(excess * above), number)
-        return trace, gap, load, Pressure("psi", data.psi, points, excess.max(axis=1, initial=0.0))
+    of_v: Admissible, of_y: Admissible, goal: Goal, area: Area
+) -> tuple[Array, list[FacetLoad], Pressure | None]:
+    """Twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
+    solution, metric, resolution, on = of_y.solution, of_y.metric, of_y.resolution, of_y.on
+    spaces, trace, number = solution.spaces, of_v.trace, len(metric.volume)
+    if goal.plain and of_y.inside is None:
+        psi = of_v.solution.data.psi
+        points, excess, load = contact_excess(spaces, solution.data, metric, on.flux, resolution)
+        above = np.maximum(trace.on_gamma_s(points) - psi.values(points), 0.0)
+        per_cell = points.per_cell(2 * points.integrals(excess * above), number)
+        return per_cell, load, Pressure("psi", psi, points, excess.max(axis=1, initial=0.0))
     resolution.by_quadrature |= not_polynomial(goal)
     at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
     v = trace.on_gamma_s(at.points)
-    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v))
-    return trace, found.per_cell(number), found.loads(spaces), None
+    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v), area)
+    return found.per_cell(number), found.loads(spaces), None
 
 
 def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:

@@ -67,6 +67,7 @@ class Hidden:
 def hidden_parts(
     resolution: Resolution,
     trace: Trace,
+    u_D: Datum,
     metric: CellMetric,
     pressure: Pressure | None,
     inside: Inside | None,
@@ -80,14 +81,15 @@ def hidden_parts(
     Args:
         resolution: Encloses the data.
         trace: Has v.
+        u_D: What v is on Γ_D.
         metric: Metric of the owned cells.
         pressure: What presses v against ψ on Γ_S under the law of Signorini alone; None under others.
         inside: The laws in Ω, None without any.
         known: The bound without what is hidden.
     """
     slope, gap = np.zeros((2, len(metric.volume)))
-    data, missed = resolution.data, _Missed(resolution, metric, degree_near(trace), known)
-    if (tree := resolution.tree("u_D", data.u_D)) is not None:
+    missed = _Missed(resolution, metric, degree_near(trace), known)
+    if (tree := resolution.tree("u_D", u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
         slope[cells] += missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))[0]
     if pressure is not None and (tree := resolution.tree(pressure.name, pressure.datum)) is not None:

@@ -41,7 +41,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.certificate.admissible_trace import Trace
 from signorini_fenicsx.certificate.law_bounds import Bound
-from signorini_fenicsx.certificate.laws import gap, with_mean
+from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, positive_quadrature, projected
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.relaxation import Edges
@@ -243,8 +243,10 @@ class Inside:
         """The slope of the gap where u is on a bound: λ below, −λ above, 0 elsewhere."""
         return sum((ray.sign * np.where(ray.touched, self.largest, 0.0) for ray in self.rays), np.zeros(len(self.s)))
 
-    def gap(self, trace: Trace, metric: CellMetric, resolution: Resolution) -> tuple[Array, Projection]:
-        """Twice the gap, at most, and the load s_T − η without f − f_h (collective)."""
+    def gap(
+        self, trace: Trace, metric: CellMetric, resolution: Resolution, area: Area = gap
+    ) -> tuple[Array, Projection]:
+        """Twice the gap, at most, and the load s_T − η without f − f_h (collective); `area` is as in `laws`."""
         mesh = self.spaces.mesh
         number, dim, cell = len(self.s), mesh.topology.dim, mesh.basix_cell()
         found, missed = np.zeros(number), np.zeros(number)
@@ -267,7 +269,7 @@ class Inside:
                     pressed = self.largest[own] > 0
                     sides = np.sign(self.forces[own])
                     eta[pressed] = -(sides * self.largest[own])[pressed, None]
-                    density = gap(law, v.ravel(), -eta.ravel()).reshape(at.shape)
+                    density = area(law, v.ravel(), -eta.ravel()).reshape(at.shape)
                     found[own] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
         return found, load

@@ -23,6 +23,7 @@ the length of the next segment. For the Signorini law, s_lo = q_S and s_hi = ∞
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -205,6 +206,33 @@ def gap(law: Chains, v: Array, eta: Array) -> Array:
     return total
 
 
+type Area = Callable[[Chains, Array, Array], Array]
+"""What laws add for v and η at sites: `gap`, or for quantities `half_gap`."""
+
+
+def half_gap(law: Chains, v: Array, eta: Array) -> Array:
+    """The largest (η − σ·n)(v − u) over the graph, for v and η as in `gap`: Fitzpatrick's function less the product.
+
+    It is at most `gap`: half of it where v and η are on either side of a sloped segment, equal on others.
+    """
+    low_p, high_p, low, high = law.extent()
+    v, eta = np.clip(v, low_p, high_p), np.clip(eta, low, high)
+    most = np.zeros(len(v))
+    infinite = np.full((len(v), 1), np.inf)
+    ends = np.hstack([-infinite, law.p, infinite])
+    with np.errstate(invalid="ignore", over="ignore"):
+        for corner in range(law.corners):
+            product = (eta - law.flux[:, corner]) * (v - law.p[:, corner])
+            most = np.where(np.isfinite(law.p[:, corner]), np.maximum(most, product), most)
+        for segment in range(law.corners + 1):
+            slope, value = law.slope[:, segment], law.value[:, segment]
+            sloped = np.isfinite(slope) & (slope > 0) & (segment <= law.count)
+            beta = np.where(sloped, slope, 1.0)
+            u = np.clip((beta * v - eta + value) / (2 * beta), ends[:, segment], ends[:, segment + 1])
+            most = np.where(sloped, np.maximum(most, (eta - value + beta * u) * (v - u)), most)
+    return most
+
+
 @dataclass(frozen=True)
 class LawGap:
     """What the laws add to the gap and to the oscillation.
@@ -229,6 +257,7 @@ class LawGap:
         flux: Array,
         ends: tuple[Array, Array],
         piece: tuple[Array, Array],
+        area: Area = gap,
     ) -> LawGap:
         """Choose η.
 
@@ -240,13 +269,14 @@ class LawGap:
             flux: y·n per facet.
             ends: The least and the largest η in the points.
             piece: β and s(v) on the segment near which v is, in the points; 0 for vertical ones.
+            area: The density.
         """
         points = at.points
         constant = facet_constants(metric, points.cells, spaces.facet_measure)
         slope, wanted = piece
         theta = 1 / (1 + slope.mean(axis=1) * constant**2)
         eta = with_mean(theta[:, None] * wanted, *ends, flux, points.weights)
-        density = gap(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
+        density = area(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
         return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(points.shape[0])))
 
     def loads(self, spaces: Spaces) -> list[FacetLoad]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from decimal import ROUND_CEILING, Context, Decimal
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.contact.history import Step
+from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -45,7 +47,13 @@ class SolutionReport(CaseReport):
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
         self.row(f"{row.iteration:4d}{counts} {changes}{' rough' * row.rough}")
 
-    def solution(self, result: Solved, certificate: Certificate, proof: Proof | None = None) -> None:
+    def solution(
+        self,
+        result: Solved,
+        certificate: Certificate,
+        proof: Proof | None = None,
+        quantities: Mapping[str, Quantity] | None = None,
+    ) -> None:
         """Print the summary of a finished run (collective)."""
         summary, water = result.summary(), seepage(result)
         rough = f", {summary['rough_steps']} of them rough" if summary["rough_steps"] else ""
@@ -66,6 +74,7 @@ class SolutionReport(CaseReport):
             lines["certified"] += f"; bound/error {certificate.bound / error:.3g}" if not certificate.of else ""
         if proof is not None and proof.proven is not None:
             lines["proved"] = proved(proof.proven, proof.seconds)
+        lines |= {name: interval(found) for name, found in (quantities or {}).items()}
         lines["seconds"] = named(summary["timings"], ".2f")
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
@@ -76,6 +85,14 @@ def bound(certificate: Certificate) -> str:
     if not math.isfinite(certificate.bound):
         return f"no error bound: {certificate.if_none}{_reservation(certificate)}"
     return f"energy error{certificate.of} {bounds_in_words(certificate)}{_reservation(certificate)}"
+
+
+def interval(found: Quantity) -> str:
+    """A quantity with its interval, in words; if that is not guaranteed, the reason."""
+    if not math.isfinite(found.width):
+        return f"{found.value:.8g}, without bounds: {found.reason}"
+    words = f"{found.value:.8g}, in [{below(found.lower, 8)}, {above(found.upper, 8)}]"
+    return words if found.guaranteed else f"{words}; not guaranteed: {found.reason}"
 
 
 def bounds_in_words(certificate: Certificate) -> str:
@@ -108,3 +125,8 @@ def above(value: float, digits: int) -> str:
     """A number with this many digits that is not less than the float."""
     rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal(Decimal(value))
     return f"{float(rounded):.{digits - 1}e}"
+
+
+def below(value: float, digits: int) -> str:
+    """A number with this many digits that is not more than the float."""
+    return f"{-float(above(-value, digits)):.{digits - 1}e}"

@@ -78,7 +78,7 @@ def solve(
       mpirun -n 2 signorini solve example2 --h 2^-7 -- -ksp_view
       signorini solve membrane --certify-steps --plot
     """
-    from signorini_fenicsx.cases.solving import shared_domain, solve_case
+    from signorini_fenicsx.cases.solving import quantities_of, shared_domain, solve_case
     from signorini_fenicsx.certificate.of_solution import certify
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.checkpoint import load_solution
@@ -111,9 +111,12 @@ def solve(
             solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
         certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
-        write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
+        found = quantities_of(solution)
+        write_solution(
+            solution, folder.path, certificate=certificate, proof=proof, quantities=found, plot=plot, html=html
+        )
         folder.publish()
-        report.solution(solution, certificate, proof)
+        report.solution(solution, certificate, proof, found)
         report.results(folder.target)
         report.summary(folder.target)
         if proof is not None and proof.proven is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_vtx, write_xdmf
 from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
+from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -50,6 +52,7 @@ def write_solution(
     *,
     certificate: Certificate | None = None,
     proof: Proof | None = None,
+    quantities: Mapping[str, Quantity] | None = None,
     plot: bool = False,
     html: bool = False,
     fields: bool = True,
@@ -63,6 +66,7 @@ def write_solution(
         folder: The folder; it is made if it does not exist, and files with the same names are overwritten.
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
+        quantities: Intervals of quantities by their names, or None.
         plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
         html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
         fields: Also write the fields for ParaView.
@@ -99,6 +103,8 @@ def write_solution(
             summary["timings"] |= {"certificate": certificate.seconds}
         if proof is not None:
             summary["certificate"] |= proof.summary()
+        if quantities:
+            summary["quantities"] = {name: found.summary() for name, found in quantities.items()}
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 

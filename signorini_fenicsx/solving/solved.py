@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from signorini_fenicsx.certificate.certify import Certificate
     from signorini_fenicsx.derivatives.controls import Control
     from signorini_fenicsx.derivatives.gradient import Change, Gradient
+    from signorini_fenicsx.quantities import Kind, Quantity
 
 type Columns = Mapping[str, npt.NDArray]
 """The columns of a table by their names."""
@@ -242,6 +243,20 @@ class Solved(ABC):
         from signorini_fenicsx.derivatives.gradient import derivative
 
         return derivative(self, direction, **tolerance)
+
+    @collector_off()
+    def quantity(self, kind: Kind) -> Quantity:
+        """Prove a quantity of the exact solution from both sides (collective).
+
+        Args:
+            kind: What quantity, of `signorini_fenicsx.quantities`.
+
+        Raises:
+            InputError: If it is not one of this problem.
+        """
+        from signorini_fenicsx.quantities.of_solution import quantity
+
+        return quantity(self, kind)
 
     @collector_off()
     def _repr_html_(self) -> str | None:

@@ -11,7 +11,7 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import quantities_of, solve_case
 from signorini_fenicsx.certificate.of_solution import certify
 from signorini_fenicsx.comparing.convergence import convergence_study
 from signorini_fenicsx.output.writing import write_convergence, write_solution, write_summary
@@ -92,7 +92,10 @@ def _compute(run: Run, folder: Path, comm: MPI.Comm) -> None:
     task = run.convergence
     if task is None:
         solution = solve_case(run.case, comm)
-        write_solution(solution, folder, certificate=certify(solution), fields=run.fields, plot=run.plot)
+        certificate, quantities = certify(solution), quantities_of(solution)
+        write_solution(
+            solution, folder, certificate=certificate, quantities=quantities, fields=run.fields, plot=run.plot
+        )
     else:
         rows = convergence_study(run.case, task.vary, task.levels, task.reference, comm)
         write_convergence(run.case, task.vary, task.reference, rows, folder, comm)

@@ -42,6 +42,29 @@ SAME = 1e-9
 """Relative distance of u from a corner of a law that is rounding."""
 
 
+def flux_through(spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str] | None) -> float:
+    """∫ σ·n over parts of the boundary, see `Solution.flux_through` (collective).
+
+    Raises:
+        InputError: If there is no such part, or it has facets inside the domain.
+    """
+    domain, topology = spaces.domain, spaces.mesh.topology
+    outer = dolfinx.mesh.exterior_facet_indices(topology)
+    names = [parts] if isinstance(parts, str) else parts
+    chosen = outer if names is None else np.empty(0, dtype=np.int32)
+    for name in names or ():
+        if name not in domain.facets:
+            known = ", ".join(domain.facets)
+            raise InputError(f"unknown part '{name}'; there are {known}{did_you_mean(name, domain.facets)}")
+        inside = np.setdiff1d(domain.facets[name], outer)
+        if spaces.mesh.comm.allreduce(len(inside)) > 0:
+            raise InputError(f"part '{name}' has facets inside the domain; the flux is that through the boundary")
+        chosen = np.union1d(chosen, domain.facets[name]).astype(np.int32)
+    entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
+    ds = ufl.Measure("ds", domain=spaces.mesh, subdomain_data=[(1, entities)])
+    return spaces.integrate(ufl.dot(sigma, spaces.n) * ds(1))
+
+
 @dataclass(frozen=True, repr=False)
 class Solution(Solved):
     """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
@@ -129,21 +152,7 @@ class Solution(Solved):
         Raises:
             InputError: If there is no such part, or it has facets inside the domain.
         """
-        domain, topology = self.spaces.domain, self.spaces.mesh.topology
-        outer = dolfinx.mesh.exterior_facet_indices(topology)
-        names = [parts] if isinstance(parts, str) else parts
-        chosen = outer if names is None else np.empty(0, dtype=np.int32)
-        for name in names or ():
-            if name not in domain.facets:
-                known = ", ".join(domain.facets)
-                raise InputError(f"unknown part '{name}'; there are {known}{did_you_mean(name, domain.facets)}")
-            inside = np.setdiff1d(domain.facets[name], outer)
-            if self.spaces.mesh.comm.allreduce(len(inside)) > 0:
-                raise InputError(f"part '{name}' has facets inside the domain; the flux is that through the boundary")
-            chosen = np.union1d(chosen, domain.facets[name]).astype(np.int32)
-        entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
-        ds = ufl.Measure("ds", domain=self.spaces.mesh, subdomain_data=[(1, entities)])
-        return self.spaces.integrate(ufl.dot(self.sigma, self.spaces.n) * ds(1))
+        return flux_through(self.spaces, self.sigma, parts)
 
     @cached_property
     def cell_flux(self) -> CellFlux:

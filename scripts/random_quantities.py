@@ -1,0 +1,162 @@
+"""Tests intervals of quantities on random problems against solutions on a mesh 4 times as fine: never outside.
+
+uv run python scripts/random_quantities.py --seeds 60        (also under mpirun)
+uv run python scripts/random_quantities.py --orders          how intervals shrink with h
+
+A seed chooses a shape, a load, κ, laws on parts of the boundary and in Ω, and a quantity. A row has the interval, and
+that on the finer mesh (in space 3 times as fine). The exact value is in both; if they do not meet, one of them is
+wrong. The centre of the finer one is expected in the coarser one, unless both are about as long.
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx import (
+    Corners,
+    Diffusion,
+    Friction,
+    Neumann,
+    Obstacle,
+    Reaction,
+    Regulator,
+    River,
+    Seepage,
+    Signorini,
+    TwoSided,
+    Wall,
+    solve,
+)
+from signorini_fenicsx.base.parallel import collect_garbage
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.quantities import Energy, Flux, Integral, Kind, Mean, Quantity
+
+LAWS = {
+    "signorini": lambda part, a, b: Signorini(part, psi=f"{-abs(a) / 10} + {b / 40}*x*y", q_S=b / 4),
+    "friction": lambda part, a, b: Friction(part, g=f"{abs(a) / 2} + 0.1*x"),
+    "two-sided": lambda part, a, b: TwoSided(part, psi=-abs(a) / 10, psi_upper=abs(b) / 10),
+    "wall": lambda part, a, b: Wall(part, beta=abs(a), level=b / 20),
+    "regulator": lambda part, a, b: Regulator(part, k=1 + abs(a), g_low=-abs(b) / 4, g_high=abs(a) / 4, a=b / 20),
+    "seepage": lambda part, a, b: Seepage(part, rain=a / 4, level=abs(b) / 20),
+    "river": lambda part, a, b: River(part, r=1 + abs(a), level=0.1 + b / 40, bed=-0.1 - abs(a) / 40),
+    "graph": lambda part, a, b: Corners(part, [(-0.1, abs(a) / 4), (0.05, 0), (0.05, -abs(b) / 4)], before=1),
+}
+"""Laws on a part, from two random numbers."""
+INSIDE = {
+    "obstacle": lambda a, b: Obstacle(region="all", psi=-abs(a) / 20, psi_upper=abs(b) / 20 + 0.1),
+    "reaction": lambda a, b: Reaction(region="all", c=f"{abs(a)} + x"),
+    "graph": lambda a, b: Corners([(-0.1, -abs(a)), (0.0, 0.0), (0.0, abs(b)), (0.2, 2 * abs(b))], region="all"),
+}
+"""Laws in Ω."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A quantity of a random problem on two meshes.
+
+    Attributes:
+        seed: The seed.
+        what: The problem in words.
+        kind: The quantity.
+        coarse: Its interval.
+        fine: That on the finer mesh.
+    """
+
+    seed: int
+    what: str
+    kind: Kind
+    coarse: Quantity
+    fine: Quantity
+
+    @property
+    def holds(self) -> bool:
+        """Whether both can be true, and the centre of the finer one is where it is expected."""
+        meet = max(self.coarse.lower, self.fine.lower) <= min(self.coarse.upper, self.fine.upper)
+        narrow = self.fine.width < self.coarse.width / 2
+        return meet and (not narrow or self.coarse.lower <= self.fine.value <= self.coarse.upper)
+
+    @property
+    def found(self) -> bool:
+        """Whether there is an interval."""
+        return math.isfinite(self.coarse.width)
+
+    def __str__(self) -> str:
+        ends = " in ".join(f"[{each.lower:.6g}, {each.upper:.6g}]" for each in (self.fine, self.coarse))
+        verdict = "holds" if self.holds else "OUTSIDE"
+        return f"{self.seed:4d} {self.what:40s} {type(self.kind).__name__:8s} {ends} {verdict}"
+
+
+def random_row(seed: int, shapes: tuple[str, ...] = ("square", "lshape", "cube")) -> Row:
+    """The row of a seed (collective)."""
+    rng = np.random.default_rng(seed)
+    shape = str(rng.choice(shapes))
+    parts = rng.permutation(list(SHAPES[shape].parts)).tolist()
+    a, b, c, d = np.round(rng.uniform(-4, 4, 4), 3).tolist()
+    laws = rng.choice(list(LAWS), 2).tolist()
+    conditions = [LAWS[laws[0]](parts[0], a, b), LAWS[laws[1]](parts[1], c, d)]
+    if rng.random() < 0.5:
+        conditions.append(Neumann(parts[2], f"{d / 4}*x"))
+    inside = str(rng.choice(["", "", *INSIDE]))
+    if inside:
+        conditions.append(INSIDE[inside](a, d))
+    load = str(rng.choice([f"{4 * a}*sin({b}*x + {c}*y)", f"{4 * c} + {3 * b}*x", f"{8 * a} if x > 0.3 else {6 * d}"]))
+    kappa = str(rng.choice(["1", "1 + x^2", "2 + sin(3*y)"]))
+    kinds = [
+        Mean(),
+        Integral(weight="1 if x < 0.4 else 0"),
+        Integral(weight=f"{a} + y", parts=parts[0]),
+        Flux(parts[0]),
+        Flux(parts[:2]),
+    ]
+    if all(law == "signorini" for law in laws) and not inside:
+        kinds.append(Energy())
+    kind = kinds[rng.integers(len(kinds))]
+    problem = Diffusion(f=load, kappa=kappa, conditions=conditions)
+    h, finer = (float(rng.uniform(0.35, 0.6)), 3) if shape == "cube" else (float(rng.uniform(0.12, 0.25)), 4)
+    mesh = str(rng.choice(["structured", "unstructured"]))
+    found = [
+        solve(build_domain(MPI.COMM_WORLD, shape, size, mesh=mesh), problem).quantity(kind) for size in (h, h / finer)
+    ]
+    return Row(seed, f"{shape}, {', '.join(laws)}, {inside or 'no law'} in Ω", kind, *found)
+
+
+def orders() -> None:
+    """Print half the length of some intervals on finer and finer meshes (collective)."""
+    problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
+    kinds = [Integral(weight="1 if x < 0.5 else 0"), Mean(), Flux(["left", "bottom", "top"]), Energy()]
+    for n in (16, 32, 64, 128):
+        solution = solve(build_domain(MPI.COMM_WORLD, "square", 1.001 * 2**0.5 / n, mesh="structured"), problem)
+        found = [solution.quantity(kind) for kind in kinds]
+        if MPI.COMM_WORLD.rank == 0:
+            print(f"{n:4d} " + "  ".join(f"{each.value:.6f} ± {each.width / 2:.2e}" for each in found), flush=True)
+
+
+def main() -> None:
+    """Print the rows and how many hold."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--orders", action="store_true")
+    given = parser.parse_args()
+    if given.orders:
+        orders()
+        return
+    rows = []
+    for seed in range(given.first, given.first + given.seeds):
+        rows.append(random_row(seed))
+        collect_garbage(MPI.COMM_WORLD)
+        if MPI.COMM_WORLD.rank == 0:
+            print(rows[-1], flush=True)
+    found, wrong = sum(row.found for row in rows), [row.seed for row in rows if not row.holds]
+    if MPI.COMM_WORLD.rank == 0:
+        print(f"{len(rows)} problems, {found} with an interval, {len(wrong)} outside {wrong or ''}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""An interval for a quantity of the exact solution, from two problems that the program solves.
+
+*Theorem.* Let u with σ = κ∇u solve a problem with monotone laws: t ∈ ∂φ(u) at each site, a point of Γ_S or of Ω, with t
+= −σ·n on Γ_S and t = f + ∇·σ in Ω. Let Q(w) = ∫qw and τ > 0. Let v be admissible for this problem, and y' for that with
+the load f + τq, η' its value at the sites. Then
+
+    τ(Q(u) − Q(v)) ≤ ¼‖κ∇v − y'‖² + ∫ sup (t − η')(v − u) over all (u, t) in the graph.
+
+*Proof.* Both fluxes balance their loads: τQ(u − v) = (y' − σ, ∇(u − v)) + ∫ (t − η')(v − u). The second term is at most
+the integral of the sup. The first one is (σ − y', ∇v − κ⁻¹σ), a quadratic in σ, largest at σ = ½(κ∇v + y').
+
+With a load R that y' does not balance, R(w) ≤ Σ osc_T|∇w|_T, ¼ Σ (‖κ∇v − y'‖_T + osc_T)² takes the place of the first
+term, for the same reason. The right side is small for v near u(−τ) and y' near σ(+τ), the solutions with the loads f −
+τq and f + τq: without laws v = u − τz and y' = σ + τζ with the dual solution, and what is left is a product of two
+errors. So an upper bound of Q(u) takes the v of one of these solutions and the y' of the other one, and a lower bound
+the other two. Both hold for any τ; a few are tried.
+
+*A flux* F = ⟨σ·n, 1⟩ through parts of Γ_D and Γ_S is the same with other data: here v obeys u = u_D − τ, or laws moved
+by −τ in u, on these parts, and y' is admissible for the problem itself. Then
+
+    τ(F(y') − F(σ)) ≤ ¼‖κ∇v − y'‖² + ∫ sup (t − η')(v + τ − u),
+
+because (σ − y', ∇(v − u)) is ⟨(σ − y')·n, v + τ − u⟩ − τ(F(σ) − F(y')). Where such a part meets another one
+with a given u, v would have to jump by τ, and there is no bound: the flux is unbounded on the energy space.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+MOST = 7
+"""Largest number of τ that are tried."""
+ENOUGH = 0.98
+"""A factor of 2 in τ that leaves more than this share of the interval is the last one."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of the exact solution.
+
+    Attributes:
+        value: The middle of the interval; of an unbounded one that of the discrete solution.
+        lower: Lower bound.
+        upper: Upper bound.
+        guaranteed: Whether both are proved: all data are enclosed and resolved.
+        reason: Why they are not; empty if they are.
+    """
+
+    value: float
+    lower: float
+    upper: float
+    guaranteed: bool
+    reason: str = ""
+
+    @property
+    def width(self) -> float:
+        """The length of the interval."""
+        return self.upper - self.lower
+
+    def summary(self) -> dict[str, float | bool | str]:
+        """All of it, ready for JSON."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Bounds of a quantity from one τ.
+
+    Attributes:
+        lower: Lower bound; −∞ for none.
+        upper: Upper bound; ∞ for none.
+        scale: ‖σ_h‖ divided by the size of what changes it, a τ that may well be the best.
+        reason: Why they are not guaranteed, or infinite; empty for neither.
+    """
+
+    lower: float
+    upper: float
+    scale: float
+    reason: str
+
+
+def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Quantity:
+    """The interval from several τ: that which the first one suggests, and others by factors of 2 (collective).
+
+    Args:
+        ends: Bounds from one τ.
+        first: The first τ, of the right size but for a factor.
+        discrete: The quantity of the discrete solution.
+    """
+    tried: dict[float, Ends] = {}
+
+    def width(tau: float) -> float:
+        if tau not in tried:
+            tried[tau] = ends(tau)
+        return tried[tau].upper - tried[tau].lower
+
+    width(first)
+    scale = tried[first].scale
+    tau = float(2.0 ** round(math.log2(scale))) if 0 < scale < math.inf else first
+    if math.isfinite(width(tau)):
+        for factor in (0.5, 2.0):
+            while len(tried) < MOST and width(tau * factor) < ENOUGH * width(tau):
+                tau *= factor
+    lower, upper = max(each.lower for each in tried.values()), min(each.upper for each in tried.values())
+    lower, upper = min(lower, upper), max(lower, upper)  # equal but for rounding where a quantity is known
+    reason = tried[tau].reason
+    finite = math.isfinite(upper - lower)
+    middle = (lower + upper) / 2 if finite else discrete
+    return Quantity(middle, lower, upper, finite and not reason, reason)

@@ -1,0 +1,70 @@
+"""The quantities that there are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from signorini_fenicsx.base.arguments import names_of
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.expressions.given import Given
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A quantity of a solution."""
+
+
+@dataclass(frozen=True)
+class Integral(Kind):
+    """∫ weight·u over regions, or over parts of the boundary.
+
+    Attributes:
+        weight: The weight.
+        region: Name of a region of the mesh, or a list of names; none for all of Ω.
+        parts: Name of a part of the boundary, or a list of names, in the place of regions.
+
+    Raises:
+        InputError: If there are regions and parts.
+    """
+
+    weight: Given = 1.0
+    region: str | Sequence[str] = ()
+    parts: str | Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Make lists of single names."""
+        for key in ("region", "parts"):
+            object.__setattr__(self, key, names_of(key, getattr(self, key)))
+        if self.region and self.parts:
+            raise InputError("region: is in the place of parts; leave out one of them")
+
+
+@dataclass(frozen=True)
+class Mean(Integral):
+    """∫ weight·u divided by ∫ weight, over regions, or over parts of the boundary."""
+
+
+@dataclass(frozen=True)
+class Flux(Kind):
+    """∫ κ∇u·n over parts of the boundary, where u or a law is given.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+
+    Raises:
+        InputError: If there is no part.
+    """
+
+    parts: str | Sequence[str]
+
+    def __post_init__(self) -> None:
+        """Make a list of one name."""
+        object.__setattr__(self, "parts", names_of("parts", self.parts))
+        if not self.parts:
+            raise InputError("parts: a flux needs the part through which it is")
+
+
+@dataclass(frozen=True)
+class Energy(Kind):
+    """The least energy, ½(κ∇u, ∇u) + ½(cu, u) − (f, u) − ⟨g_N, u⟩ on Γ_N − ⟨q_S, u⟩ on Γ_S."""

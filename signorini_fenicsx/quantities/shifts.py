@@ -1,0 +1,217 @@
+"""Problems whose data differ a little: loads with more in them, laws moved in u or in κ∇u·n."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import (
+    Corners,
+    Dirichlet,
+    Friction,
+    Neumann,
+    Regulator,
+    River,
+    Seepage,
+    Signorini,
+    TwoSided,
+    Wall,
+)
+from signorini_fenicsx.expressions import TREES, Binary, exactly, to_ufl
+from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.physics.diffusion.problem import Problem
+
+MOVED: Mapping[type[Law], tuple[Sequence[str], Sequence[str]]] = {
+    Dirichlet: (["value"], []),
+    Neumann: ([], ["value"]),
+    Signorini: (["psi"], ["q_S"]),
+    TwoSided: (["psi", "psi_upper"], ["q_S"]),
+    Seepage: (["level"], ["rain"]),
+    River: (["level", "bed"], ["q"]),
+}
+"""The data of a law with which its graph moves in u, and those with which it moves in κ∇u·n."""
+
+type Posed = tuple[Boundary, Problem]
+"""A problem with the parts of each kind of its boundary."""
+
+
+def added(domain: Domain, one: Given, other: Given, factor: float) -> Given:
+    """The sum of a datum and a multiple of another one.
+
+    Raises:
+        InputError: If one of them is a function of points.
+    """
+    x = ufl.SpatialCoordinate(domain.mesh)
+    names = "xyz"[: domain.mesh.geometry.dim]
+    one, other = (parsed(given, names, "weight") for given in (one, other))
+    if isinstance(one, TREES) and isinstance(other, TREES):
+        return Binary("+", one, Binary("*", exactly(factor), other))
+    if not all(isinstance(given, TREES | Expr) for given in (one, other)):
+        raise InputError("quantities need data that are numbers, texts or UFL, not functions of points")
+    one, other = (to_ufl(given, x) if isinstance(given, TREES) else given for given in (one, other))
+    return one + factor * other
+
+
+def with_load(domain: Domain, posed: Posed, weight: Given, region: Sequence[str], factor: float) -> Posed:
+    """The problem whose load is larger by a multiple of a weight in some regions, none for all of Ω.
+
+    Raises:
+        InputError: If a region is unknown.
+    """
+    boundary, problem = posed
+    f, regions = problem.f, domain.regions
+    for name in region:
+        if name not in regions:
+            known = f"its regions are {', '.join(regions)}" if regions else "it has none"
+            raise InputError(f"unknown region '{name}' of the mesh; {known}")
+    if not region and not isinstance(f, Mapping):
+        return boundary, replace(problem, f=added(domain, f, weight, factor))
+    table = {
+        name: added(domain, f[name] if isinstance(f, Mapping) else f, weight, factor)
+        if not region or name in region
+        else (f[name] if isinstance(f, Mapping) else f)
+        for name in regions
+    }
+    return boundary, replace(problem, f=table)
+
+
+def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str], factor: float) -> Posed:
+    """The problem whose flux on some parts of Γ_N and Γ_S is larger by a multiple of a weight (collective).
+
+    Raises:
+        InputError: If a part is unknown, or u is given on it.
+    """
+    boundary, problem = posed
+
+    def more(given: Given) -> Given:
+        return added(domain, given, weight, factor)
+
+    names = [_known(domain, part) for part in parts]
+    if set(boundary.neumann) and set(boundary.neumann) <= set(names):
+        problem = replace(problem, g_N=more(problem.g_N))
+        names = [part for part in names if part not in boundary.neumann]
+    for part in names:
+        if part in boundary.neumann:
+            others = [other for other in boundary.neumann if other != part]
+            boundary = replace(boundary, neumann=others, signorini=[*boundary.signorini, part])
+            problem = replace(problem, laws=[*problem.laws, Neumann(part, more(problem.g_N))])
+        elif part in boundary.signorini:
+            problem = _with_law(boundary, problem, part, lambda law: moved(domain, law, 0.0, weight, factor))
+        else:
+            raise InputError(f"u is given on the part '{part}'")
+    return boundary, problem
+
+
+def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], amount: float) -> Posed:
+    """The problem whose u_D on some parts is larger by a number, and whose laws on others are so in u (collective).
+
+    Raises:
+        InputError: If a part is unknown, inside the domain, or one of Γ_N.
+    """
+    boundary, problem = posed
+    fixed = []
+    for part in (_known(domain, name) for name in parts):
+        if part in boundary.inner:
+            raise InputError(f"the part '{part}' is inside the domain; the flux is that through the boundary")
+        if part in boundary.neumann:
+            raise InputError(f"the flux through the part '{part}' is given")
+        if part in boundary.signorini:
+            problem = _with_law(boundary, problem, part, lambda law: moved(domain, law, amount, 0.0, 1.0))
+        else:
+            fixed.append(part)
+    if fixed and _are_all(domain, boundary, fixed):
+        problem = replace(problem, u_D=added(domain, problem.u_D, amount, 1.0))
+    elif fixed:
+        boundary = replace(boundary, signorini=[*boundary.signorini, *fixed])
+        held = Dirichlet(fixed, added(domain, problem.u_D, amount, 1.0))
+        problem = replace(problem, laws=[*problem.laws, held])
+    return boundary, problem
+
+
+def moved(domain: Domain, law: Law, u: Given, flux: Given, factor: float) -> Law:
+    """A law on parts whose graph is moved by multiples of u and of κ∇u·n.
+
+    Raises:
+        InputError: If it is a law of one's own.
+    """
+
+    def in_u(given: Given) -> Given:
+        return added(domain, given, u, factor)
+
+    def in_flux(given: Given) -> Given:
+        return added(domain, given, flux, factor)
+
+    if isinstance(law, Corners):
+        return replace(law, corners=[(in_u(level), in_flux(value)) for level, value in law.corners])
+    if isinstance(law, Wall):
+        return Corners(law.parts, corners=[(in_u(law.level), in_flux(0.0))], before=law.beta)
+    if isinstance(law, Friction):
+        minus_g = added(domain, 0.0, law.g, -1.0)
+        return Corners(law.parts, corners=[(in_u(0.0), in_flux(law.g)), (in_u(0.0), in_flux(minus_g))])
+    if isinstance(law, Regulator):
+        ends = [(_difference(domain, law.a, g, law.k), g) for g in (law.g_high, law.g_low)]
+        return Corners(law.parts, corners=[(in_u(level), in_flux(value)) for level, value in ends])
+    if type(law) not in MOVED:
+        raise InputError(f"a quantity on a part with the law '{law.name}', which is not one of the program's")
+    of_u, of_flux = MOVED[type(law)]
+
+    def change(key: str, given: Any) -> Any:
+        name = key.rpartition(".")[2]
+        return in_u(given) if name in of_u else in_flux(given) if name in of_flux else given
+
+    return law.with_data(change)
+
+
+def _difference(domain: Domain, a: Given, g: Given, k: Given) -> Given:
+    """The u of a regulator at a flux g: a − g/k.
+
+    Raises:
+        InputError: If one of them is neither a number nor a text.
+    """
+    a, g, k = (parsed(given, "xyz"[: domain.mesh.geometry.dim], "regulator") for given in (a, g, k))
+    if not all(isinstance(given, TREES) for given in (a, g, k)):
+        raise InputError("a quantity on a part with the law 'regulator' needs data that are numbers or texts")
+    return Binary("-", a, Binary("/", g, k))
+
+
+def _with_law(boundary: Boundary, problem: Problem, part: str, change: Callable[[Law], Law]) -> Problem:
+    """The problem with another law on one part of Γ_S."""
+    for i, law in enumerate(problem.laws):
+        if part in law.parts:
+            others = [other for other in law.parts if other != part]
+            kept = [replace(law, parts=others)] if others else []
+            laws = [*problem.laws[:i], *kept, change(replace(law, parts=[part])), *problem.laws[i + 1 :]]
+            return replace(problem, laws=laws)
+    listed = {other for law in problem.laws for other in law.parts}
+    plain = change(Signorini(part, problem.psi, problem.q_S))
+    if set(boundary.signorini) - listed == {part} and isinstance(plain, Signorini):
+        return replace(problem, psi=plain.psi, q_S=plain.q_S)
+    return replace(problem, laws=[*problem.laws, plain])
+
+
+def _known(domain: Domain, part: str) -> str:
+    """The part, which has to be one of the domain.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if part not in domain.facets:
+        raise InputError(f"unknown part '{part}'; there are {', '.join(domain.facets)}")
+    return part
+
+
+def _are_all(domain: Domain, boundary: Boundary, parts: Sequence[str]) -> bool:
+    """Whether these parts are all of Γ_D (collective)."""
+    outer = dolfinx.mesh.exterior_facet_indices(domain.mesh.topology)
+    named = [domain.facets[part] for part in (*boundary.signorini, *boundary.neumann, *parts)]
+    left = np.setdiff1d(outer, np.concatenate(named))
+    return bool(domain.mesh.comm.allreduce(len(left)) == 0)

@@ -1,0 +1,229 @@
+"""Quantities are within their intervals, which shrink as they should; fluxes without bounds are told."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import signorini
+from conftest import case_of
+from mpi4py import MPI
+from random_quantities import random_row
+
+from signorini_fenicsx import Diffusion, Dirichlet, Neumann, Signorini, solve
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.certificate.laws import gap, half_gap
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.expressions import read, values
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.quantities import Energy, Flux, Integral, Kind, Mean
+
+COMM = MPI.COMM_WORLD
+LEFT = "1 if x < 0.5 else 0"
+
+
+def exact_mean(text: str, low: float = 0.0) -> float:
+    """The mean of an expression over the unit square whose left lower corner is (low, low)."""
+    x, weights = np.polynomial.legendre.leggauss(8)
+    nodes = low + (np.arange(500)[:, None] + (x + 1) / 2).ravel() / 500
+    weights = np.tile(weights / 2, 500) / 500
+    at = dict(zip("xy", np.meshgrid(nodes, nodes), strict=True))
+    return float(weights @ values(read(text, "xy"), at) @ weights)
+
+
+@pytest.mark.parametrize("name", ["transition", "dead_core"])
+def test_known_means(name: str):
+    """The mean of a known u is inside, and the interval shrinks faster than h."""
+    widths = []
+    for h in (1 / 8, 1 / 16):
+        solution = solve_case(load_case(name).with_values({"solve.h": h, "geometry.mesh": "structured"}))
+        found = solution.quantity(Mean())
+        assert found.guaranteed, found.reason
+        text = case_of(solution).exact.u
+        assert isinstance(text, str)
+        assert found.lower <= exact_mean(text, solution.spaces.domain.box()[0, 0]) <= found.upper
+        widths.append(found.width)
+    assert widths[1] < widths[0] / 2
+
+
+def test_design_order():
+    """The mean of u over one half with a load that changes sign: the interval shrinks with order 4/3."""
+    problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom")])
+    found = [
+        solve(build_domain(COMM, "square", 1.001 * 2**0.5 / n, mesh="structured"), problem).quantity(
+            Integral(weight=LEFT)
+        )
+        for n in (16, 32)
+    ]
+    known = -0.06277005058785651
+    assert all(each.guaranteed and each.lower < known < each.upper for each in found)
+    assert found[1].width < found[0].width / 2**1.2
+    assert all(abs(each.value - known) < each.width / 4 for each in found)
+
+
+def strip() -> Diffusion:
+    """U = x⁴ − x/2, held by a law on the left and given on the right."""
+    right = Dirichlet("right", "0.5")
+    return Diffusion(f="-12*x^2", conditions=[Signorini("left"), right, Neumann(["top", "bottom"])])
+
+
+@pytest.mark.parametrize(("parts", "known"), [("left", 0.5), ("right", 3.5), (["left", "right"], 4.0)])
+def test_known_fluxes(parts: str | list[str], known: float):
+    """A known flux is inside, through a part where u is given, through one with a law, and through both."""
+    widths = []
+    for h in (1 / 4, 1 / 8):
+        found = solve(build_domain(COMM, "square", h, mesh="unstructured"), strip()).quantity(Flux(parts))
+        assert found.guaranteed, found.reason
+        assert found.lower <= known + 1e-9
+        assert found.upper >= known - 1e-9
+        widths.append(found.width)
+    assert widths[1] < widths[0] / 2**1.8 + 1e-9
+
+
+def test_energy():
+    """The energy ½∫u'² − ∫fu of the strip is inside."""
+    x, weights = np.polynomial.legendre.leggauss(8)
+    x, weights = (x + 1) / 2, weights / 2
+    known = weights @ ((4 * x**3 - 0.5) ** 2 / 2 + 12 * x**2 * (x**4 - x / 2))
+    found = solve(build_domain(COMM, "square", 1 / 8, mesh="structured"), strip()).quantity(Energy())
+    assert found.guaranteed
+    assert found.lower <= known <= found.upper
+    assert found.width < 0.1 * known
+
+
+def test_unbounded_fluxes():
+    """A part that meets another one with a given u has a flux without bounds, which is said."""
+    solution = solve(
+        build_domain(COMM, "square", 1 / 8, mesh="structured"), Diffusion(f=-10, conditions=[Signorini("bottom")])
+    )
+    found = solution.quantity(Flux("left"))
+    assert not found.guaranteed
+    assert found.width == math.inf
+    assert found.value == solution.flux_through("left")
+    assert found.reason.startswith("this flux is unbounded on the energy space")
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (lambda: Flux("top"), "the flux through the part 'top' is given"),
+        (lambda: Flux("nowhere"), "unknown part 'nowhere'"),
+        (lambda: Flux([]), "needs the part"),
+        (lambda: Integral(region="rock"), "unknown region 'rock'"),
+        (lambda: Integral(region="rock", parts="left"), "leave out one"),
+        (lambda: Integral(parts="right"), "u is given on the part 'right'"),
+        (lambda: Mean(weight="x - 0.5"), "its integral is 0"),
+        (lambda: Integral(weight="1 +"), "weight: "),
+        (lambda: Integral(weight=lambda x: x[0]), "not functions of points"),
+    ],
+)
+def test_refused(kind: Callable[[], Kind], words: str):
+    """Quantities that are none are refused in a sentence."""
+    solution = solve(build_domain(COMM, "square", 1 / 4, mesh="structured"), strip())
+    with pytest.raises(InputError, match=words):
+        solution.quantity(kind())
+
+
+def test_half_gap():
+    """It is the largest (η − σ·n)(v − u) over the graph, by many points of it, and at most the gap."""
+    rng = np.random.default_rng(3)
+    p, flux = np.sort(rng.uniform(-1, 1, (40, 3))), -np.sort(rng.uniform(-1, 1, (40, 3)))
+    before, beyond = np.where(rng.random((2, 40)) < 0.3, np.inf, rng.uniform(0, 2, (2, 40)))
+    law = Chains.through(p, flux, before, beyond)
+    v, eta = (np.clip(rng.uniform(-2, 2, 40), *ends) for ends in (law.extent()[:2], law.extent()[2:]))
+    steps = np.linspace(0, 1, 2001)
+    u, s = (values[:, :-1, None] + np.diff(values)[:, :, None] * steps for values in (p, flux))
+    ends = 60 * steps[:, None]
+    u = [*np.moveaxis(u, 2, 0).transpose(0, 2, 1).reshape(-1, 40)]
+    s = [*np.moveaxis(s, 2, 0).transpose(0, 2, 1).reshape(-1, 40)]
+    for end, slope, sign in ((0, before, -1.0), (2, beyond, 1.0)):
+        vertical = np.isinf(slope)
+        u.extend(p[:, end] + sign * np.where(vertical, 0.0, ends))
+        s.extend(flux[:, end] - sign * np.where(vertical, 1.0, slope) * ends)
+    known = np.max((eta - np.array(s)) * (v - np.array(u)), axis=0)
+    found = half_gap(law, v, eta)
+    assert np.all(found >= known - 1e-12)
+    assert np.all(found <= known + 1e-2 * (1 + known))
+    assert np.all(found <= gap(law, v, eta) + 1e-12)
+
+
+@pytest.mark.parametrize("seeds", [(2, 17), pytest.param(range(40), marks=pytest.mark.slow)], ids=["2", "40"])
+def test_random_problems(seeds: Sequence[int]):
+    """Random quantities of random problems are in their intervals, by a finer mesh, see `scripts/random_quantities`."""
+    rows = [random_row(seed, shapes=("square", "lshape")) for seed in seeds]
+    assert not [str(row) for row in rows if not row.holds]
+    assert sum(row.found for row in rows) > len(rows) / 2
+
+
+@pytest.mark.parallel(3)
+def test_on_ranks():
+    """Intervals do not depend on the number of ranks."""
+    problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
+    for kind in (Integral(parts="bottom"), Flux(["left", "top", "bottom"])):
+        one, many = (
+            solve(build_domain(comm, "square", 1 / 4, mesh="structured"), problem).quantity(kind)
+            for comm in (MPI.COMM_SELF, COMM)
+        )
+        for name in ("value", "lower", "upper"):
+            assert getattr(many, name) == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-12)
+        assert many.guaranteed == one.guaranteed
+
+
+CASE = """
+[geometry]
+shape = "square"
+mesh = "structured"
+
+[boundary]
+signorini = ["bottom"]
+neumann = ["right"]
+
+[problem]
+f = "-10 if x < 0.5 else 10"
+
+[solve]
+h = "1/4"
+
+[[quantity]]
+name = "left half"
+kind = "integral"
+weight = "1 if x < 0.5 else 0"
+
+[[quantity]]
+name = "inflow"
+kind = "flux"
+parts = ["left", "bottom", "top"]
+
+[[quantity]]
+name = "unbounded"
+kind = "flux"
+parts = "left"
+"""
+
+
+def test_case_file(folder: Path):
+    """`solve` computes what [[quantity]] asks for; what is no quantity is refused before anything runs."""
+    (folder / "case.toml").write_text(CASE, encoding="utf-8")
+    printed = signorini(folder, "solve", "case.toml", "--output", "found").stdout
+    assert "left half" in printed
+    assert "without bounds: this flux is unbounded" in printed
+    found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]
+    assert list(found) == ["left half", "inflow", "unbounded"]
+    assert found["unbounded"]["lower"] is None or found["unbounded"]["upper"] is None
+    expected = solve_case(load_case(folder / "case.toml")).quantity(Integral(weight=LEFT))
+    assert found["left half"] == expected.summary()
+    for change, words in (
+        ('quantity.1.parts="nowhere"', "unknown part 'nowhere'"),
+        ("quantity.1.weight=2", "a quantity 'flux' has no weight"),
+        ('quantity.1.kind="flow"', "unknown quantity 'flow'"),
+        ('quantity.1.name="left half"', "name of two quantities"),
+        ('quantity.0.weight="1 +"', "quantity.0.weight: "),
+    ):
+        refused = signorini(folder, "solve", "case.toml", "--set", change, "--output", "refused")
+        assert refused.returncode == 2
+        assert words in refused.stderr
+        assert not (folder / "refused").exists()
