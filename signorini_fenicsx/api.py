@@ -93,7 +93,7 @@ from signorini_fenicsx.old_names import taking_old_calls
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
-from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Tresca
+from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Pressure, Tresca
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.evolving import evolve as evolve_problem
@@ -122,6 +122,7 @@ __all__ = [
     "NumericalFailure",
     "Obstacle",
     "Options",
+    "Pressure",
     "Reaction",
     "Regulator",
     "River",

@@ -40,7 +40,8 @@ CASES = Path(__file__).with_name("capability_cases")
 TOLERANCE = 1e-10
 """Largest difference of a number, relative to its own size or to that of the numbers beside it."""
 OF_ONE_RUN = {"timings", "peak_memory", "ranks", "versions", "command", "seconds", "reason", "linear_iterations"}
-"""Names whose values differ from run to run."""
+OF_ONE_RUN |= {"quantities"}
+"""Names whose values differ from run to run, or that other tests check."""
 ROUNDING = {"kkt", "own_residual", "remainder", "divergence.npy"}
 """Names of numbers that may be rounding."""
 TIES = {"contact", "contact_facets", "contact_measure", "condition=zero_trace", "segment=contact", "iterations"}

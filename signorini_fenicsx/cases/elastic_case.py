@@ -12,7 +12,15 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.costs import Cost
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import PartsInside, Section
-from signorini_fenicsx.cases.values import Expression, ExpressionByRegion, Vector, VectorByPart, choice, texts_of
+from signorini_fenicsx.cases.values import (
+    Expression,
+    ExpressionByPart,
+    ExpressionByRegion,
+    Vector,
+    VectorByPart,
+    choice,
+    texts_of,
+)
 from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
@@ -123,12 +131,13 @@ class ElasticTexts(Section):
     f: Vector | None = None
     u_D: VectorByPart | None = None
     g_N: VectorByPart | None = None
+    pressure: Annotated[ExpressionByPart, Field(default={}, exclude_if=lambda given: not given)]
     gap: Expression = "0"
     plane: Annotated[str, choice("plane", tuple(Plane))] = Plane.STRAIN
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        names = "gap", "f", "u_D", "g_N", "young", "poisson"
+        names = "gap", "f", "u_D", "g_N", "pressure", "young", "poisson"
         given = [(name, getattr(self, name)) for name in names]
         return [entry for name, value in given if value is not None for entry in texts_of(name, value)]
 

@@ -121,6 +121,13 @@ def text_by_region(value: object) -> object:
     return texts if isinstance(value, dict) else texts[""]
 
 
+def _text_by_part(value: object) -> object:
+    """A table with a number or text per part."""
+    if not isinstance(value, dict):
+        raise ValueError('must be a table with one expression per part, such as {top = "0.1"}')
+    return text_by_region(value) if value else value
+
+
 type Text = str | list[str] | list[list[str]]
 type ConductivityText = Text | dict[str, Text]
 
@@ -141,5 +148,6 @@ Expression = Annotated[str, BeforeValidator(_expression)]
 Vector = Annotated[list[str], BeforeValidator(_vector)]
 VectorByPart = Annotated[list[str] | dict[str, list[str]], BeforeValidator(_vector_by_part)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
+ExpressionByPart = Annotated[dict[str, str], BeforeValidator(_text_by_part)]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]
 Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.korn import korn_constants, trace_constants
 from signorini_fenicsx.certificate.local_stresses import INSIDE, ON_FACETS, local_stresses
-from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.lattices import lagrange, lattice, numbers_in
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, blocks_of_cells
@@ -27,7 +26,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
 )
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
-from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum
+from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum
 
 
 def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
@@ -129,7 +128,7 @@ def _without_given(spaces: ElasticSpaces, part: BoundaryFacets, values: Array) -
     return values
 
 
-def _degree_of_square(data: ElasticData, datum: Datum | VectorDatum) -> int:
+def _degree_of_square(data: ElasticData, datum: VectorDatum | PressureDatum) -> int:
     """Degree of a quadrature that is exact for the square of a datum, if there is one."""
     degree = data.quadrature.degree if datum.polynomial is None else min(2 * datum.polynomial, MOST)
     return max(degree, data.quadrature.degree, 2 * ON_FACETS)

@@ -17,7 +17,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
-from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts, regional_datum
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, datum_on_parts, regional_datum
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
@@ -27,7 +27,12 @@ from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaws, normal_
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem, Plane
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum, vector_datum_of, vector_on_parts
+from signorini_fenicsx.physics.elasticity.vector_datum import (
+    PressureDatum,
+    VectorDatum,
+    vector_datum_of,
+    vector_on_parts,
+)
 
 DEGREE, MOST = DEGREES
 BLOCK = {2: 4096, 3: 512}
@@ -41,7 +46,7 @@ class ElasticData:
     Attributes:
         f: Force.
         u_D: Displacement where it is given.
-        g_N: Tractions, by the part where they are given; "" is everywhere.
+        g_N: Tractions and pressures, by the part where they are given; "" is everywhere.
         tractions: ∫ g_N φ_a over the facets of `spaces.neumann`, shape (facets, d, d).
         gap: g.
         laws: Contact, or other laws between the opening p = g − u_n and the pressure −σ_nn, on Γ_C.
@@ -61,7 +66,7 @@ class ElasticData:
 
     f: VectorDatum
     u_D: VectorDatum
-    g_N: Mapping[str, VectorDatum]
+    g_N: Mapping[str, VectorDatum | PressureDatum]
     tractions: Array
     gap: Datum
     laws: NormalLaws
@@ -146,8 +151,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
     _check_where_given(spaces, problem.u_D)
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
-    by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N}
-    g_N = {part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()}
+    g_N = _tractions_given(spaces, problem)
     gap = datum_on_parts(spaces, "gap", problem.gap)
     young = regional_datum(spaces, "young", parsed(problem.young, "xyz"[:dim], "[problem] young"))
     poisson = regional_datum(spaces, "poisson", parsed(problem.poisson, "xyz"[:dim], "[problem] poisson"))
@@ -263,7 +267,7 @@ def facet_rule(dim: int, degree: int) -> tuple[Array, Array]:
 
 
 def facet_moments(
-    spaces: ElasticSpaces, name: str, datum: Datum | VectorDatum, facets: BoundaryFacets, where: str
+    spaces: ElasticSpaces, name: str, datum: Datum | VectorDatum | PressureDatum, facets: BoundaryFacets, where: str
 ) -> Array:
     """∫ value φ_a over facets (collective).
 
@@ -293,7 +297,39 @@ def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Fu
     return np.concatenate(unknowns)
 
 
-def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum]) -> Array:
+def _tractions_given(spaces: ElasticSpaces, problem: ElasticProblem) -> dict[str, VectorDatum | PressureDatum]:
+    """The tractions and pressures by part (collective).
+
+    Raises:
+        InputError: If a text cannot be read, a part is unknown, or it has both.
+    """
+    by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N} if problem.g_N is not None else {}
+    found: dict[str, VectorDatum | PressureDatum] = {
+        part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()
+    }
+    for part, given in problem.pressure.items():
+        name = f"pressure.{part}"
+        if part in found or "" in found:
+            raise InputError(f"[problem] {name}: a traction g_N is given there, too; give one of them, by part")
+        _check_loaded(spaces, "pressure", part)
+        datum = datum_of(spaces, name, parsed(given, "xyz"[: spaces.dim], f"[problem] {name}"))
+        found[part] = PressureDatum(name, datum, spaces.part(part).normals)
+    return found
+
+
+def _check_loaded(spaces: ElasticSpaces, key: str, part: str) -> None:
+    """Refuse a load on a part that is not in Γ_N.
+
+    Raises:
+        InputError: If it is not.
+    """
+    known = [*spaces.boundary.neumann, *spaces.boundary.fixed]
+    if part not in known:
+        where = f"only on {', '.join(known)}" if known else "as no part is in Γ_N"
+        raise InputError(f"[problem] {key}: no traction is given on part '{part}', {where}")
+
+
+def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum | PressureDatum]) -> Array:
     """∫ g_N φ_a over the facets of `spaces.neumann`; 0 on parts without one (collective).
 
     Raises:
@@ -301,11 +337,9 @@ def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum]) -> 
     """
     facets = spaces.neumann
     moments = np.zeros((len(facets.facets), spaces.dim, spaces.dim))
-    known = [*spaces.boundary.neumann, *spaces.boundary.fixed]
     for name, datum in g_N.items():
-        if name and name not in known:
-            where = f"only on {', '.join(known)}" if known else "as no part is in Γ_N"
-            raise InputError(f"[problem] g_N: no traction is given on part '{name}', {where}")
+        if name:
+            _check_loaded(spaces, "g_N", name)
         part = spaces.part(name) if name else facets
         here = np.searchsorted(facets.facets, part.facets)
         moments[here] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")

@@ -111,13 +111,25 @@ class Contact(OnParts):
 
 
 @dataclass(frozen=True)
+class Pressure(OnParts):
+    """A pressure is given, the traction σn = −value n.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        value: The pressure.
+    """
+
+    value: Given
+
+
+@dataclass(frozen=True)
 class Elasticity:
     """−∇·σ = f, σ = ℂε(u), with a condition on each part of the boundary; u = u_D where there is none.
 
-    The conditions are `Dirichlet`, also in some components, `Neumann`, `Contact`, and other laws between the opening
-    p = −u_n and the pressure −σ_nn without friction, such as `Wall` or `TwoSided`, with p for u and −σ_nn for κ∇u·n;
-    where two bodies touch, p = −[u_n]. A part that is fixed in some components may have a `Neumann` condition for the
-    others.
+    The conditions are `Dirichlet`, also in some components, `Neumann`, `Pressure`, `Contact`, and other laws between
+    the opening p = −u_n and the pressure −σ_nn without friction, such as `Wall` or `TwoSided`, with p for u and −σ_nn
+    for κ∇u·n; where two bodies touch, p = −[u_n]. A part that is fixed in some components may have a `Neumann` or a
+    `Pressure` condition for the others.
 
     Attributes:
         young: E, or one for each region of the mesh.
@@ -146,7 +158,7 @@ class Elasticity:
         others = [condition for condition in self.conditions if not self._loads_fixed(condition)]
         if any(isinstance(condition, Friction) for condition in others):
             raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
-        check_conditions(others, Law, Contact, example=example)
+        check_conditions(others, Law, Contact, Pressure, example=example)
 
     def _loads_fixed(self, condition: object) -> bool:
         """Whether it is a load on parts that are fixed in some components."""
@@ -156,13 +168,13 @@ class Elasticity:
             if isinstance(other, Dirichlet) and other.components is not None
             for part in other.parts
         }
-        return isinstance(condition, Neumann) and set(condition.parts) <= fixed
+        return isinstance(condition, Neumann | Pressure) and set(condition.parts) <= fixed
 
     def on(self, domain: Domain) -> tuple[ElasticBoundary, ElasticProblem]:
         """The problem on a domain, sorted by the kinds of its boundary (collective)."""
         given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
         touching = [condition for condition in self.conditions if isinstance(condition, Contact)]
-        loads = [condition for condition in self.conditions if isinstance(condition, Neumann)]
+        loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
         normal = [condition for condition in self.conditions if is_normal(condition)]
         meeting = [*touching, *normal]
         fixed = {part: each.components for each in given if each.components is not None for part in each.parts}
@@ -181,7 +193,8 @@ class Elasticity:
             poisson=self.poisson,
             f=self.f,
             u_D=one_value(u_D, None),
-            g_N={part: nothing_for_0(each.value) for each in loads for part in each.parts},
+            g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
+            pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
             gap=one_value(gaps, 0.0),
             plane=self.plane,
             exact=self.exact,
@@ -202,6 +215,7 @@ class ElasticProblem:
             parts, and by "" one on the others; None for 0.
         g_N: Traction on Γ_N and, in the free components, on parts that are fixed in some; or one for each of these
             parts, 0 on the others; None for 0.
+        pressure: The pressure −g_N·n on parts of Γ_N on which no g_N is given, with no shear.
         gap: g, the distance to the foundation along the outer normal, or one for each part of Γ_C.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
@@ -214,6 +228,7 @@ class ElasticProblem:
     f: GivenVector | None = None
     u_D: GivenVector | Mapping[str, GivenVector | None] | None = None
     g_N: GivenVector | Mapping[str, GivenVector | None] | None = None
+    pressure: Mapping[str, Given] = field(default_factory=dict)
     gap: Given | Mapping[str, Given] = 0.0
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None

@@ -154,31 +154,43 @@ def _drop_normal(values: Array, facets: BoundaryFacets) -> None:
     values[facets.blocks] -= along[:, :, None] * facets.normals[:, None]
 
 
-def resultants(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[dict[str, Array], Array]:
-    """Forces and moments about the origin on each part of the boundary, and the total, which is 0 (collective).
+def resultants(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> dict[str, Array]:
+    """Forces and moments about the origin on each part, and by "sum" what `balance` leaves (collective).
 
-    The moments of the total are about the middle of the domain: about a far origin rounding would be most of them.
-
-    Returns:
-        By part, and the sum of all on the boundary and of f; each row has the forces and, after them, the moments.
+    Each row has the forces and, after them, the moments.
     """
-    comm = spaces.mesh.comm
-    middle = spaces.domain.box().mean(axis=0)[: spaces.dim]
+    found = {}
+    for name in spaces.domain.parts:
+        part = spaces.part(name)
+        found[name] = spaces.mesh.comm.allreduce(_wrench(part.vertices, _pulls(spaces, stresses, part)))
+    return found | {"sum": balance(spaces, data, stresses)[0]}
+
+
+def balance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[Array, float]:
+    """What is left of all forces and moments, those of f among them, and its share of the forces (collective).
+
+    The moments are about the middle of the domain: about a far origin rounding would be most of them. Their share is
+    that of the forces times the size of the domain.
+    """
+    box = spaces.domain.box()[:, : spaces.dim]
     everything = [spaces.contact, spaces.across, spaces.neumann, spaces.dirichlet]
-    total = np.sum([_resultant(spaces, stresses, facets, middle) for facets in everything], axis=0)
+    pairs = [(facets.vertices, _pulls(spaces, stresses, facets)) for facets in everything]
     for cells in blocks_of_cells(spaces):
-        measure = Cells(spaces.vertices[cells]).measure
-        total += _wrench(spaces.vertices[cells] - middle, data.moments_of_f(spaces, cells, measure))
-    parts = {name: comm.allreduce(_resultant(spaces, stresses, spaces.part(name))) for name in spaces.domain.parts}
-    return parts, comm.allreduce(total)
+        x = spaces.vertices[cells]
+        pairs.append((x, data.moments_of_f(spaces, cells, Cells(x).measure)))
+    total = np.sum([_wrench(x - box.mean(axis=0), forces) for x, forces in pairs], axis=0)
+    size = sum(float(np.abs(forces).sum()) for _, forces in pairs)
+    *left, size = spaces.mesh.comm.allreduce(np.append(total, size))
+    lengths = np.where(np.arange(len(left)) < spaces.dim, 1.0, np.ptp(box, axis=0).max())
+    return np.array(left), float(np.abs(left / lengths).max() / size) if size > 0 else 0.0
 
 
-def _resultant(spaces: ElasticSpaces, stresses: Array, facets: BoundaryFacets, about: Array | float = 0.0) -> Array:
-    """∫ σn and ∫ (x − about) × σn over facets of this rank."""
+def _pulls(spaces: ElasticSpaces, stresses: Array, facets: BoundaryFacets) -> Array:
+    """∫ σn φ_a over facets of this rank, shape (facets, d, d)."""
     dim = spaces.dim
     mass = (1 + np.eye(dim)) / (dim * (dim + 1))
-    moments = np.einsum("ab,nbi,n->nai", mass, spaces.tractions(facets, stresses), facets.measure)
-    return _wrench(facets.vertices - about, moments)
+    pulls: Array = np.einsum("ab,nbi,n->nai", mass, spaces.tractions(facets, stresses), facets.measure)
+    return pulls
 
 
 def _wrench(vertices: Array, moments: Array) -> Array:

@@ -269,14 +269,17 @@ def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, st
     found = {
         "contact": f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}",
         "forces": _forces(summary["resultants"], solution.spaces.dim),
+        "largest": _largest(summary["quantities"]),
     }
+    for part, about in summary["quantities"]["contact"].items():
+        found[f"on {part}"] = _pressed(about)
     if "least_gap" in summary:
         least = f"negative, down to {summary['least_gap']:.4g}"
         other = "another body" if any(solution.boundary.inner) else "the foundation"
         found["gap"] = f"{least}: there {other} reaches into the body at rest, and is taken to press it back"
     for part, segments in summary.get("segments", {}).items():
         counts = ", ".join(f"{name} {count['vertices']}" for name, count in segments.items())
-        found[f"on {part}"] = f"facet vertices on each segment: {counts}"
+        found[f"on {part}"] += f"; facet vertices on each segment: {counts}"
     if "friction" in summary:
         states = (f"{name} {of_state['vertices']}" for name, of_state in summary["friction"].items())
         found["friction"] = f"facet vertices: {', '.join(states)}"
@@ -291,6 +294,26 @@ def _forces(resultants: dict[str, list[float]], dim: int) -> str:
     del forces["sum"]
     left = max(map(abs, resultants["sum"]))
     return f"{'  '.join(f'{name} ({force})' for name, force in forces.items())}; all together {left:.1e}"
+
+
+def _largest(about: Mapping[str, Any]) -> str:
+    """The largest stress and displacement with their places."""
+    names = {"von_mises": "von Mises", "displacement": "|u|"}
+    return ", ".join(f"{word} {_at(about[key])}" for key, word in names.items())
+
+
+def _pressed(about: Mapping[str, Any]) -> str:
+    """How a part is pressed."""
+    found = [f"pressure at most {_at(about['peak_pressure'])}", f"area {about['area']:.5g}"]
+    found += [f"width {about['width']:.5g}"] if "width" in about else []
+    if "center_of_pressure" in about:
+        found.append(f"center ({', '.join(f'{x:.4g}' for x in about['center_of_pressure'])})")
+    return ", ".join(found)
+
+
+def _at(largest: Mapping[str, Any]) -> str:
+    """A value and its place."""
+    return f"{largest['largest']:.5g} at ({', '.join(f'{x:.4g}' for x in largest['at'])})"
 
 
 def _fixed_point(about: Mapping[str, Any]) -> str:

@@ -27,6 +27,7 @@ from signorini_fenicsx.physics.elasticity.differences import differences
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.quantities import quantities
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
 from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
@@ -256,8 +257,13 @@ class ElasticSolution(Solved):
     @collector_off()
     def resultants(self) -> dict[str, list[float]]:
         """Forces and then moments about the origin on each part; and what is left of all and f, "sum" (collective)."""
-        parts, total = resultants(self.spaces, self.data, self.stresses)
-        return {name: values.tolist() for name, values in (parts | {"sum": total}).items()}
+        found = resultants(self.spaces, self.data, self.stresses)
+        return {name: values.tolist() for name, values in found.items()}
+
+    @collector_off()
+    def quantities(self) -> dict[str, Any]:
+        """Largest stress and displacement, contact by part, and the balance, see `quantities` (collective)."""
+        return quantities(self)
 
     @collector_off()
     def norms(self) -> dict[str, float]:
@@ -377,7 +383,8 @@ class ElasticSolution(Solved):
         means = self.data.lift[self.spaces.sites].reshape(self.touching.shape)  # of g
         own = means[~in_laws].min(initial=np.inf)
         least = min(self.spaces.mesh.comm.allgather(float(own)))
-        return {"resultants": self.resultants()} | ({"least_gap": least} if least < 0 else {})
+        found = {"resultants": self.resultants(), "quantities": self.quantities()}
+        return found | ({"least_gap": least} if least < 0 else {})
 
 
 def stress_of(gradient: Array, inverse: Array, theta: Array) -> Array:

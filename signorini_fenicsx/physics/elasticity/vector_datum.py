@@ -19,6 +19,30 @@ from signorini_fenicsx.expressions.given import parsed
 
 
 @dataclass(frozen=True)
+class PressureDatum:
+    """The traction −pn of a pressure p, in points of facets with these normals.
+
+    Attributes:
+        name: Its key.
+        pressure: p.
+        normals: The outer unit normals, shape (facets, d).
+    """
+
+    name: str
+    pressure: Datum
+    normals: Array
+
+    @property
+    def polynomial(self) -> int | None:
+        """The degree of the polynomial that it is known to be on each facet, or None."""
+        return self.pressure.polynomial
+
+    def values(self, points: Points) -> Array:
+        """Values, shape (facets, points, dim) (collective)."""
+        return -self.pressure.values(points)[:, :, None] * self.normals[:, None]
+
+
+@dataclass(frozen=True)
 class VectorDatum:
     """A vector field on the mesh.
 
