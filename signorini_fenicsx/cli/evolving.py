@@ -146,7 +146,7 @@ def _go_on(
     done = min(done, case.time.steps - 1)
     known = done if bounds is None else max(0, done - MOST_BEFORE)
     past = None if known == 0 else (lambda own: steps.past(own, known))
-    domain = None if start is None else shared_domain(start, case)
+    domain = shared_domain(start, case)
     last = None
     began = time.perf_counter()
     try:

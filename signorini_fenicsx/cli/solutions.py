@@ -111,8 +111,7 @@ def solve(
         report.columns(problem)
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
             start = None if start_from is None else load_solution(start_from, comm)
-            domain = None if start is None else shared_domain(start, problem)
-            solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
+            solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
         certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
         write_solution(solution, folder.path, certificate=certificate, proof=proof, plot=plot, html=html)
