@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pyarrow.parquet as parquet
 import pytest
+import pyvista
 from commands import launched, read_rows, run, signorini
 from mpi4py import MPI
 
@@ -18,6 +20,7 @@ from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.shipped import data_folder, study_names
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.studies.folder import StudyFolder
+from signorini_fenicsx.studies.picture import draw_study, numbers, plan
 from signorini_fenicsx.studies.study import Convergence, load_study, make_run
 
 STUDY = """
@@ -150,6 +153,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = signorini(folder, "study", "study.toml")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("done ") == 8
+    assert re.search(r"(?m)^1/8 done   algorithm = alg3  h = 0.125  signorini = .*  f = .* s left$", done.stdout)
+    assert re.search(r"(?m)^8/8 done   .*  f = x  \d+\.\d s$", done.stdout)
     return folder / "results" / "study-study"
 
 
@@ -160,10 +165,58 @@ def test_table(finished: Path):
     assert {row["status"] for row in rows} == {"done"}
     assert {"norms.sigma_L2", "contact_measure", "iterations", "violation.trace", "solve.eps"} <= set(rows[0])
     assert not {"ranks", "timings.solve", "command"} & set(rows[0])
+    names = list(rows[0])
+    assert names[:6] == ["solve.algorithm", "solve.h", "boundary.signorini", "problem.f", "status", "reason"]
+    assert names.index("contact_measure") < names.index("run") < names.index("solve.eps")
+    assert pyvista.read(finished / "study.png").n_points > 0
     columns = parquet.read_table(finished / "table.parquet").to_pydict()
     assert list(columns) == list(rows[0])
     assert [str(value) for value in columns["norms.u_L2"]] == [row["norms.u_L2"] for row in rows]
     assert [float(row["seconds"]) > 0 for row in read_rows(finished / "timings.csv")] == [True] * 8
+
+
+def test_the_status_is_told_at_any_time(tmp_path: Path):
+    """While a launch is under way, after it was killed, and of a study that has no folder yet; nothing is written."""
+    path = write(tmp_path, 'case = "example1"\n[vary]\nh = ["1/4", "1/8"]')
+    shown = signorini(tmp_path, "study", "study.toml", "--status").stdout
+    assert "to do   h = 0.25\nto do   h = 0.125\n0/2: 2 to do; no launch is under way\n" in shown
+    assert list(tmp_path.iterdir()) == [path]
+    runs, folder = load_study(path)[1], StudyFolder(MPI.COMM_SELF, tmp_path / "results" / "study-study")
+    with folder:
+        (folder.claims / runs[1].name).touch()
+        shown = signorini(tmp_path, "study", "study.toml", "--status").stdout
+        assert "running h = 0.125\n0/2: 1 to do, 1 running; a launch is under way\n" in shown
+    folder.claims.mkdir()
+    (folder.claims / runs[1].name).touch()
+    assert "0/2: 2 to do; no launch" in signorini(tmp_path, "study", "study.toml", "--status").stdout
+    assert signorini(tmp_path, "study", "study.toml").returncode == 0
+    shown = signorini(tmp_path, "study", "study.toml", "--status").stdout
+    assert re.search(r"done    h = 0.25  \d+\.\d s\ndone    h = 0.125  .*\n2/2: 2 done; no launch", shown)
+
+
+NUMBERS = [{"status": "done", "a.x": x, "a.y": str(y), "iterations": x * y} for x in (1, 2, 3) for y in (1.0, 2.0, 3.0)]
+WORDS = [{"status": "done", "x": x, "word": word, "iterations": x} for x in (1, 2) for word in ("one", "two")]
+
+
+@pytest.mark.parametrize(
+    ("rows", "keys", "found"),
+    [
+        (NUMBERS, ["a.x", "a.y"], ("a.x", "a.y", [])),
+        (NUMBERS[:-1] + NUMBERS[:1], ["a.x", "a.y"], ("a.x", None, ["a.y"])),
+        (WORDS, ["word", "x"], ("x", None, ["word"])),
+        ([row | {"same": row["x"]} for row in WORDS], ["x", "same", "word"], ("x", None, ["word"])),
+        ([row | {"h": 0.1 * row["x"], "sigma_V": 1.0} for row in WORDS], ["word"], ("h", None, ["word"])),
+        (WORDS[:2], ["word"], ("word", None, [])),
+    ],
+)
+def test_what_a_picture_shows(tmp_path: Path, rows: list[dict], keys: list[str], found: tuple):
+    """Maps over two numbers, curves over one, and words where nothing is a number; what follows from x is left out."""
+    wanted = plan([numbers(row, keys) for row in rows], keys)
+    assert wanted is not None
+    assert (wanted.x, wanted.y, wanted.curves) == found
+    assert draw_study(tmp_path / "study.png", [*rows, {"status": "failed"}], keys, "A study")
+    assert pyvista.read(tmp_path / "study.png").n_points > 0
+    assert not draw_study(tmp_path / "none.png", rows[:1], keys, "A study")
 
 
 @pytest.mark.parallel(2)

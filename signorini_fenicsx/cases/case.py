@@ -361,7 +361,15 @@ def load_case(name_or_path: str | Path) -> Any:
     Raises:
         InputError: If there is no such case, or it is malformed; the message names file, key and reason.
     """
-    tree, path = read_case_file(name_or_path)
+    return case_of(*read_case_file(name_or_path))
+
+
+def case_of(tree: dict[str, Any], path: Path) -> Any:
+    """A case of any physics from the keys of its file, as `load_case` gives it.
+
+    Raises:
+        InputError: If they are malformed.
+    """
     if "physics" not in tree:
         try:
             return validated(Case, tree, path.stem, str(path))
@@ -405,11 +413,15 @@ def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
         InputError: If there is no such case, or it is no TOML.
     """
     path = file_of("case", name_or_path)
-    tree = read_toml(path)
+    return seen_from_here(read_toml(path), path.parent), path
+
+
+def seen_from_here(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The keys of a case file in this folder, with the path of its mesh as seen from here."""
     geometry = tree.get("geometry")
     if isinstance(geometry, dict) and isinstance(file := geometry.get("file"), str):
-        geometry["file"] = os.path.normpath(path.parent / file)
-    return tree, path
+        geometry["file"] = os.path.normpath(folder / file)
+    return tree
 
 
 def validated[C: CaseFile](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:

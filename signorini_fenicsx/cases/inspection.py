@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 
@@ -25,6 +26,9 @@ from signorini_fenicsx.solving.system import System, Wish, system_on
 
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""
+
+NONE_OF_ITS_OWN = "none of its own"
+"""What is said of a part all of whose facets are in parts that lists have."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +69,12 @@ class Checked:
     Attributes:
         counts: Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
         left: Parts of Γ_D that no list has; "" stands for facets in no part.
+        parts: For each part its condition, the number of its facets, and their measure.
     """
 
     counts: Mapping[str, int]
     left: Sequence[str]
+    parts: Mapping[str, Mapping[str, Any]]
 
 
 def expected(case: CaseFile, ranks: int) -> Expected:
@@ -99,7 +105,7 @@ def expected(case: CaseFile, ranks: int) -> Expected:
         left = [name for name, number in counts.items() if number > 0]
         parts = {
             name: {
-                "condition": case.condition_of(name) if counts.get(name) != 0 else "none of its own",
+                "condition": case.condition_of(name) if counts.get(name) != 0 else NONE_OF_ITS_OWN,
                 "facets": len(rows),
                 "measure": _measure(mesh.points[rows]),
             }
@@ -156,7 +162,27 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     found = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
-    return Checked(found, _left(case, spaces))
+    return Checked(found, _left(case, spaces), _parts(case, spaces))
+
+
+def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:
+    """What each part of the boundary is; those inside once (collective)."""
+    mesh, facets, listed = spaces.mesh, spaces.domain.facets, case.parts.listed()
+    names = [name for name in facets if name not in map(other_side, case.inner)]
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    corners = [mesh.geometry.x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets[name]), :dim] for name in names]
+    own = [name in listed or len(np.intersect1d(facets[name], spaces.dirichlet_facets)) for name in names]
+    sizes = [[len(each), _measure(each), own[i]] for i, each in enumerate(corners)]
+    rows = mesh.comm.allreduce(np.array(sizes, dtype=float).reshape(-1, 3))
+    return {
+        name: {
+            "condition": case.condition_of(name) if has_own else NONE_OF_ITS_OWN,
+            "facets": int(count),
+            "measure": float(measure),
+        }
+        for name, (count, measure, has_own) in zip(names, rows, strict=True)
+    }
 
 
 def _left(case: CaseFile, spaces: MeshSpaces) -> list[str]:

@@ -169,9 +169,9 @@ def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:
     return Options(**values, tuning=tuning or Tuning())
 
 
-def shared_domain(start: Solved, case: CaseFile) -> Domain | None:
+def shared_domain(start: Solved | None, case: CaseFile) -> Domain | None:
     """The mesh of an earlier solution, if the case has the same; None for files, which may have changed since."""
-    if not isinstance(start.source, CaseFile):
+    if start is None or not isinstance(start.source, CaseFile):
         return None
     earlier = start.source
     same = (earlier.geometry, earlier.solve.h) == (case.geometry, case.solve.h) and case.geometry.file is None

@@ -1,7 +1,11 @@
 """Commands that give information without solving: cases, info, check, methods, version."""
 
+from typing import Annotated
+
+import typer
 from mpi4py import MPI
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cli.common import any_case
@@ -69,12 +73,28 @@ def check(
     report.checked(problem, inspection.check(problem, comm))
 
 
-def cases() -> None:
-    """List the shipped cases: name, shape or mesh file, title."""
+def cases(
+    name: Annotated[
+        str | None, typer.Argument(help="A shipped case; without it all are listed.", autocompletion=case_names)
+    ] = None,
+    show: Annotated[bool, typer.Option("--show", help="Print the case file, as a start for your own.")] = False,
+) -> None:
+    """List the shipped cases: name, shape or mesh file, title. With --show, print one.
+
+    Examples:
+      signorini cases
+      signorini cases dam --show > my-dam.toml
+    """
     from signorini_fenicsx.cases.case import load_case
+    from signorini_fenicsx.cases.first_case import shipped_text
 
     report = Report()
-    shipped = [load_case(name) for name in case_names()]
+    if show:
+        if name is None:
+            raise InputError("cases --show: give the name of a case, such as `signorini cases dam --show`")
+        report.line(on_root(MPI.COMM_WORLD, lambda: shipped_text(name)).removesuffix("\n"))
+        return
+    shipped = [load_case(each) for each in ([name] if name else case_names())]
     names, domains = max(len(case.name) for case in shipped), max(len(case.geometry.name) for case in shipped)
     for case in shipped:
         report.line(f"{case.name:<{names}}  {case.geometry.name:<{domains}}  {case.title}")

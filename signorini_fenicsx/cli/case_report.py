@@ -1,6 +1,7 @@
 """The report of a case: its contents, its expected cost, whether it can be solved."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from mpi4py import MPI
 
@@ -24,9 +25,7 @@ class CaseReport(Report):
         about = "" if estimate.exact else "≈ "
         mesh = case.fineness.removeprefix("mesh ")
         self.entry("mesh", f"{mesh}, {about}{estimate.cells} cells, {about}{estimate.unknowns} unknowns")
-        for name, part in estimate.parts.items():
-            size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
-            self.entry("part", f"{name}: {part['condition']}{size}")
+        self._parts(estimate.parts)
         self._left(case, estimate.left)
         for name, cells in estimate.regions.items():
             self.entry("region", f"{name}: {cells} cells")
@@ -43,7 +42,14 @@ class CaseReport(Report):
         counts = found.counts
         facets = ", ".join(f"{number} on Γ_{kind[0].upper()}" for kind, number in counts.items() if kind != "cells")
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")
+        self._parts(found.parts)
         self._left(case, found.left)
+
+    def _parts(self, parts: Mapping[str, Mapping[str, Any]]) -> None:
+        """Print what holds on each part of the boundary."""
+        for name, part in parts.items():
+            size = f", {part['facets']} facets, measure {part['measure']:.6g}" if "facets" in part else ""
+            self.entry("part", f"{name}: {part['condition']}{size}")
 
     def _left(self, case: CaseFile, left: Sequence[str]) -> None:
         """Print which parts are in Γ_D because no list has them."""

@@ -98,8 +98,7 @@ def convergence(
         write_convergence(problem, way, reference, rows, folder.path, comm)
         folder.publish()
         report.slopes(fitted_slopes(rows, way), way, problem.method)
-        report.results(folder.target)
-        report.summary(folder.target)
+        report.published(folder.target)
 
 
 def _levels(text: str) -> range:

@@ -96,14 +96,13 @@ def _reservation(about: Mapping[str, Any]) -> str:
 def solve_in_time(
     case: CaseFile,
     comm: MPI.Comm,
+    report: EvolutionReport,
     output: Path | None,
     start_from: Path | None = None,
     *,
     restart: bool,
     certify_steps: bool,
     plot: bool,
-    quiet: bool,
-    as_json: bool,
 ) -> None:
     """Solve a case in time and write its results (collective).
 
@@ -116,7 +115,6 @@ def solve_in_time(
     from signorini_fenicsx.output.evolution import write_evolution
     from signorini_fenicsx.output.steps import StepFolder
 
-    report = EvolutionReport(quiet=quiet, as_json=as_json)
     with ResultsFolder(comm, results_place(output, case.name), saves_state=False) as folder:
         start = None if start_from is None else load_solution(start_from, comm)
         steps = StepFolder(comm, folder.target)
@@ -128,8 +126,7 @@ def solve_in_time(
         folder.publish()
         steps.remove()
         report.finished(on_root(comm, lambda: _read_summary(folder.target)), certified=certify_steps)
-        report.results(folder.target)
-        report.summary(folder.target)
+        report.published(folder.target)
 
 
 def _go_on(
@@ -149,7 +146,7 @@ def _go_on(
     done = min(done, case.time.steps - 1)
     known = done if bounds is None else max(0, done - MOST_BEFORE)
     past = None if known == 0 else (lambda own: steps.past(own, known))
-    domain = None if start is None else shared_domain(start, case)
+    domain = shared_domain(start, case)
     last = None
     began = time.perf_counter()
     try:

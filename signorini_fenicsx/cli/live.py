@@ -28,20 +28,25 @@ WORDS = {
 
 
 class Live:
-    """A `progress.Follower` on rank 0's console."""
+    """A `progress.Follower` on rank 0's console.
 
-    def __init__(self, console: Console):
+    Attributes:
+        alive: Whether it shows a line that changes.
+        verbose: Whether it mentions everything.
+    """
+
+    def __init__(self, console: Console, *, verbose: bool = False):
         """Show it there."""
-        self._console = console
+        self._console, self.verbose = console, verbose
         # Not in a log with colours. Ranks of Open MPI see a terminal even if mpirun writes into a log.
-        self._alive = console.is_interactive and console.file.isatty() and not is_launched()
+        self.alive = console.is_interactive and console.file.isatty() and not is_launched()
         self._text, self._drawn = "", 0.0
         self._took: dict[str, float] = {}
         self._in_table = False
 
     def moved(self, under_way: list[Activity], *, only_detail: bool) -> None:
         """Show it on a terminal."""
-        if not self._alive:
+        if not self.alive:
             return
         self._text = " · ".join(map(_described, under_way)) + " …" * bool(under_way)
         if not only_detail or time.monotonic() - self._drawn >= PAUSE:
@@ -49,7 +54,7 @@ class Live:
 
     def ended(self, name: str, seconds: float) -> None:
         """Mention in a log what took long; what was compiled meanwhile before it, and nothing inside a table."""
-        if self._alive:
+        if self.alive and not self.verbose:
             return
         self._took[name] = self._took.get(name, 0.0) + seconds
         if name != COMPILING and not self._in_table:  # what is compiled takes many short times
@@ -63,8 +68,9 @@ class Live:
 
     def _mention(self) -> None:
         for name in sorted(self._took, key=COMPILING.__ne__):
-            if (seconds := self._took[name]) > LONG:
-                self._console.print(f"{WORDS.get(name, name)} took {seconds:.1f} s", markup=False)
+            if (seconds := self._took[name]) > LONG or self.verbose:
+                with self.above():
+                    self._console.print(f"{WORDS.get(name, name)} took {seconds:.{1 + self.verbose}f} s", markup=False)
         self._took = {}
 
     @contextlib.contextmanager

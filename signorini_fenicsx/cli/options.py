@@ -10,6 +10,11 @@ import typer
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 
+METHOD = "Method"
+BOUND = "Bound of the error"
+RESULTS = "Results"
+"""Groups of options in the help of commands."""
+
 
 def _names_of_algorithms() -> list[str]:
     from signorini_fenicsx.methods.registry import METHODS
@@ -26,32 +31,71 @@ CaseName = Annotated[
 AlgorithmName = Annotated[
     str | None,
     typer.Option(
-        "--algorithm", help="An algorithm of the list of `signorini methods`.", autocompletion=_names_of_algorithms
+        "--algorithm",
+        help="An algorithm of the list of `signorini methods`.",
+        autocompletion=_names_of_algorithms,
+        rich_help_panel=METHOD,
     ),
 ]
 MeshSize = Annotated[str | None, typer.Option("--h", help="Largest cell diameter: 0.0625, 1/16 or 2^-4.")]
-Rho = Annotated[str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.")]
-Epsilon = Annotated[str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.")]
-BackendName = Annotated[str | None, typer.Option("--backend", help="hybrid or mixed; only for alg1 to alg4.")]
+Rho = Annotated[
+    str | None, typer.Option("--rho", help="ρ > 0 of the set rule or the Uzawa iteration.", rich_help_panel=METHOD)
+]
+Epsilon = Annotated[
+    str | None, typer.Option("--eps", help="ε of the penalty and stabilised methods.", rich_help_panel=METHOD)
+]
+BackendName = Annotated[
+    str | None, typer.Option("--backend", help="hybrid or mixed; only for alg1 to alg4.", rich_help_panel=METHOD)
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
 ]
 ForSignorini = Annotated[
-    bool, typer.Option("--for-signorini", help="Bound the distance of a penalty solution to the Signorini solution.")
+    bool,
+    typer.Option(
+        "--for-signorini",
+        help="Bound the distance of a penalty solution to the Signorini solution.",
+        rich_help_panel=BOUND,
+    ),
 ]
-Predict = Annotated[bool, typer.Option(help="Start large problems from the sets of a coarser mesh.")]
+Predict = Annotated[
+    bool, typer.Option(help="Start large problems from the sets of a coarser mesh.", rich_help_panel=METHOD)
+]
 StartFrom = Annotated[
     Path | None,
-    typer.Option("--start-from", help="Results folder whose contact set is the first one; in time u_0, too."),
+    typer.Option(
+        "--start-from",
+        help="Results folder whose contact set is the first one; in time u_0, too.",
+        rich_help_panel=METHOD,
+    ),
 ]
-Rigorous = Annotated[bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.")]
-Restart = Annotated[bool, typer.Option("--restart", help="Go on with a case in time after its last complete step.")]
-CertifySteps = Annotated[bool, typer.Option("--certify-steps", help="Bound the error of each step of a case in time.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
-Json = Annotated[bool, typer.Option("--json", help="Print only one JSON object, the summary.")]
-Html = Annotated[bool, typer.Option("--html", help="Also write solution.html, pictures that the mouse can turn.")]
-OutputFolder = Annotated[Path | None, typer.Option("--output", help="Folder for the results.", show_default=False)]
+Rigorous = Annotated[
+    bool, typer.Option("--rigorous", help="Also prove the error bound, rounding included.", rich_help_panel=BOUND)
+]
+Restart = Annotated[
+    bool,
+    typer.Option("--restart", help="Go on with a case in time after its last complete step.", rich_help_panel=RESULTS),
+]
+CertifySteps = Annotated[
+    bool, typer.Option("--certify-steps", help="Bound the error of each step of a case in time.", rich_help_panel=BOUND)
+]
+Verbose = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", "-v", help="Print all iterations, and how long each phase takes.", rich_help_panel=RESULTS
+    ),
+]
+Plot = Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).", rich_help_panel=RESULTS)]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.", rich_help_panel=RESULTS)]
+Json = Annotated[bool, typer.Option("--json", help="Print only one JSON object, the summary.", rich_help_panel=RESULTS)]
+Html = Annotated[
+    bool,
+    typer.Option("--html", help="Also write solution.html, pictures that the mouse can turn.", rich_help_panel=RESULTS),
+]
+OutputFolder = Annotated[
+    Path | None, typer.Option("--output", help="Folder for the results.", show_default=False, rich_help_panel=RESULTS)
+]
 
 
 def overrides(settings: list[str] | None, **options: object) -> dict[str, object]:

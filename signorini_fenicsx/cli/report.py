@@ -23,16 +23,17 @@ class Report:
 
     follows = True
 
-    def __init__(self, *, quiet: bool = False, as_json: bool = False):
+    def __init__(self, *, quiet: bool = False, verbose: bool = False, as_json: bool = False):
         """Decide what is printed.
 
         Args:
             quiet: Print no text.
+            verbose: Print all rows of tables, and how long everything took.
             as_json: Print the JSON object and no text.
         """
         self.console = Console(highlight=False, soft_wrap=True, emoji=False, quiet=quiet or as_json)
         self._as_json = as_json
-        self._live = Live(self.console)
+        self._live = Live(self.console, verbose=verbose)
         self._columns = ""
         if self.follows and not self.console.quiet and MPI.COMM_WORLD.rank == 0:
             progress.follow(self._live)
@@ -81,7 +82,8 @@ class Report:
         if self._as_json:
             sys.stdout.write(json_text(values) + "\n")
 
-    def summary(self, folder: Path) -> None:
-        """Print the `summary.json` of a results folder as the JSON object if `as_json` is set (rank 0)."""
+    def published(self, folder: Path) -> None:
+        """Print where the results are, or their `summary.json` as the JSON object if `as_json` is set."""
+        self.results(folder)
         if self._as_json and MPI.COMM_WORLD.rank == 0:
             sys.stdout.write((folder / "summary.json").read_text(encoding="utf-8"))

@@ -22,6 +22,8 @@ if TYPE_CHECKING:  # SciPy takes a second to load
 
 PARTS = {"gap": "energy gap", "oscillation": "data within cells", "remainder": "solver and penalty"}
 """What a bound is made of."""
+WHOLE_TABLE = {True: 20, False: 1000}
+"""Iterations up to which each is printed, on a terminal and in a log."""
 
 
 class SolutionReport(CaseReport):
@@ -37,10 +39,11 @@ class SolutionReport(CaseReport):
         self.table(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
     def step(self, row: Step) -> None:
-        """Print an iteration as soon as it is done; after 20 only those with numbers such as 30 or 400."""
-        if row.iteration == 21:
-            self.row(f"{'…':>4} from here on only 30, 40, …, 100, 200, …; all are in history.csv")
-        if row.iteration > 20 and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
+        """Print an iteration as soon as it is done; of many on a terminal only those with numbers such as 30 or 400."""
+        whole = math.inf if self._live.verbose else WHOLE_TABLE[self._live.alive]
+        if row.iteration == whole + 1:
+            self.row(f"{'…':>4} from here on only some; all are in history.csv, and printed with --verbose")
+        if row.iteration > whole and row.iteration % 10 ** (len(str(row.iteration)) - 1) != 0:
             return
         penalty = (row.robin, row.clipped) if self._penalised else ()
         counts = "".join(f"{number:9d}" for number in (row.no_flux, row.zero_trace, *penalty, row.changed))

@@ -26,6 +26,7 @@ from signorini_fenicsx.cli.options import (
     Json,
     MeshSize,
     OutputFolder,
+    Plot,
     Predict,
     Quiet,
     Restart,
@@ -33,6 +34,7 @@ from signorini_fenicsx.cli.options import (
     Rigorous,
     Settings,
     StartFrom,
+    Verbose,
     overrides,
     positive,
 )
@@ -64,9 +66,10 @@ def solve(
     restart: Restart = False,
     certify_steps: CertifySteps = False,
     output: OutputFolder = None,
-    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+    plot: Plot = False,
     html: Html = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
     as_json: Json = False,
 ) -> None:
     """Solve a case and write its results, by default into results/<case>/.
@@ -84,7 +87,8 @@ def solve(
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
 
-    comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, as_json=as_json)
+    said = {"quiet": quiet, "verbose": verbose, "as_json": as_json}
+    comm, report = MPI.COMM_WORLD, SolutionReport(**said)
 
     def on_step(row: "Step") -> None:
         report.step(row)
@@ -95,10 +99,10 @@ def solve(
     _refuse_lacking(problem, {"--rigorous": rigorous, "--html": html})
     only_steady = {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini}
     if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
-        from signorini_fenicsx.cli.evolving import solve_in_time
+        from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 
         kept = {"restart": restart, "certify_steps": certify_steps}
-        solve_in_time(problem, comm, output, start_from, **kept, plot=plot, quiet=quiet, as_json=as_json)
+        solve_in_time(problem, comm, EvolutionReport(**said), output, start_from, **kept, plot=plot)
         return
     if rigorous:
         on_root(comm, lambda: _check_provable(problem))
@@ -107,8 +111,7 @@ def solve(
         report.columns(problem)
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
             start = None if start_from is None else load_solution(start_from, comm)
-            domain = None if start is None else shared_domain(start, problem)
-            solution = solve_case(problem, comm, domain=domain, start=start, on_step=on_step)
+            solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
         certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
         found = quantities_of(solution)
@@ -117,8 +120,7 @@ def solve(
         )
         folder.publish()
         report.solution(solution, certificate, proof, found)
-        report.results(folder.target)
-        report.summary(folder.target)
+        report.published(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
 
@@ -195,7 +197,7 @@ def adapt(
     backend: BackendName = None,
     settings: Settings = None,
     output: OutputFolder = None,
-    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures of the last solution (PNG).")] = False,
+    plot: Plot = False,
     html: Html = False,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -244,8 +246,7 @@ def adapt(
             )
         folder.publish()
         report.adapted(rows, solution.best_rate, certificate)
-        report.results(folder.target)
-        report.summary(folder.target)
+        report.published(folder.target)
 
 
 def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[float | None, float]:
@@ -281,7 +282,7 @@ def export(
     results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
     for_signorini: ForSignorini = False,
     output: OutputFolder = None,
-    plot: Annotated[bool, typer.Option("--plot", help="Also draw pictures (PNG).")] = False,
+    plot: Plot = False,
     html: Html = False,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -314,5 +315,4 @@ def export(
         certificate = certify(solution, for_signorini=for_signorini) if certified else None
         write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
         folder.publish(add=own)
-        report.results(folder.target)
-        report.summary(folder.target)
+        report.published(folder.target)

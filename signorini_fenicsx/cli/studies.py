@@ -18,6 +18,9 @@ def study(
     output: OutputFolder = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and their sizes; run nothing.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again.")] = False,
+    status: Annotated[
+        bool, typer.Option("--status", help="Show how far the study is, also while it runs; run nothing.")
+    ] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -26,6 +29,7 @@ def study(
     Examples:
       signorini study my-study.toml --dry-run
       mpirun -n 4 signorini study my-study.toml
+      signorini study my-study.toml --status
     """
     from signorini_fenicsx.cli.study_report import Progress, StudyReport, listing
     from signorini_fenicsx.studies.folder import StudyFolder
@@ -36,8 +40,11 @@ def study(
     declared, runs = on_root(comm, lambda: load_study(study))
     folder = StudyFolder(comm, results_place(output, f"{declared.name}-study"))
     report.heading(declared, runs, comm)
-    if dry_run:
-        report.plan(runs, folder)
+    if dry_run or status:
+        if status:
+            on_root(comm, lambda: report.status(runs, folder))
+        else:
+            report.plan(runs, folder)
         if as_json:
             report.json(on_root(comm, lambda: listing(declared, runs, folder)))
         return
@@ -45,7 +52,9 @@ def study(
         if retry_failed:
             on_root(comm, lambda: folder.forget_failures(runs))
         with Progress(runs, folder, comm, report) as progress:
-            run_study(runs, declared.ranks_per_run, folder, comm, on_run=progress.say)
+            run_study(
+                runs, declared.ranks_per_run, folder, comm, title=declared.title or declared.name, on_run=progress.say
+            )
         report.results(folder.path)
         if as_json:
             report.json(on_root(comm, lambda: listing(declared, runs, folder)))

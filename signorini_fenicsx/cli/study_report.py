@@ -1,7 +1,7 @@
 """The report of `signorini study`: the plan, a live view, and the end. Only rank 0 prints."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -9,8 +9,11 @@ from mpi4py import MPI
 from rich.live import Live
 
 from signorini_fenicsx.cli.report import Report
-from signorini_fenicsx.studies.folder import Status, StudyFolder
+from signorini_fenicsx.studies.folder import Record, Status, StudyFolder
 from signorini_fenicsx.studies.study import Run, Study
+from signorini_fenicsx.studies.varied import in_words, varied_keys
+
+ENDED = (Status.DONE, Status.FAILED)
 
 
 class StudyReport(Report):
@@ -31,13 +34,34 @@ class StudyReport(Report):
 
     def plan(self, runs: Sequence[Run], folder: StudyFolder) -> None:
         """List the runs with the values in which they differ, their estimated sizes and their status."""
-        parameters = [run.parameters for run in runs]
-        varied = [key for key in parameters[0] if len({str(values[key]) for values in parameters}) > 1]
-        for run, values in zip(runs, parameters, strict=True):
-            differences = "  ".join(f"{key.removeprefix('solve.')} = {values[key]}" for key in varied)
-            status = folder.status(run).value
-            self.line(f"{status:<7} {run.name}  ≈ {run.cells:8.2g} cells  {differences}")
+        keys = varied_keys(runs)
+        for run in runs:
+            self.line(f"{folder.status(run).value:<7} {in_words(run, keys)}  ≈ {run.cells:.2g} cells  {run.name}")
         self.line(f"≈ {sum(run.cells for run in runs):.2g} cells in all")
+
+    def status(self, runs: Sequence[Run], folder: StudyFolder) -> None:
+        """Print how far a study is, and how each of its runs ended (rank 0).
+
+        Raises:
+            InputError: If the record of a finished run is damaged.
+        """
+        keys, busy = varied_keys(runs), folder.is_busy()
+        states = {run.name: folder.status(run) for run in runs}
+        for run in runs:
+            state = states[run.name]
+            if state is Status.RUNNING and not busy:  # left by a launch that was killed
+                state = states[run.name] = Status.TODO
+            end = _end(folder.record(run)) if state in ENDED else ""
+            self.line(f"{state.value:<7} {in_words(run, keys)}{end}")
+        found = list(states.values())
+        ended = sum(state in ENDED for state in found)
+        counts = ", ".join(f"{found.count(state)} {state.value}" for state in Status if state in found)
+        self.line(f"{ended}/{len(runs)}: {counts}; {'a launch is under way' if busy else 'no launch is under way'}")
+
+
+def _end(record: Record) -> str:
+    """How a run ended: its seconds, and why it failed."""
+    return f"  {record.seconds:.1f} s" + (f"  {record.reason}" if record.status is Status.FAILED else "")
 
 
 def listing(study: Study, runs: Sequence[Run], folder: StudyFolder) -> dict[str, Any]:
@@ -50,7 +74,7 @@ def listing(study: Study, runs: Sequence[Run], folder: StudyFolder) -> dict[str,
     for run in runs:
         status = folder.status(run)
         row = {"run": run.name, "status": status.value, "cells": run.cells, "parameters": run.parameters}
-        if status in (Status.DONE, Status.FAILED):
+        if status in ENDED:
             record = folder.record(run)
             row |= {"reason": record.reason, "seconds": record.seconds, "ranks": record.ranks}
         rows.append(row)
@@ -68,6 +92,7 @@ class Progress:
         """Look up the status of the runs (rank 0)."""
         self._report = report
         self._runs, self._folder, self._speaks = runs, folder, comm.rank == 0
+        self._keys = varied_keys(runs)
         self._began = time.perf_counter()
         self._earlier = {run.name for run in self._finished()} if self._speaks else set()
         self._said = set(self._earlier)
@@ -87,25 +112,30 @@ class Progress:
         self.say()
 
     def say(self) -> None:
-        """Print the runs that have finished since the last call."""
+        """Print the runs that have finished since the last call, how many of all that are, and the time left."""
         for run in self._finished() if self._speaks else []:
             if run.name not in self._said:
                 self._said.add(run.name)
                 record = self._folder.record(run)
-                self._report.line(f"{record.status.value:<7} {run.name}  {record.seconds:.1f} s  {record.reason}")
+                count = f"{len(self._said):>{len(str(len(self._runs)))}}/{len(self._runs)}"
+                values = in_words(run, self._keys)
+                self._report.line(f"{count} {record.status.value:<6} {values}{_end(record)}{self._left(self._said)}")
 
     def _finished(self) -> list[Run]:
-        return [run for run in self._runs if self._folder.status(run) in (Status.DONE, Status.FAILED)]
+        return [run for run in self._runs if self._folder.status(run) in ENDED]
+
+    def _left(self, finished: Collection[str]) -> str:
+        """The time left, from the cells of the runs that have finished; nothing where it is not known, or all are."""
+        new = sum(run.cells for run in self._runs if run.name in finished and run.name not in self._earlier)
+        left = sum(run.cells for run in self._runs if run.name not in finished)
+        if not new or not left:
+            return ""
+        return f"  about {(time.perf_counter() - self._began) * left / new:.0f} s left"
 
     def _view(self) -> str:
         states = [self._folder.status(run) for run in self._runs]
-        counts = "  ".join(f"{states.count(state)} {state.value}" for state in Status)
-        work = {
-            state: sum(run.cells for run, s in zip(self._runs, states, strict=True) if s is state) for state in Status
-        }
-        new = sum(run.cells for run in self._finished() if run.name not in self._earlier)
-        left = work[Status.TODO] + work[Status.RUNNING]
-        elapsed = time.perf_counter() - self._began
-        remaining = f"about {elapsed * left / new:.0f} s left" if new else "time left unknown yet"
-        running = [run.name for run, state in zip(self._runs, states, strict=True) if state is Status.RUNNING]
-        return "\n".join([f"{counts}  {elapsed:.0f} s, {remaining}", *(f"  {name}" for name in running)])
+        ended = [run.name for run, state in zip(self._runs, states, strict=True) if state in ENDED]
+        running = [run for run, state in zip(self._runs, states, strict=True) if state is Status.RUNNING]
+        failed = f", {states.count(Status.FAILED)} of them failed" if Status.FAILED in states else ""
+        head = f"{len(ended)}/{len(self._runs)}{failed}{self._left(ended)}"
+        return "\n".join([head, *(f"  running {in_words(run, self._keys)}" for run in running)])

@@ -21,12 +21,14 @@ from signorini_fenicsx.base.signals import Interruption
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.studies.study import Run, flattened
+from signorini_fenicsx.studies.varied import varied_keys
 
 LOCK = ".lock"
 """A folder with this file belongs to a study."""
 CLAIMS = ".claims"
 
 RECORD = "run.json"
+HOW_IT_ENDED = ("status", "reason")
 NOT_RESULTS = (
     *("case", "title", "algorithm", "converged", "reason", "rows"),
     *("versions", "command", "ranks", "timings", "peak_memory"),
@@ -103,8 +105,19 @@ class StudyFolder:
         """Folder of a run that has succeeded."""
         return self.path / "runs" / run.name
 
+    def is_busy(self) -> bool:
+        """Whether a launch is under way here (rank 0)."""
+        try:
+            with (self.path / LOCK).open() as lock:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return False
+
     def status(self, run: Run) -> Status:
-        """The status of a run, from the files alone."""
+        """The status of a run, from the files alone; after a kill RUNNING is what was running."""
         if (self.place(run) / RECORD).is_file():
             return Status.DONE
         if (failed_place(self.place(run)) / RECORD).is_file():
@@ -132,27 +145,34 @@ class StudyFolder:
             if self.status(run) is Status.FAILED:
                 clear(self.place(run).parent, failed_place(self.place(run)))
 
-    def write_tables(self, runs: Sequence[Run]) -> None:
-        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, each in one step (rank 0).
+    def write_tables(self, runs: Sequence[Run], title: str) -> None:
+        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, and a picture (rank 0).
 
-        The table has one row per run, or per level of a run that measures errors, with all parameters and results. What
-        depends on how the study was launched is only in the timings.
+        The table has one row per run, or per level of a run that measures errors: first what varies, then the results,
+        then what is the same in all runs. What depends on how the study was launched is only in the timings.
         """
         import pyarrow.parquet  # takes a second to import
 
-        records = [(run, self.record(run)) for run in runs]
-        table = _rectangular([row for run, record in records for row in _rows(run, record)])
+        from signorini_fenicsx.studies.picture import draw_study  # likewise
+
+        records, varied = [(run, self.record(run)) for run in runs], varied_keys(runs)
+        rows = [row for run, record in records for row in _rows(run, record)]
+        constant = [key for run in runs for key in run.parameters if key not in varied]
+        table = _rectangular(rows, [*varied, *HOW_IT_ENDED], ["run", *constant])
         timings = [
             {"run": run.name, "ranks": record.ranks, "seconds": record.seconds} | record.summary.get("timings", {})
             for run, record in records
         ]
-        for name, rows in (("table.csv", table), ("timings.csv", _rectangular(timings))):
+        for name, rows in (("table.csv", table), ("timings.csv", _rectangular(timings, ["run"], []))):
             part = self.path / f"{name}.part"
             write_rows(part, rows[0], rows)
             part.rename(part.with_suffix(""))
         part = self.path / "table.parquet.part"
         pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table), part)
         part.rename(part.with_suffix(""))
+        part = self.path / "study.part.png"
+        if draw_study(part, table, varied, title):
+            part.rename(self.path / "study.png")
         (self.path / "versions.json").write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
 
     def _open(self) -> None:
@@ -193,7 +213,15 @@ def _plain(values: Row) -> Row:
     return {key: json.dumps(value) if isinstance(value, list) else value for key, value in values.items()}
 
 
-def _rectangular(rows: list[Row]) -> list[Row]:
-    """Give all rows the same columns, in order of first appearance, with None where a row has no value."""
-    columns = dict.fromkeys(key for row in rows for key in row)
+def _rectangular(rows: list[Row], first: Sequence[str], last: Sequence[str]) -> list[Row]:
+    """Give all rows the same columns, with None where a row has no value.
+
+    Args:
+        rows: The rows.
+        first: The columns that come first.
+        last: Those that come last; others are between them, in order of first appearance.
+    """
+    given = dict.fromkeys(key for row in rows for key in row)
+    between = [key for key in given if key not in first and key not in last]
+    columns = dict.fromkeys([*first, *between, *last])
     return [{key: row.get(key) for key in columns} for row in rows]

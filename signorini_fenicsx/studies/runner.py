@@ -17,6 +17,7 @@ from signorini_fenicsx.comparing.convergence import convergence_study
 from signorini_fenicsx.output.writing import write_convergence, write_solution, write_summary
 from signorini_fenicsx.studies.folder import RECORD, Status, StudyFolder
 from signorini_fenicsx.studies.study import Run
+from signorini_fenicsx.studies.varied import in_words, varied_keys
 
 
 def run_study(
@@ -25,6 +26,7 @@ def run_study(
     folder: StudyFolder,
     comm: MPI.Comm,
     *,
+    title: str,
     on_run: Callable[[], None],
 ) -> None:
     """Do the runs that have not been done, the largest first, and write the tables of all (collective).
@@ -34,6 +36,7 @@ def run_study(
         ranks_per_run: Number of ranks for one run.
         folder: The folder of the study, entered.
         comm: Communicator that is split into groups.
+        title: The title of the study.
         on_run: Called on all ranks of a group after each of its runs.
 
     Raises:
@@ -48,7 +51,7 @@ def run_study(
         on_run()
 
     hand_out(comm, list(by_name), ranks_per_run, folder.claims, work)
-    on_root(comm, lambda: folder.write_tables(runs))
+    on_root(comm, lambda: folder.write_tables(runs, title))
 
 
 def check_all_succeeded(runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm) -> None:
@@ -60,7 +63,8 @@ def check_all_succeeded(runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm
     failed = on_root(comm, lambda: [run for run in runs if folder.status(run) is Status.FAILED])
     if failed:
         reason = on_root(comm, lambda: folder.record(failed[0]).reason)
-        raise NumericalFailure(f"{len(failed)} of {len(runs)} runs failed, the first one {failed[0].name}: {reason}")
+        first = in_words(failed[0], varied_keys(runs))
+        raise NumericalFailure(f"{len(failed)} of {len(runs)} runs failed, the first one with {first}: {reason}")
 
 
 def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:

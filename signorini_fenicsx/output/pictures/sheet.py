@@ -101,7 +101,8 @@ class Sheet(Figure):
 
     def legend_below(self, handles: list) -> None:
         """Place all panels, and a legend below them, where it hides nothing."""
-        columns = max(1, min(len(handles), int(self._across / WORDS)))
+        longest = max((len(handle.get_label()) for handle in handles), default=0)
+        columns = max(1, min(len(handles), int(self._across / max(WORDS, 0.45 + 0.75 * LETTER * longest))))
         legend = EDGE + ENTRY * -(-len(handles) // columns)
         down = self._top + sum(ABOVE + height + BELOW for height in self._heights) + legend
         self.set_size_inches(self._across, down)

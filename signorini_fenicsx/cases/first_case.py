@@ -1,0 +1,211 @@
+"""The text of a first case: a shape or a mesh, a physics, and a word for what holds on each part of the boundary."""
+
+import inspect
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reading import text_of
+from signorini_fenicsx.base.shipped import file_of
+from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.cases.case import MODELS
+from signorini_fenicsx.cases.elastic_case import NORMAL, WITH_CONTACT
+from signorini_fenicsx.cases.toml_files import read_toml
+from signorini_fenicsx.contact.law import names_of_data
+from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.meshes.checks import faces, rows_of
+from signorini_fenicsx.meshes.files import read_mesh_file
+from signorini_fenicsx.meshes.shapes import full_name, shape_of
+
+DIFFUSION = "diffusion"
+PHYSICS = (DIFFUSION, *MODELS)
+VALUES: Mapping[str, Any] = {
+    **{"g": 1, "psi_upper": 1, "beta": 1, "k": 1, "g_low": -1, "g_high": 1, "r": 1, "bed": -1},
+    "corners": [[-1, 1], [1, -1]],
+}
+"""Data of laws; for others their defaults are written, or 0."""
+ELASTIC = {
+    "contact": ("Contact without friction.", []),
+    "friction": ("Contact with Coulomb's friction, |σ_t| ≤ mu · pressure.", ["mu = 0.3"]),
+}
+HELD, GIVEN, SYMMETRIC = "dirichlet", "neumann", "symmetry"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a problem is posed.
+
+    Attributes:
+        geometry: The lines of `[geometry]`.
+        parts: The parts of the boundary, and those inside.
+        inside: Those that are inside.
+        dim: The dimension.
+    """
+
+    geometry: str
+    parts: Sequence[str]
+    inside: Sequence[str]
+    dim: int
+
+    @classmethod
+    def of(cls, name: str, folder: Path) -> "Place":
+        """A shape by its name, or a mesh by the path of its file, for a case in this folder (rank 0).
+
+        Raises:
+            InputError: If there is no such shape, or the mesh cannot be used.
+        """
+        if not Path(name).suffix or name.startswith("["):
+            shape = shape_of(full_name(name))
+            return cls(f"shape = {json.dumps(full_name(name))}", shape.names, shape.inside, shape.dim)
+        mesh = read_mesh_file(name)
+        rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
+        found = {part: rows_of(facets, rows) for part, facets in mesh.parts.items()}
+        inside = [part for part, own in found.items() if np.any(times[own[own >= 0]] > 1)]
+        path = Path(os.path.relpath(name, folder)).as_posix()
+        return cls(f"file = {json.dumps(path)}", list(found), inside, mesh.dim)
+
+
+def words(physics: str) -> tuple[str, ...]:
+    """What may hold on a part, in a word."""
+    return HELD, GIVEN, *(LAWS if physics == DIFFUSION else (SYMMETRIC, *WITH_CONTACT, *NORMAL))
+
+
+def check_word(word: str, physics: str) -> str:
+    """The word, if there is such a condition.
+
+    Raises:
+        InputError: If not.
+    """
+    if word not in (known := words(physics)):
+        raise InputError(f"unknown condition '{word}'; use one of {', '.join(known)}{did_you_mean(word, known)}")
+    return word
+
+
+def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, str]) -> str:
+    """A case file; where no condition is given, u is.
+
+    Args:
+        title: Its title.
+        place: Where it is posed.
+        physics: One of `PHYSICS`.
+        conditions: Words for parts.
+
+    Raises:
+        InputError: If there is no such part, physics or condition.
+    """
+    if physics not in PHYSICS:
+        raise InputError(
+            f"unknown physics '{physics}'; use one of {', '.join(PHYSICS)}{did_you_mean(physics, PHYSICS)}"
+        )
+    for part, word in conditions.items():
+        if part not in place.parts:
+            raise InputError(f"unknown part '{part}'; the parts are {', '.join(place.parts)}")
+        check_word(word, physics)
+    outer = {part: conditions.get(part, HELD) for part in place.parts if part not in place.inside}
+    inner = {part: word for part, word in conditions.items() if part in place.inside}
+    for part, word in inner.items():
+        if word in (HELD, GIVEN, SYMMETRIC):
+            raise InputError(f"part '{part}' is inside the domain, where '{word}' cannot hold; give it a law")
+    write = _scalar if physics == DIFFUSION else _elastic
+    head = [f"title = {json.dumps(title, ensure_ascii=False)}"]
+    if physics != DIFFUSION:
+        head.append(f'physics = "{physics}"')
+    sections = ["\n".join(head), f"[geometry]\n{place.geometry}", *write(outer, inner, place.dim)]
+    if place.geometry.startswith("shape") and place.dim == 3:
+        sections.append('[solve]\nh = "1/8"')
+    return "\n\n".join(sections) + "\n"
+
+
+def _scalar(outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
+    unilateral = _with(outer, "signorini")
+    boundary = [*_lists(outer, "signorini", GIVEN), *_rest(outer, inner)]
+    laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, "signorini")} | {**inner}
+    data = [("f = -1", "the source: −∇·(κ∇u) = f"), ("kappa = 1", "κ, the conductivity")]
+    if _with(outer, HELD):
+        data.append(("u_D = 0", "u on the rest"))
+    if _with(outer, GIVEN):
+        data.append(("g_N = 0", "κ∇u·n on the parts in neumann, with the outer normal n"))
+    if unilateral:
+        data += [("psi = -0.1", "u ≥ psi on the parts in signorini"), ("q_S = 0", "κ∇u·n ≥ q_S there")]
+    return ["\n".join(["[boundary]", *boundary]), *_laws(laws), _section("problem", data)]
+
+
+def _elastic(outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
+    touching = [part for part, word in outer.items() if word in WITH_CONTACT]
+    fixed = ", ".join(f'{json.dumps(part)} = "n"' for part in _with(outer, SYMMETRIC))
+    boundary = [f"contact = {json.dumps(touching)}", *_lists(outer, GIVEN), *_rest(outer, inner)]
+    if fixed:
+        boundary.append(f"fixed = {{{fixed}}}  # u·n is given there; also letters of xyz")
+    laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, SYMMETRIC, "contact")} | {**inner}
+    down, zero = (json.dumps([0] * (dim - 1) + [last]) for last in (-0.01, 0))
+    data = [("young = 1", "Young's modulus"), ("poisson = 0.3", "Poisson's ratio"), (f"f = {down}", "the load")]
+    if _with(outer, HELD):
+        data.append((f"u_D = {zero}", "the displacement on the rest"))
+    if _with(outer, GIVEN):
+        data.append((f"g_N = {zero}", "the traction σn on the parts in neumann; also by part: {top = […]}"))
+    data.append(("gap = 0", "to what the body touches, along the outer normal"))
+    return ["\n".join(["[boundary]", *boundary]), *_laws(laws, ELASTIC), _section("problem", data)]
+
+
+def _with(conditions: Mapping[str, str], *names: str) -> list[str]:
+    return [part for part, word in conditions.items() if word in names]
+
+
+def _lists(conditions: Mapping[str, str], *names: str) -> list[str]:
+    return [f"{name} = {json.dumps(_with(conditions, name), ensure_ascii=False)}" for name in names]
+
+
+def _rest(outer: Mapping[str, str], inner: Mapping[str, str]) -> list[str]:
+    held = ", ".join(_with(outer, HELD)) or "nothing"
+    lines = [f"# u is given on the rest: {held}"]
+    return [f"inner = {json.dumps(list(inner), ensure_ascii=False)}", *lines] if inner else lines
+
+
+def _section(name: str, data: Sequence[tuple[str, str]]) -> str:
+    width = max(len(line) for line, _ in data)
+    return "\n".join([f"[{name}]", *(f"{line:<{width}}  # {about}" for line, about in data)])
+
+
+def _laws(laws: Mapping[str, str], elastic: Mapping[str, tuple[str, list[str]]] = MappingProxyType({})) -> list[str]:
+    """A [[law]] for each kind, with what it says and all its data."""
+    texts = []
+    for kind in dict.fromkeys(laws.values()):
+        parts = json.dumps(_with(laws, kind), ensure_ascii=False)
+        about, data = elastic[kind] if kind in elastic else _about(kind)
+        about = f"{about} Here u is the opening, κ∇u·n the pressure." if elastic and kind not in elastic else about
+        texts.append("\n".join([f"# {about}", "[[law]]", f"parts = {parts}", f'kind = "{kind}"', *data]))
+    return texts
+
+
+def _about(kind: str) -> tuple[str, list[str]]:
+    """What a law says, and its data with values."""
+    law = LAWS[kind]
+    values = {datum.name: datum.default for datum in fields(law)}
+    sentence = (inspect.getdoc(law) or "").split("\n\n")[0].replace("\n", " ")
+    return sentence, [f"{name} = {_written(VALUES.get(name, values[name]))}" for name in names_of_data(law)]
+
+
+def _written(value: object) -> str:
+    """A number or a list; 0 for what has no default."""
+    return json.dumps(value) if isinstance(value, list) else f"{value if isinstance(value, int | float) else 0:g}"
+
+
+def shipped_text(name: str) -> str:
+    """The file of a shipped case, which can be solved wherever it is saved: the path of its mesh is absolute.
+
+    Raises:
+        InputError: If there is no such case.
+    """
+    path = file_of("case", name)
+    text, tree = text_of(path), read_toml(path)
+    file = tree.get("geometry", {}).get("file")
+    if file is None:
+        return text
+    return text.replace(json.dumps(file), json.dumps(os.path.normpath(path.parent / file)))

@@ -1,0 +1,121 @@
+"""The command that writes a first case: init."""
+
+import sys
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.cli.report import Report
+
+type Answers = tuple[str, str, dict[str, str]]
+"""The shape or the mesh file, the physics, and a word for each part."""
+
+
+def init(
+    case: Annotated[Path, typer.Argument(help="The file to write.")] = Path("my-case.toml"),
+    shape: Annotated[str | None, typer.Option("--shape", help="A named shape, or '[-2, 2] x [0, 1]'.")] = None,
+    mesh: Annotated[str | None, typer.Option("--mesh", help="A mesh file instead: .msh, .geo, …")] = None,
+    physics: Annotated[str | None, typer.Option("--physics", help="diffusion (the default) or elasticity.")] = None,
+    on: Annotated[
+        list[str] | None,
+        typer.Option("--on", metavar="PART=CONDITION", help="What holds on a part, or on several: left,right=neumann."),
+    ] = None,
+    title: Annotated[str, typer.Option("--title", help="Title of the case.")] = "My problem",
+) -> None:
+    """Write a first case file, from options or, on a terminal, from a few answers; check it as `check` does.
+
+    On parts without a condition u is given. Conditions: dirichlet, neumann, and the laws of case files; with
+    elasticity also contact and symmetry.
+
+    Examples:
+      signorini init
+      signorini init my-dam.toml --mesh dam.msh --on face=seepage --on base=neumann
+      signorini init block.toml --physics elasticity --on bottom=friction --on left,right=neumann
+    """
+    comm, report = MPI.COMM_WORLD, Report()
+    if shape is not None and mesh is not None:
+        raise InputError("init: give --shape or --mesh, not both")
+    given = _conditions(on or [])
+
+    def text() -> str:
+        from signorini_fenicsx.cases.first_case import DIFFUSION, Place, case_text
+
+        if case.suffix != ".toml":
+            raise InputError(f"init: {case} must end in .toml")
+        if case.exists():
+            raise InputError(f"init: {case} exists already; choose another name")
+        if given or not sys.stdin.isatty():
+            place = Place.of(mesh or shape or "square", case.parent)
+            if not given:
+                example = f"--on {place.parts[0] if place.parts else 'PART'}=signorini"
+                raise InputError(f"init: give a condition, such as {example}; the parts are {', '.join(place.parts)}")
+            return case_text(title, place, physics or DIFFUSION, given)
+        return _asked(case, mesh or shape, physics, title)
+
+    _write(case, on_root(comm, text), comm)
+    report.line(f"{case} is written and can be solved: signorini solve {case} --plot")
+
+
+def _conditions(on: list[str]) -> dict[str, str]:
+    """The word for each part that `--on` gives.
+
+    Raises:
+        InputError: If one is not PART=CONDITION, or a part has two.
+    """
+    found: dict[str, str] = {}
+    for entry in on:
+        parts, separator, word = entry.rpartition("=")
+        for part in parts.split(","):
+            if not separator or not part.strip() or not word:
+                raise InputError(f"--on {entry}: must be PART=CONDITION, such as bottom=signorini")
+            if part.strip() in found:
+                raise InputError(f"--on {entry}: '{part.strip()}' has a condition already")
+            found[part.strip()] = word.strip()
+    return found
+
+
+def _asked(case: Path, where: str | None, physics: str | None, title: str) -> str:
+    """The text of a case from answers (rank 0).
+
+    Raises:
+        InputError: If the answers end too early, or the mesh cannot be used.
+    """
+    from signorini_fenicsx.cases.first_case import DIFFUSION, HELD, PHYSICS, Place, case_text, words
+    from signorini_fenicsx.meshes.shapes import SHAPES
+
+    try:
+        where = where or typer.prompt(f"Shape ({', '.join(SHAPES)}, '[-2, 2] x [0, 1]') or mesh file", "square")
+        place = Place.of(where, case.parent)
+        physics = physics or _choice("Physics", PHYSICS, DIFFUSION)
+        typer.echo(f"Conditions: {', '.join(words(physics))}")
+        conditions = {part: _choice(f"  on {part}", words(physics), HELD) for part in place.parts}
+    except typer.Abort:
+        raise InputError("init: the answers ended; nothing is written") from None
+    return case_text(title, place, physics, {part: word for part, word in conditions.items() if word != HELD})
+
+
+def _choice(question: str, known: tuple[str, ...], default: str) -> str:
+    """One of these words; other answers are asked for again."""
+    while (answer := typer.prompt(question, default).strip()) not in known:
+        typer.echo(f"  unknown: use one of {', '.join(known)}{did_you_mean(answer, known)}")
+    return str(answer)
+
+
+def _write(case: Path, text: str, comm: MPI.Comm) -> None:
+    """Write a case if it can be solved (collective).
+
+    Raises:
+        InputError: If it cannot, or the file cannot be written.
+    """
+    from signorini_fenicsx.cases import inspection
+    from signorini_fenicsx.cases.case import case_of, seen_from_here
+
+    first = on_root(comm, lambda: case_of(seen_from_here(tomllib.loads(text), case.parent), case))
+    inspection.check(first, comm)
+    on_root(comm, lambda: case.write_text(text, encoding="utf-8"))

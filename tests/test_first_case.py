@@ -1,0 +1,116 @@
+"""First case files: what `init` writes passes `check` and can be solved, and so does what `cases --show` prints."""
+
+import io
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from commands import signorini
+from mpi4py import MPI
+
+from signorini_fenicsx import __version__
+from signorini_fenicsx.base.shipped import case_names, data_folder
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.first_case import words
+from signorini_fenicsx.cases.solving import solve_case
+
+FIRST = [
+    ("--on", "bottom=signorini", "--on", "left,right=neumann"),
+    ("--on", "bottom=friction", "--on", "left=wall", "--on", "right=regulator", "--on", "top=graph"),
+    ("--on", "bottom=two-sided", "--on", "left=seepage", "--on", "right=river"),
+    ("--shape", "slit", "--on", "slit=signorini", "--on", "left=neumann"),
+    ("--shape", "cube", "--on", "bottom=signorini", "--on", "left,right=neumann"),
+    ("--mesh", str(data_folder("meshes") / "dam.msh"), "--on", "face=seepage", "--on", "base,top=neumann"),
+    ("--physics", "elasticity", "--on", "bottom=friction", "--on", "left,right=neumann"),
+    ("--physics", "elasticity", "--on", "bottom=contact", "--on", "left=symmetry", "--on", "right,top=neumann"),
+    ("--physics", "elasticity", "--on", "bottom=wall", "--on", "left=two-sided", "--on", "right=regulator"),
+    ("--physics", "elasticity", "--on", "bottom=graph", "--on", "left=signorini"),
+    ("--physics", "elasticity", "--shape", "slit", "--on", "slit=contact", "--on", "left=neumann"),
+]
+
+
+@pytest.mark.parametrize("options", FIRST)
+def test_a_first_case_can_be_solved(tmp_path: Path, options: tuple[str, ...]):
+    """Also those with all laws that there are."""
+    done = signorini(tmp_path, "init", "mine.toml", *options)
+    assert (done.returncode, done.stderr) == (0, "")
+    case = load_case(tmp_path / "mine.toml")
+    assert solve_case(case if case.geometry.file else case.with_values({"solve.h": 0.5}), MPI.COMM_SELF).converged
+
+
+def test_every_condition_is_written_above():
+    for physics in ("diffusion", "elasticity"):
+        tried = [options for options in FIRST if ("elasticity" in options) == (physics == "elasticity")]
+        used = {entry.rpartition("=")[2] for options in tried for entry in options if "=" in entry}
+        assert used | {"dirichlet"} == set(words(physics))
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], "give a condition, such as --on left=signorini; the parts are left, right, bottom, top"),
+        (["--on", "bottom"], "must be PART=CONDITION"),
+        (["--on", "bottom=signorini", "--on", "bottom=wall"], "'bottom' has a condition already"),
+        (["--on", "botom=signorini"], "unknown part 'botom'"),
+        (["--on", "bottom=signorin"], "did you mean 'signorini'"),
+        (["--on", "bottom=contact"], "unknown condition 'contact'"),
+        (["--physics", "elastic", "--on", "bottom=contact"], "did you mean 'elasticity'"),
+        (["--shape", "sqare", "--on", "bottom=signorini"], "did you mean 'square'"),
+        (["--mesh", "none.msh", "--on", "bottom=signorini"], "no such file"),
+        (["--mesh", "none.msh", "--shape", "square"], "not both"),
+        (["--shape", "slit", "--on", "slit=neumann"], "is inside the domain"),
+        (["--on", "left=neumann"], "lists no part"),
+        (["--physics", "elasticity", "--on", "bottom=contact", "--on", "left,right,top=neumann"], "can move"),
+    ],
+)
+def test_what_cannot_be_written_is_told(folder: Path, options: list[str], message: str):
+    done = signorini(folder, "init", "mine.toml", *options)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not (folder / "mine.toml").exists()
+
+
+def test_a_file_is_not_replaced(tmp_path: Path):
+    (tmp_path / "mine.toml").write_text("mine")
+    done = signorini(tmp_path, "init", "mine.toml", "--on", "bottom=signorini")
+    assert (done.returncode, (tmp_path / "mine.toml").read_text()) == (2, "mine")
+    assert "must end in .toml" in signorini(tmp_path, "init", "mine", "--on", "bottom=signorini").stderr
+
+
+class Answers(io.StringIO):
+    """Someone at a terminal."""
+
+    def isatty(self) -> bool:
+        """Say so."""
+        return True
+
+
+def test_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The defaults are taken, a misspelt word is asked for again, and an end of answers writes nothing."""
+    monkeypatch.setattr(sys, "stdin", Answers("\n\n\nneumann\nsignorinu\nsignorini\n\n"))
+    done = signorini(tmp_path, "init")
+    assert done.returncode == 0, done.stderr
+    assert "did you mean 'signorini'?" in done.stdout
+    case = load_case(tmp_path / "my-case.toml")
+    assert (case.boundary.signorini, case.boundary.neumann) == (["bottom"], ["right"])
+    monkeypatch.setattr(sys, "stdin", Answers("square\n"))
+    assert "the answers ended; nothing is written" in signorini(tmp_path, "init", "other.toml").stderr
+
+
+def test_shipped_cases_are_printed(tmp_path: Path):
+    """What is printed is the case, wherever it is saved."""
+    for name in case_names():
+        shown = signorini(tmp_path, "cases", name, "--show").stdout
+        (tmp_path / f"{name}.toml").write_text(shown, encoding="utf-8")
+        assert load_case(tmp_path / f"{name}.toml") == load_case(name)
+        assert tomllib.loads(shown)["title"] == load_case(name).title
+    assert signorini(tmp_path, "cases", "dam").stdout.startswith("dam  dam.msh  Seepage")
+    for wrong, message in ((["--show"], "give the name of a case"), (["dma", "--show"], "did you mean 'dam'")):
+        done = signorini(tmp_path, "cases", *wrong)
+        assert (done.returncode, message in done.stderr) == (2, True)
+
+
+def test_the_version(tmp_path: Path):
+    assert signorini(tmp_path, "--version").stdout == f"signorini_fenicsx {__version__}\n"
