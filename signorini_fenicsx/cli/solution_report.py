@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from decimal import ROUND_CEILING, Context, Decimal
 from typing import TYPE_CHECKING
 
+from mpi4py import MPI
+
 from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
@@ -29,8 +31,9 @@ WHOLE_TABLE = {True: 20, False: 1000}
 class SolutionReport(CaseReport):
     """What `signorini solve` prints."""
 
-    def columns(self, case: CaseFile) -> None:
-        """Print the problem of the run, and name the columns of the iterations."""
+    def begin(self, case: CaseFile, comm: MPI.Comm) -> None:
+        """Print the heading of a case and its problem, and name the columns of the iterations."""
+        self.heading(case, comm)
         penalty = f", ε = {case.solve.eps:g}" if case.method.has_eps else ""
         self.line(f"{case.fineness}{penalty}")
         self._penalised = case.method.penalty is not None

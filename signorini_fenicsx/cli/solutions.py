@@ -87,7 +87,7 @@ def solve(
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
 
-    said = {"quiet": quiet, "verbose": verbose, "as_json": as_json}
+    said, pictures = {"quiet": quiet, "verbose": verbose, "as_json": as_json}, {"plot": plot, "html": html}
     comm, report = MPI.COMM_WORLD, SolutionReport(**said)
 
     def on_step(row: "Step") -> None:
@@ -107,17 +107,14 @@ def solve(
     if rigorous:
         on_root(comm, lambda: _check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
-        report.heading(problem, comm)
-        report.columns(problem)
-        with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
+        report.begin(problem, comm)
+        with failure_kept(folder, lambda state: write_solution(state, folder.path, **pictures)):
             start = None if start_from is None else load_solution(start_from, comm)
             solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
         certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
         found = quantities_of(solution)
-        write_solution(
-            solution, folder.path, certificate=certificate, proof=proof, quantities=found, plot=plot, html=html
-        )
+        write_solution(solution, folder.path, certificate=certificate, proof=proof, quantities=found, **pictures)
         folder.publish()
         report.solution(solution, certificate, proof, found)
         report.published(folder.target)
