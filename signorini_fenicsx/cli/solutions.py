@@ -87,7 +87,10 @@ def solve(
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
 
-    said, pictures = {"quiet": quiet, "verbose": verbose, "as_json": as_json}, {"plot": plot, "html": html}
+    said, write = (
+        {"quiet": quiet, "verbose": verbose, "as_json": as_json},
+        partial(write_solution, plot=plot, html=html),
+    )
     comm, report = MPI.COMM_WORLD, SolutionReport(**said)
 
     def on_step(row: "Step") -> None:
@@ -108,13 +111,13 @@ def solve(
         on_root(comm, lambda: _check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.begin(problem, comm)
-        with failure_kept(folder, lambda state: write_solution(state, folder.path, **pictures)):
+        with failure_kept(folder, lambda state: write(state, folder.path)):
             start = None if start_from is None else load_solution(start_from, comm)
             solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
         certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
         found = quantities_of(solution)
-        write_solution(solution, folder.path, certificate=certificate, proof=proof, quantities=found, **pictures)
+        write(solution, folder.path, certificate=certificate, proof=proof, quantities=found)
         folder.publish()
         report.solution(solution, certificate, proof, found)
         report.published(folder.target)
