@@ -87,11 +87,8 @@ def solve(
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
 
-    said, write = (
-        {"quiet": quiet, "verbose": verbose, "as_json": as_json},
-        partial(write_solution, plot=plot, html=html),
-    )
-    comm, report = MPI.COMM_WORLD, SolutionReport(**said)
+    said = {"quiet": quiet, "verbose": verbose, "as_json": as_json}
+    comm, report, write = MPI.COMM_WORLD, SolutionReport(**said), partial(write_solution, plot=plot, html=html)
 
     def on_step(row: "Step") -> None:
         report.step(row)
