@@ -17,7 +17,7 @@ COPY forms forms
 COPY signorini_fenicsx signorini_fenicsx
 COPY data data
 RUN python3 -m venv --system-site-packages /opt/signorini \
-    && /opt/signorini/bin/pip install --no-cache-dir . \
+    && /opt/signorini/bin/pip install --no-cache-dir '.[html,rigorous]' \
     && rm -rf build *.egg-info
 COPY scripts /opt/signorini/scripts
 ENV PATH=/opt/signorini/bin:$PATH OMP_NUM_THREADS=1 HOME=/tmp

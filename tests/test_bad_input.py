@@ -6,6 +6,8 @@ import pytest
 from commands import launched, signorini
 from mpi4py import MPI
 
+from signorini_fenicsx.base.extras import EXTRAS
+
 BAD_INPUT = [
     (["solve", "example7"], "unknown case 'example7'"),
     (["solve", "missing.toml"], "no such file"),
@@ -119,6 +121,16 @@ def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
     assert message in words
     assert len(words) < 1200
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("option", list(EXTRAS))
+def test_options_whose_package_is_missing(tmp_path: Path, monkeypatch, option: str):
+    """A small installation says what to install, before anything is solved."""
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    done = signorini(tmp_path, "solve", "example1", option)
+    assert done.returncode == 2
+    assert f"{option}: needs a package that is not installed; `pip install 'signorini_fenicsx[" in done.stderr
+    assert list(tmp_path.rglob("*")) == []
 
 
 @pytest.mark.parallel(2)

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.exchange import complete
+from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
@@ -140,14 +141,15 @@ def _is_in_time(
 
 
 def _refuse_lacking(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:
-    """Refuse options that there are not for a case or a solution.
+    """Refuse options that there are not for a case or a solution, or in a small installation.
 
     Raises:
         InputError: If one is given.
     """
-    for name, value in options.items():
-        if value and name in about.lacks:
+    for name in [name for name, value in options.items() if value]:
+        if name in about.lacks:
             raise InputError(f"{name}: there is no such option for {about.approach}")
+        check_installed(name)
 
 
 def _proof(solution: "Solved", certificate: "Certificate") -> "Proof":

@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
@@ -142,6 +143,7 @@ def overview(scene: Scene) -> Sheet:
 
 def write_page(path: Path, scene: Scene) -> None:
     """Write pictures that the mouse can turn, in one file for a browser (rank 0)."""
+    check_installed("--html")
     from signorini_fenicsx.output.pictures import page  # imports Plotly
 
     page.write_page(path, scene)
