@@ -54,7 +54,7 @@ def block(dim: int, n: int) -> Domain:
 
 
 def coarser(dim: int, n: int, factor: float) -> Domain:
-    """The same with cells larger by a factor, from which the sets are predicted."""
+    """The block with cells larger by a factor, from which the sets are predicted."""
     return block(dim, max(round(n / factor), 1))
 
 

@@ -111,7 +111,7 @@ def runs_of(item: Item, *, quick: bool) -> list[Run]:
 
 
 def coarser(run: Run) -> Run:
-    """The same run on coarse meshes."""
+    """The run on coarse meshes."""
     case, task = run.case.with_values({"solve.h": max(run.case.solve.h, QUICK_H)}), run.convergence
     if task is not None and task.vary is Vary.H:
         task = Convergence(vary=task.vary, levels=QUICK_LEVELS, reference=QUICK_REFERENCE)

@@ -62,5 +62,5 @@ def _encodable(text: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """As a string of TOML, which other than JSON knows no surrogates."""
+    """The text as a string of TOML, which other than JSON knows no surrogates."""
     return json.dumps(_encodable(text), ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -58,7 +58,7 @@ PETSC = (
     ),
     *("-pc_type lu -pc_factor_zeropivot 1e300", "-sub_pc_type nonsense", "-options_left", "-ksp_monitor", "-ksp_view"),
 )
-"""Those that ask PETSc for other files, a debugger or an abort are left out, because PETSc would obey."""
+"""PETSc options to try; none asks PETSc for other files, a debugger or an abort, because PETSc would obey."""
 OPTIONS = {
     **dict.fromkeys(["--h", "--rho", "--eps", "--theta", "--target"], SIZES),
     **dict.fromkeys(["--backend", "--algorithm", "--start-from"], WORDS),

@@ -51,7 +51,7 @@ class ElasticParts(PartsInside):
         return self
 
     def read(self) -> ElasticBoundary:
-        """The same for the solver.
+        """The boundary for the solver.
 
         Raises:
             InputError: If a component is unknown.

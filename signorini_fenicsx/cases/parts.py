@@ -130,7 +130,7 @@ class Boundary(PartsInside):
 
 
 class PartsWithLaws(Boundary):
-    """The same with the parts of each `[[law]]`."""
+    """`[boundary]` with the parts of each `[[law]]`."""
 
     laws: dict[str, list[str]] = Field(exclude=True)
 

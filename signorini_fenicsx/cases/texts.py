@@ -70,7 +70,7 @@ class Times(Section):
     steps: Annotated[Whole, within(1, 10**6)]
 
     def evolution(self) -> Evolution:
-        """The same for `evolve`."""
+        """The times for `evolve`."""
         return Evolution(**dict(self))
 
 

@@ -33,7 +33,7 @@ ROUNDING = 1e-9
 """If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding. The bound contains the share instead of L‖c‖/√κ or of a
 smaller ‖y − σ_h‖, which depend on the order of sums: the bound is the same on any number of ranks."""
 OF_SUMS = 1e-14
-"""The same share of the loads: where f − cu is 0, so are c and σ_h but for the rounding of this difference."""
+"""Share of the loads that is rounding: where f − cu is 0, so are c and σ_h but for the rounding of this difference."""
 CORRECTIONS = 4
 """Largest number of solves until c is rounding; one is enough unless the linear solver stops early."""
 
@@ -109,7 +109,7 @@ def _without_penalty(solution: Solution) -> tuple[fem.Function, fem.Function]:
 
 
 def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
-    """The same flux with y·n moved to its limits where it is beyond (collective)."""
+    """The flux y with y·n moved to its limits where it is beyond (collective)."""
     flux = spaces.normal_flux(y)
     allowed = np.clip(flux, *limits)
     beyond = flux != allowed

@@ -233,7 +233,7 @@ class Admissible:
 
     @classmethod
     def of(cls, solution: Solution, goal: Goal) -> Admissible:
-        """Those of a solution (collective)."""
+        """The admissible fields of a solution (collective)."""
         spaces, data = solution.spaces, solution.data
         comm = spaces.mesh.comm
         metric = cell_metric(spaces, data)

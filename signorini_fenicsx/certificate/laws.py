@@ -66,7 +66,7 @@ class LawPoints:
     law: Chains
 
     def extent(self) -> list[Array]:
-        """That of the law, in arrays of shape (facets, points)."""
+        """The smallest and largest u of the law, in arrays of shape (facets, points)."""
         return [end.reshape(self.points.shape) for end in self.law.extent()]
 
     def on(self, segment: Indices) -> tuple[Array, Array]:

@@ -47,7 +47,7 @@ class OnGammaS:
 
     @classmethod
     def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
-        """Those of a solution and a flux."""
+        """The terms on Γ_S for a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
         segment = law.segments(solution.outcome.conditions, solution.outcome.iterate.p)
         flux = spaces.normal_flux(y)

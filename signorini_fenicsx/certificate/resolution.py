@@ -66,7 +66,7 @@ class Seen:
     mean: Array
 
     def of(self, rows: AnyIndices | Mask) -> Seen:
-        """That on some of them."""
+        """What is seen of the data on some of the simplices."""
         return Seen(self.p.of(rows), self.norm[rows], self.mean[rows])
 
 
@@ -105,7 +105,7 @@ class Resolution:
 
     @cached_property
     def vertices(self) -> Array:
-        """Those of the owned cells, shape (cells, dim + 1, dim)."""
+        """The vertices of the owned cells, shape (cells, dim + 1, dim)."""
         return corners(self.spaces.mesh)
 
     def pieces(self, name: str, datum: Datum) -> list[tuple[Tree | Rows, Indices]]:

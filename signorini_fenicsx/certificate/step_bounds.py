@@ -51,7 +51,7 @@ class Continuous:
 
     @classmethod
     def of(cls, solution: Solution, certificate: Certificate) -> Continuous:
-        """That of a solution (collective)."""
+        """The continuous functions of a solution (collective)."""
         spaces, v = solution.spaces, certificate.v
         means = np.empty(len(certificate.coarse))
         for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), 2):

@@ -227,7 +227,7 @@ class Chains:
         return Chains.through(inside, flux, before, beyond)
 
     def take(self, sites: slice | np.ndarray) -> Chains:
-        """Those of some sites."""
+        """The chains of some sites."""
         return replace(self, p=self.p[sites], flux=self.flux[sites], slope=self.slope[sites], value=self.value[sites])
 
 

@@ -67,7 +67,7 @@ class SiteConditions:
 
     @classmethod
     def everywhere(cls, kind: Condition, sites: int, beta: float = 1.0) -> SiteConditions:
-        """The same condition on all sites of this rank."""
+        """One condition on all sites of this rank."""
         return cls(np.full(sites, kind, dtype=np.int8), beta)
 
     @property
@@ -76,7 +76,7 @@ class SiteConditions:
         return isinstance(self.value, np.ndarray)
 
     def take(self, sites: slice) -> SiteConditions:
-        """Those of some sites."""
+        """The conditions of some sites."""
         beta, value = (x[sites] if isinstance(x, np.ndarray) else x for x in (self.beta, self.value))
         return SiteConditions(self.kind[sites], beta, value)
 

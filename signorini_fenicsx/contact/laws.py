@@ -41,7 +41,7 @@ class Dirichlet(Law):
         return Graph(point, [point], np.inf, np.inf)
 
     def level_of(self, segment: int) -> str | None:
-        """The value."""
+        """The name of the value."""
         return "value"
 
 
@@ -86,7 +86,7 @@ class Signorini(Law):
         return Graph(corner, [corner], before=np.inf)
 
     def level_of(self, segment: int) -> str | None:
-        """ψ in contact."""
+        """The name of ψ, in contact."""
         return "psi" if segment == 0 else None
 
 
@@ -388,7 +388,7 @@ class Corners(Law):
         return Graph(corners[0], corners, before, beyond)
 
     def level_of(self, segment: int) -> str | None:
-        """That of the corner before it, or of the first."""
+        """The name of u at the corner before the segment, or at the first corner."""
         return f"corners.{max(segment - 1, 0)}.0"
 
 

@@ -72,7 +72,7 @@ class Segments:
         return cls(spaces, segment[:number], segment[number:] if more else None)
 
     def on(self, spaces: MeshSpaces) -> Indices:
-        """Those of the sites of another mesh of the domain: that at the midpoint of each (collective)."""
+        """The segments for the sites of another mesh of the domain: that at the midpoint of each (collective)."""
         if spaces is self.spaces:
             return self.segment if self.cells is None else np.append(self.segment, self.cells)
         found = np.empty(0, dtype=np.int64)

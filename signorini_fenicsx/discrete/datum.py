@@ -124,7 +124,7 @@ class _Text(Datum):
 
     @property
     def pieces(self) -> list[tuple[Tree | Rows, Mask | None]]:
-        """It itself, everywhere."""
+        """The datum itself, everywhere."""
         return [(self.trees, None)]
 
     def _values(self, points: Points) -> Array:
@@ -173,7 +173,7 @@ class _ByRegion(Datum):
 
     @property
     def pieces(self) -> list[tuple[Tree | Rows, Mask | None]] | None:
-        """Those of the regions; None if one has none."""
+        """The pieces of all regions; None if one has none."""
         found = [(inside, datum.pieces) for inside, datum in self.parts]
         if any(pieces is None for _, pieces in found):
             return None

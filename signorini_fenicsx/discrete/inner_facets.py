@@ -27,7 +27,7 @@ class InnerFacets:
 
 
 def inner_facets(domain: Domain, facets: npt.NDArray[np.int32], inner: Sequence[str]) -> InnerFacets:
-    """Those of the Γ_S facets of this rank that are on inner parts, each with the one that lies on it (collective).
+    """The Γ_S facets of this rank that are on inner parts, each with the one that lies on it (collective).
 
     Raises:
         InputError: If the two sides of an inner part do not consist of the same facets on each rank.

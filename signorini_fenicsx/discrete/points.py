@@ -37,7 +37,7 @@ ROUNDINGS = 16
 
 @dataclass(frozen=True)
 class Points(ABC):
-    """The same points in some cells or boundary facets of this rank.
+    """Points of the reference cell or facet, used in some cells or boundary facets of this rank.
 
     Attributes:
         mesh: The mesh.
@@ -63,7 +63,7 @@ class Points(ABC):
 
     @abstractmethod
     def among(self, cells: Mask) -> Self:
-        """Those that lie in some of the cells; `cells` is a mask."""
+        """The points that lie in some of the cells; `cells` is a mask."""
 
     def of_ufl(self, value: Expr) -> Array:
         """Values of UFL, shape (n, points, *its shape) (collective)."""
@@ -72,7 +72,7 @@ class Points(ABC):
 
     @abstractmethod
     def _of_ufl(self, value: Expr) -> Array:
-        """The same for what is not 0 (collective)."""
+        """The values of UFL that is not 0 (collective)."""
 
     @property
     def rows(self) -> Entities | slice:
@@ -145,7 +145,7 @@ class Points(ABC):
 
 @dataclass(frozen=True)
 class CellPoints(Points):
-    """The same points in some owned cells."""
+    """Points of the reference cell, used in some owned cells."""
 
     @property
     def vertices(self) -> Array:
@@ -164,7 +164,7 @@ class CellPoints(Points):
         return _barycentric(self.points)[None]
 
     def among(self, cells: Mask) -> Self:
-        """Those in some of the cells; `cells` is a mask."""
+        """The points in some of the cells; `cells` is a mask."""
         return replace(self, cells=self.cells[cells[self.cells]])
 
     def _of_ufl(self, value: Expr) -> Array:
@@ -175,7 +175,7 @@ class CellPoints(Points):
 
 @dataclass(frozen=True)
 class FacetPoints(Points):
-    """The same points in some boundary facets of this rank, which lie in owned cells.
+    """Points of the reference facet, used in some boundary facets of this rank, which lie in owned cells.
 
     Attributes:
         facets: Mesh facets.
@@ -254,7 +254,7 @@ class FacetPoints(Points):
 
 @dataclass(frozen=True)
 class BesideFacets(FacetPoints):
-    """The same points, moved by a small share of the way to the centroids of the cells, or, if it is < 0, away from it.
+    """Points of facets, moved by a small share of the way to the centroids of the cells, or away from it if it is < 0.
 
     At facets inside the domain this gives the values of a function on either side.
     """
@@ -274,7 +274,7 @@ class BesideFacets(FacetPoints):
 
     @classmethod
     def of(cls, points: FacetPoints, share: float) -> Self:
-        """Those beside some points."""
+        """The points beside some points of facets."""
         return cls(points.mesh, points.cells, points.points, points.weights, points.facets, points.local, share)
 
 
@@ -294,7 +294,7 @@ def from_inside(values: Callable[[FacetPoints], Array], points: FacetPoints) -> 
 
 
 def from_within(values: Callable[[FacetPoints], Array], points: FacetPoints) -> Array:
-    """The same as limits from inside the facets: data may jump where two facets meet (collective)."""
+    """The values as limits from inside the facets: data may jump where two facets meet (collective)."""
     at, dim = points.points, points.points.shape[1] + 1
     step = beside(points.mesh)
     moved = np.concatenate([at + share * (1 / dim - at) for share in (step, 2 * step)])
@@ -308,7 +308,7 @@ def _barycentric(points: Array) -> Array:
 
 
 def _on_mesh(mesh: dolfinx.mesh.Mesh, value: Expr) -> Expr:
-    """The same, for a number too, which knows no mesh."""
+    """The value as an expression that knows a mesh, which a number does not."""
     return fem.Constant(mesh, 1.0) * value
 
 

@@ -52,7 +52,7 @@ def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: 
 
 
 def slopes(tree: Tree, vertices: Array, frame: Frame, enough: Array) -> tuple[Array, Array]:
-    """The same for value and gradient, see `Remainder.slope`; the gradient is only as small as is enough."""
+    """Bounds of value and gradient, see `Remainder.slope`; the gradient is only as small as is enough."""
     found = np.full((2, len(vertices)), np.inf)
 
     def look(remainder: Remainder, rows: Indices) -> Mask:

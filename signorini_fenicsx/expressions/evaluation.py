@@ -179,7 +179,7 @@ def _summands(tree: Tree, sign: int) -> Iterator[tuple[int, Tree]]:
 
 
 def _product(left: list[tuple[float, Tree]], right: list[tuple[float, Tree]]) -> list[tuple[float, Tree]] | None:
-    """That of two sums, if one of them is a number, or both have one term."""
+    """The product of two sums, if one of them is a number, or both have one term."""
     for sums, others in ((left, right), (right, left)):
         (factor, term), *more = sums
         if not more and term == exactly(1.0):

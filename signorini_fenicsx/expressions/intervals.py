@@ -129,7 +129,7 @@ class Interval:
         return Interval(np.array(np.broadcast_to(self.lo, shape)), np.array(np.broadcast_to(self.hi, shape)))
 
     def where(self, mask: Mask, other: Interval) -> Interval:
-        """This interval where the mask is True, the other one elsewhere."""
+        """The interval itself where the mask is True, the other one elsewhere."""
         return Interval(np.where(mask, self.lo, other.lo), np.where(mask, self.hi, other.hi))
 
 

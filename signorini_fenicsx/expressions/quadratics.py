@@ -29,7 +29,7 @@ class Quadratic:
     hessian: Array
 
     def of(self, rows: AnyIndices | Mask) -> Quadratic:
-        """That of some of the simplices."""
+        """The quadratic functions on some of the simplices."""
         return Quadratic(self.value[rows], self.gradient[rows], self.hessian[rows])
 
     def at(self, arms: Array) -> Array:

@@ -208,7 +208,7 @@ class Remainder:
 
     @classmethod
     def of(cls, series: Series, half: Array, rows: Indices | slice, reach: Array) -> Remainder:
-        """That on simplices in these rows of regions with these half widths."""
+        """The remainder on simplices in these rows of regions with these half widths."""
 
         def taken(values: Array) -> Array:
             return np.broadcast_to(values, (*values.shape[:-1], half.shape[1]))[..., rows]

@@ -44,7 +44,7 @@ class Parts:
         return Parts(self.vertices[which], self.own[which], self.share[which])
 
     def and_(self, other: Parts) -> Parts:
-        """These parts and others."""
+        """The parts of both."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("vertices", "own", "share")]
         return Parts(*(np.concatenate(pair) for pair in pairs))
 

@@ -38,7 +38,7 @@ from signorini_fenicsx.expressions.tree import Number, Tree, evaluate
 NEAR = 1e-12
 """A mesh fits a discontinuity of the data up to this distance, relative to the size of the domain."""
 ROUNDING = 8 * 2.0**-52
-"""The same relative to the coordinates."""
+"""Distance from a discontinuity that is rounding, relative to the coordinates."""
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ class FacetSolver[Levels](LinearSolver):
             super().solve(b, x)
 
     def name(self) -> str:
-        """That of the solver in use, and why if it took the place of CG."""
+        """The name of the solver in use, and why if it took the place of CG."""
         return super().name() + self._remark
 
 

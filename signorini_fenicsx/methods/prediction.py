@@ -164,7 +164,7 @@ class Prediction:
         return conditions, iterate
 
     def start(self, spaces: MeshSpaces, chains: Chains, earlier: Segments | None) -> SiteConditions:
-        """Those of another mesh, or the algorithm's own start (collective)."""
+        """The first conditions: from the segments of another mesh, or the algorithm's own start (collective)."""
         law = self.law(chains)
         if earlier is not None:
             return self.transferred(earlier, spaces, law)

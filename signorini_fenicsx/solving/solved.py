@@ -50,7 +50,7 @@ class InContact(NamedTuple):
     measure: float
 
     def __call__(self) -> InContact:
-        """This itself, with a warning: version 0.4 had a method."""
+        """The contact itself, with a warning: version 0.4 had a method."""
         warnings.warn("solution.contact() is solution.contact now", DeprecationWarning, stacklevel=2)
         return self
 
@@ -197,7 +197,7 @@ class Solved(ABC):
         return certify(self, for_signorini=for_signorini)
 
     def of_problem(self, problem: Any) -> Self:
-        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         raise InputError(f"solutions of {self.physics} have no derivatives")
 
     def linearised(self, tolerance: float) -> Any:

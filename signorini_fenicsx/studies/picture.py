@@ -25,7 +25,7 @@ SHOWN = {
 }
 """Results that are drawn, where runs have them."""
 ERRORS = {"sigma_V": "error of σ in V", "energy": "error of σ", "u_Q": "error of u", "u_L2": "error of u"}
-"""Those of runs that measure errors; then they are drawn over h or ε."""
+"""Results of runs that measure errors; then they are drawn over h or ε."""
 MOST_PANELS, MOST_CURVES = 3, 12
 SPREAD = 8
 """Numbers are on a logarithmic axis if the largest is this many times the smallest."""

@@ -178,7 +178,7 @@ def _pressure(scene: Scene) -> Sheet:
 
 
 def without_rounding(values: Array) -> Array:
-    """The same with 0 for what is rounding beside the largest; else it fills the panel of a part without contact."""
+    """The values with 0 for what is rounding beside the largest; else it fills the panel of a part without contact."""
     return np.where(np.abs(values) > TIE * np.abs(values).max(initial=0.0), values, 0.0)
 
 

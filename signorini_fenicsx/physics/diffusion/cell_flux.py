@@ -44,7 +44,7 @@ class CellFlux:
 
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
-        """That of a function with up-to-date ghost values (collective)."""
+        """The flux on cells of a function with up-to-date ghost values (collective)."""
         mesh, dofs = spaces.mesh, spaces.V.dofmap.list
         outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
         dim, cells = mesh.topology.dim, len(dofs)

@@ -128,7 +128,7 @@ class FacetBackend(ABC):
         return np.vstack([np.insert(rows, 0, kind, axis=1) for kind, rows in enumerate(sums)])
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """Those of the facets: they are in the mixed spaces already."""
+        """The iterate and its conditions on the facets alone; σ and u are in the mixed spaces already."""
         of_facets = replace(iterate, p=iterate.p[self.facets], flux=iterate.flux[self.facets])
         return of_facets, conditions.take(self.facets)
 

@@ -36,7 +36,7 @@ class Lines:
 
     @classmethod
     def of(cls, spaces: Spaces, part: PartLaw, segment: Indices, penalty: tuple[Penalty | None, float]) -> Lines:
-        """Those of the segments that the sites of a law are on (collective)."""
+        """The lines of the segments that the sites of a law are on (collective)."""
         means = means_of(spaces, part)
         kind, eps = penalty
         graph = part.law.falling(means)

@@ -93,7 +93,7 @@ class Jumps:
 
     @classmethod
     def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps | None:
-        """Those of a space of linear or quadratic functions; None without facets inside the domain (collective)."""
+        """The jumps of a space of linear or quadratic functions; None without facets inside the domain (collective)."""
         if not spaces.inner.present:
             return None
         numbers, inner = space.dofmap.index_map, spaces.inner

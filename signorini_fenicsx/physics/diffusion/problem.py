@@ -128,7 +128,7 @@ class Problem:
         return replace(self, **data, laws=tuple(law.with_data(lambda _, given: at_time(given, t)) for law in self.laws))
 
     def in_time(self, dim: int) -> "Problem":
-        """The same problem, with numbers and texts read as trees that may have t in them, also those of the laws.
+        """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
 
         Raises:
             InputError: If a text cannot be read.
@@ -138,7 +138,7 @@ class Problem:
         return replace(self._read(names), laws=laws)
 
     def parsed(self, dim: int) -> "Problem":
-        """The same problem, with numbers and texts read as trees, but not those of the laws.
+        """The problem, with numbers and texts read as trees, but not those of the laws.
 
         Raises:
             InputError: If a text cannot be read.
@@ -146,7 +146,7 @@ class Problem:
         return self._read("xyz"[:dim])
 
     def _read(self, names: str) -> "Problem":
-        """The same with the data but those of the laws as trees in these variables."""
+        """The problem with all data but those of the laws as trees in these variables."""
         data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
         return replace(self, **{name: parsed(given, names, _place(name)) for name, given in data.items()})
 

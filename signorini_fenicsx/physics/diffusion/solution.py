@@ -127,7 +127,7 @@ class Solution(Solved):
     differences = differences
 
     def of_problem(self, problem: Problem) -> Self:
-        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         return replace(self, problem=problem, data=project_data(self.spaces, problem).after(self.data.memory))
 
     def linearised(self, tolerance: float) -> Any:
@@ -166,7 +166,7 @@ class Solution(Solved):
 
     @cached_property
     def _norms(self) -> dict[str, float]:
-        """Those of `norms` (collective when first used)."""
+        """The norms that `norms` copies (collective when first used)."""
         spaces, flux = self.spaces, self.cell_flux
         p, flux_n = self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma)
         squares = [

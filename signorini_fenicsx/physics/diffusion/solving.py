@@ -202,7 +202,7 @@ def _new_backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterat
 
 
 def _coarser(remesh: Remesh, boundary: Boundary, problem: Problem, tuning: Tuning, factor: float) -> Any:
-    """The same problem on a coarser mesh, see `methods.task.Coarser` (collective)."""
+    """The problem on a coarser mesh, see `methods.task.Coarser` (collective)."""
     spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann, boundary.inner)
     data = project_data(spaces, replace(problem, exact=None))
     return spaces, lambda multigrid: HybridBackend(spaces, data, tuning=tuning, multigrid=multigrid, prefix="coarse_")

@@ -30,7 +30,7 @@ class Sources:
     moments: Array
 
     def renewed(self, data: Data) -> Sources:
-        """Those for another f_h, with the same κ_h and c_h."""
+        """The sources for another f_h, with the same κ_h and c_h."""
         if self.s is None or data.c_h is None:
             return replace(self, b=data.f_h)
         b = fem.Function(self.b.function_space)

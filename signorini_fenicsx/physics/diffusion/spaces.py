@@ -106,7 +106,7 @@ class Spaces(MeshSpaces):
 
     @cached_property
     def broken_crouzeix_raviart(self) -> fem.FunctionSpace:
-        """The same without continuity: each cell has an unknown of its own for each of its facets."""
+        """Crouzeix-Raviart's space without continuity: each cell has an unknown of its own for each of its facets."""
         return fenicsx.function_space(self.mesh, basix.ufl.element("CR", self.mesh.basix_cell(), 1, discontinuous=True))
 
     @cached_property

@@ -363,7 +363,7 @@ class ElasticBackend:
         return np.column_stack([places, np.arange(self.sites) >= len(self.spaces.sites)])
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """As they are: σ in the Johnson-Mercier space, u linear on each cell, and conditions per facet vertex."""
+        """The iterate and its conditions: σ is in the Johnson-Mercier space and u linear on each cell already."""
         return iterate, conditions
 
     def _extent(self, *values: Array) -> tuple[float, float]:

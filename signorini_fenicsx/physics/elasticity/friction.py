@@ -57,7 +57,7 @@ class FrictionBounds:
         return self.with_bounds(self.mu * np.maximum(pressure, 0.0))
 
     def with_bounds(self, bound: Array) -> FrictionBounds:
-        """These bounds where they are by the pressure, shape (facets, 2)."""
+        """The friction with new bounds where they are by the pressure, shape (facets, 2)."""
         return replace(self, bound=np.where(self.coulomb[:, None], bound, self.bound))
 
     def moved(self, step: Array) -> FrictionBounds:

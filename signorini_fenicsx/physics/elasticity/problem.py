@@ -248,7 +248,7 @@ class ElasticProblem:
             raise InputError(f"laws: part '{twice[0]}' has two laws")
 
     def in_time(self, dim: int) -> ElasticProblem:
-        """The same problem, with numbers and texts read as trees that may have t in them, also those of the laws.
+        """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
 
         Raises:
             InputError: If a text cannot be read.
@@ -343,7 +343,7 @@ class ElasticBoundary:
                 raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")
 
     def touching_on(self, parts: Sequence[str]) -> ElasticBoundary:
-        """The same with these parts in Γ_C as well; they may be there already."""
+        """The boundary with these parts in Γ_C as well; they may be there already."""
         return replace(self, contact=[*self.contact, *(part for part in parts if part not in self.contact)])
 
     @property

@@ -54,7 +54,7 @@ class SplitMesh:
         return self.function(self.stresses, values, name)
 
     def function(self, space: fem.FunctionSpace, values: Array, name: str) -> fem.Function:
-        """The same in another space of discontinuous linear functions on it, shape (cells, d + 1, d + 1, …)."""
+        """The linear function with these values at the vertices of the subcells, shape (cells, d + 1, d + 1, …)."""
         function = fem.Function(space, name=name)
         self.set_values(function, values)
         return function
