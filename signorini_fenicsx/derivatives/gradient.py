@@ -21,6 +21,7 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.derivatives.controls import Control, check_control, gradient_of, occurs, sum_of, varied
 from signorini_fenicsx.derivatives.paths import with_constants
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.seen import parts_of
 from signorini_fenicsx.meshes.sampling import at_points
 
 BIACTIVE = 1e-8
@@ -64,13 +65,13 @@ class Change:
     Attributes:
         sigma: That of σ.
         u: That of u.
-        p: That of p.
+        p: That of p; None in elasticity.
         spaces: The discrete spaces.
     """
 
     sigma: fem.Function
     u: fem.Function
-    p: fem.Function
+    p: fem.Function | None
     spaces: MeshSpaces
 
     def at(self, points: npt.ArrayLike) -> tuple[Array, Array]:
@@ -114,11 +115,11 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control | str], toleranc
         warnings.warn(NotDifferentiable(places, tolerance), stacklevel=3)
     sensitivities = problem.adjoint(J)
     of_data = sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
-    whole = J + of_data
+    whole, value = J + of_data, sum(spaces.integrate(part) for part in parts_of(J))
     for number, control in enumerate(constants):
         if not occurs(control, whole):
             raise InputError(f"controls: number {number + 1} is in no datum of the problem that was solved")
-    return Gradient(spaces.integrate(J), [gradient_of(spaces, whole, control) for control in constants])
+    return Gradient(value, [gradient_of(spaces, whole, control) for control in constants])
 
 
 def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance: float = BIACTIVE) -> Change:
