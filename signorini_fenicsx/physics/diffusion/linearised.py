@@ -188,8 +188,13 @@ class Linearised:
         jumps = self._jumps(flux) + traces.x.array[space.dofmap.list]
         return Loads(jumps, source + np.zeros_like(u), np.zeros_like(u), forces)
 
-    def adjoint(self, J: Form) -> dict[str, Array]:
-        """The derivatives of J by all numbers that are seen, but for where the data stand in J itself (collective)."""
+    def adjoint(self, J: Form, more: Array | float = 0.0) -> dict[str, Array]:
+        """The derivatives by all numbers that are seen, but for where the data stand in J itself (collective).
+
+        Args:
+            J: What is differentiated,
+            more: and something whose derivative by u of each cell this is.
+        """
         spaces, data, u = self._spaces, self._data, self._solution.u.x.array
         p = self._solution.p.x.array[: len(spaces.facets)]
         flux, by_u, by_p = (
@@ -199,7 +204,7 @@ class Linearised:
         on_gamma, on_neumann = (
             cells_and_dofs(spaces.crouzeix_raviart, facets)[1] for facets in (spaces.facets, spaces.neumann_facets)
         )
-        on_p, on_u = by_p.x.array[: len(p)], by_u.x.array
+        on_p, on_u = by_p.x.array[: len(p)], by_u.x.array + more
         forces = np.zeros(spaces.crouzeix_raviart.dofmap.index_map.size_local)
         forces[on_gamma] = -on_p
         volumes, none = spaces.cell_measures, np.zeros_like(u)

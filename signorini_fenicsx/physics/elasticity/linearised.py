@@ -180,7 +180,7 @@ class Linearised:
         found[self._data.fixed] = found[self._sites[self._held]] = True
         return found
 
-    def adjoint(self, J: Form) -> dict[str, Array]:
+    def adjoint(self, J: Form, _more: float = 0.0) -> dict[str, Array]:
         """The derivatives of J by all that is seen, but for where the data stand in J itself (collective)."""
         spaces, data, size = self._spaces, self._data, len(self._backend.system.load)
         by_sigma, by_u = (derivative_by(each, J, ()) for each in (self._solution.sigma, self._solution.u))
