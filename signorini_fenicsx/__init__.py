@@ -16,6 +16,8 @@ Solving it:
 - `evolve(domain, problem, evolution)`, with an `Evolution`, and `evolve_case(case)` solve problems in time, one
   `Instant` after another; `StepBounds` bounds the error of each step;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
+- `Solution.gradient` gives a `Gradient` by the data and `Solution.derivative` a `Change`, `gradient_in_time` goes back
+  through steps; where there is no gradient they warn with `NotDifferentiable`;
 - `compare` compares two solutions;
 - `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
 - `collect_garbage` is for programs on several ranks that solve often.

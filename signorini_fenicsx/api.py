@@ -87,6 +87,7 @@ from signorini_fenicsx.contact.laws import (
     TwoSided,
     Wall,
 )
+from signorini_fenicsx.derivatives.gradient import Change, Gradient, NotDifferentiable, gradient_in_time
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.old_names import taking_old_calls
@@ -107,6 +108,7 @@ solve = taking_old_calls(solve_problem)
 Solver.__init__ = taking_old_calls(Solver.__init__)  # type: ignore[method-assign]
 
 __all__ = [
+    "Change",
     "Contact",
     "Corners",
     "Coulomb",
@@ -116,9 +118,11 @@ __all__ = [
     "Elasticity",
     "Evolution",
     "Friction",
+    "Gradient",
     "InputError",
     "Instant",
     "Neumann",
+    "NotDifferentiable",
     "NumericalFailure",
     "Obstacle",
     "Options",
@@ -143,6 +147,7 @@ __all__ = [
     "domain_of",
     "evolve",
     "evolve_case",
+    "gradient_in_time",
     "load_case",
     "load_solution",
     "solve",

@@ -144,6 +144,25 @@ class Chains:
         of_flux = (flux[:, None] + slope * p[:, None] - self.value) / (1 + slope / unit[:, None])
         return np.where(vertical, of_trace, of_flux)
 
+    def beside(self, present: Indices, p: Array, flux: Array, scales: tuple[Array, Array], tolerance: float) -> Indices:
+        """Which way the next segment is of sites on one that are on a corner as well: −1 or 1, and 0 at other sites.
+
+        Args:
+            present: The segment that each site is on.
+            p: Its trace.
+            flux: Its σ·n.
+            scales: Sizes > 0 of both.
+            tolerance: What is less than this share of them is 0.
+        """
+        near = np.abs(self.residuals(p, flux, scales[1] / scales[0])) <= tolerance * scales[1][:, None]
+        near &= np.arange(self.corners + 1) <= self.count[:, None]
+        found = np.zeros_like(present)
+        for step in (-1, 1):
+            other = np.clip(present + step, 0, self.corners)
+            same = [_chosen(values, other) == _chosen(values, present) for values in (self.slope, self.value)]
+            found[_chosen(near, other) & ~(same[0] & same[1])] = step
+        return found
+
     def extent(self) -> tuple[Array, Array, Array, Array]:
         """The least and the largest p and the least and the largest σ·n of each chain, infinite ones among them."""
         last = self.count - 1

@@ -15,6 +15,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, assembled
+from signorini_fenicsx.discrete.seen import parts_of
 
 type Control = fem.Constant | fem.Function
 
@@ -45,13 +46,15 @@ def varied(form: Form, control: Control, direction: Any) -> Form:
 
 def gradient_of(spaces: MeshSpaces, form: Form, control: Control) -> float | Array:
     """The derivative of a form by a control: for a function by each of its owned coefficients (collective)."""
+    forms = [part for part in parts_of(form) if occurs(control, part)]
     if isinstance(control, fem.Constant):
-        return spaces.integrate(_by_constant(form, control)) if occurs(control, form) else 0.0
+        return sum(spaces.integrate(_by_constant(part, control)) for part in forms)
     space = control.function_space
-    size = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
-    if not occurs(control, form):
-        return np.zeros(size)
-    return assembled(ufl.derivative(form, control, ufl.TestFunction(space)), [spaces.entity_map])[:size]
+    found = np.zeros(space.dofmap.index_map.size_local * space.dofmap.index_map_bs)
+    for part in forms:
+        by_control = ufl.derivative(part, control, ufl.TestFunction(space))
+        found += assembled(by_control, spaces.entity_maps)[: len(found)]
+    return found
 
 
 def _by_constant(form: Form, control: fem.Constant) -> Form:

@@ -6,7 +6,7 @@ They are those of the discrete problem: the program solves no other, so a Taylor
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,7 +21,9 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.derivatives.controls import Control, check_control, gradient_of, occurs, sum_of, varied
 from signorini_fenicsx.derivatives.paths import with_constants
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.seen import parts_of
 from signorini_fenicsx.meshes.sampling import at_points
+from signorini_fenicsx.solving.evolving import Instant
 
 BIACTIVE = 1e-8
 """Sites that are on a corner of their law but for this share of the sizes of p and σ·n are biactive."""
@@ -64,13 +66,13 @@ class Change:
     Attributes:
         sigma: That of σ.
         u: That of u.
-        p: That of p.
+        p: That of p; None in elasticity.
         spaces: The discrete spaces.
     """
 
     sigma: fem.Function
     u: fem.Function
-    p: fem.Function
+    p: fem.Function | None
     spaces: MeshSpaces
 
     def at(self, points: npt.ArrayLike) -> tuple[Array, Array]:
@@ -101,8 +103,57 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control | str], toleranc
         tolerance: Which sites are biactive.
 
     Raises:
-        InputError: If a control is none, or in neither; if the solution has no derivatives.
+        InputError: If a control is none, or in neither; if the solution has no derivatives, or is a step in time.
         LinearSolveFailure: If the linear solver does not converge.
+    """
+    _refuse_steps(solution)
+    return _of_step(solution, J, controls, tolerance)[0]
+
+
+def gradient_in_time(
+    instants: Sequence[Instant],
+    J: Callable[[Instant], Form],
+    controls: Sequence[Control | str],
+    tolerance: float = BIACTIVE,
+) -> Gradient:
+    """The value of a functional of all steps in time and its derivatives by controls, step by step backwards.
+
+    It costs one linear solve, and a factorisation, for each step (collective).
+
+    Args:
+        instants: All steps from the first one, as `evolve` gives them.
+        J: For each step integrals in its solution and in controls; J is their sum.
+        controls: As in `gradient`; they are the same at all times, and not in the initial values.
+        tolerance: Which sites are biactive.
+
+    Raises:
+        InputError: If a control is none, or in no datum; if there are laws of storage, or friction of elastic bodies.
+        LinearSolveFailure: If the linear solver does not converge.
+    """
+    if [instant.step for instant in instants] != list(range(1, len(instants) + 1)):
+        raise InputError("instants: must be all steps from the first one")
+    sums: list[float | Array] = [0.0 for _ in controls]
+    value, later = 0.0, dict[int, Any]()
+    for instant in reversed(instants):
+        of_step, by_memory = _of_step(instant.solution, J(instant), controls, tolerance, later.pop(instant.step, 0.0))
+        value += of_step.value
+        sums = [whole + part for whole, part in zip(sums, of_step.gradients, strict=True)]
+        for step, by_u in instant.steps.by_earlier(instant.step, by_memory):
+            later[step] = later.get(step, 0.0) + by_u
+    return Gradient(value, sums)
+
+
+def _of_step(
+    solution: Any, J: Form, controls: Sequence[Control | str], tolerance: float, by_u: Array | float = 0.0
+) -> tuple[Gradient, Mapping[str, Array]]:
+    """The gradient for given memory, and the derivatives by all that the discrete problem sees (collective).
+
+    Args:
+        solution: The solution.
+        J: The functional.
+        controls: The controls.
+        tolerance: Which sites are biactive.
+        by_u: The derivative of what comes later by u of each cell.
     """
     solution, constants = with_constants(solution, controls)
     for control in constants:
@@ -111,14 +162,24 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control | str], toleranc
     comm = spaces.mesh.comm
     places = np.concatenate(comm.allgather(problem.places()))
     if len(places) > 0 and comm.rank == 0:
-        warnings.warn(NotDifferentiable(places, tolerance), stacklevel=3)
-    sensitivities = problem.adjoint(J)
+        warnings.warn(NotDifferentiable(places, tolerance), stacklevel=4)
+    sensitivities = problem.adjoint(J, by_u)
     of_data = sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
-    whole = J + of_data
+    whole, value = J + of_data, sum(spaces.integrate(part) for part in parts_of(J))
     for number, control in enumerate(constants):
         if not occurs(control, whole):
             raise InputError(f"controls: number {number + 1} is in no datum of the problem that was solved")
-    return Gradient(spaces.integrate(J), [gradient_of(spaces, whole, control) for control in constants])
+    return Gradient(value, [gradient_of(spaces, whole, control) for control in constants]), sensitivities
+
+
+def _refuse_steps(solution: Any) -> None:
+    """Refuse a step of a problem in time, which depends on controls by the steps before as well.
+
+    Raises:
+        InputError: If it is one.
+    """
+    if solution.step is not None:
+        raise InputError(f"{solution.name}: step {solution.step} of a problem in time; use gradient_in_time")
 
 
 def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance: float = BIACTIVE) -> Change:
@@ -133,10 +194,11 @@ def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance:
         tolerance: Which sites are biactive.
 
     Raises:
-        InputError: If a control is none, or in no datum; if the solution has no derivatives.
+        InputError: If a control is none, or in no datum; if the solution has no derivatives, or is a step in time.
         LinearSolveFailure: If the linear solver does not converge.
         NumericalFailure: If the sets of biactive sites do not settle.
     """
+    _refuse_steps(solution)
     solution, controls = with_constants(solution, direction)
     for control in controls:
         check_control(control)

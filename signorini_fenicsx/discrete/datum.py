@@ -90,6 +90,10 @@ class Datum:
     def _gradients(self, points: Points) -> Array:
         return points.of_ufl(ufl.grad(self.ufl))
 
+    def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
+        """Which of these facets have one datum, and that datum."""
+        return [(np.ones(len(facets), dtype=bool), self)]
+
     def less(self, constant: float) -> Datum:
         """A scalar less a number."""
         return _Less(self.ufl - constant, self, constant)
@@ -231,6 +235,13 @@ class _OnParts(Datum):
         for inside, there, datum in self._on(points):
             found[inside] = datum.jet(there, gradient=True)[:, :, 1:]
         return found
+
+    def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
+        """Those of the parts."""
+        last = np.full(len(facets), -1)
+        for number, (part, _) in enumerate(self.parts):
+            last[np.isin(facets, part)] = number
+        return [(last == number, datum) for number, (_, datum) in enumerate(self.parts)]
 
     def _on(self, points: Points) -> Iterator[tuple[Mask, FacetPoints, Datum]]:
         assert isinstance(points, FacetPoints)

@@ -105,6 +105,19 @@ class MeshSpaces:
         return fenicsx.function_space(self.mesh, ("CR", 1))
 
     @cached_property
+    def on_boundary(self) -> tuple[fem.FunctionSpace, dolfinx.mesh.EntityMap]:
+        """Linear functions on each boundary facet, and the map from their mesh (collective when first used)."""
+        dim, topology = self.mesh.topology.dim, self.mesh.topology
+        facets = dolfinx.mesh.exterior_facet_indices(topology)
+        boundary, entity_map = fenicsx.submesh(self.mesh, dim - 1, facets)
+        return fenicsx.function_space(boundary, ("DG", 1)), entity_map
+
+    @property
+    def entity_maps(self) -> list[dolfinx.mesh.EntityMap]:
+        """The maps that forms need from other meshes."""
+        return [self.entity_map, *([self.on_boundary[1]] if "on_boundary" in vars(self) else [])]
+
+    @cached_property
     def cell_measures(self) -> Array:
         """|T| of the owned cells; there are no ghosts."""
         return assembled(fem.Constant(self.mesh, 1.0) * ufl.TestFunction(self.Q) * ufl.dx)
@@ -137,7 +150,7 @@ class MeshSpaces:
     @collector_off()
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:
         """Compile a form that may contain functions of Λ_h (collective)."""
-        return fenicsx.form(ufl_form, entity_maps=[self.entity_map])
+        return fenicsx.form(ufl_form, entity_maps=self.entity_maps)
 
     @collector_off()
     def integrate(self, form: ufl.Form | fem.Form) -> float:

@@ -7,9 +7,11 @@ by what is in d is that of the form with v = Σ (S/number) times a basis functio
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -33,17 +35,21 @@ class Seen:
         space: That of v.
         dofs: The basis function of each number; all are owned.
         scale: What the integral is divided by, one value each.
+        entity_maps: From other meshes that the form needs.
     """
 
     form: Callable[[Expr], Form]
     space: fem.FunctionSpace
     dofs: npt.NDArray[np.int32]
     scale: Array
+    entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()
 
     def changes(self, vary: Vary) -> Array:
         """How the numbers change with the datum (collective)."""
         form = vary(self.form(ufl.TestFunction(self.space)))
-        return assembled(form)[self.dofs] / self.scale if form.integrals() else np.zeros(len(self.dofs))
+        if not form.integrals():
+            return np.zeros(len(self.dofs))
+        return assembled(form, self.entity_maps)[self.dofs] / self.scale
 
     def weighted(self, by: Array) -> Form:
         """The sum of the numbers of all ranks, each times one of these, as a form (collective)."""
@@ -51,3 +57,22 @@ class Seen:
         v.x.array[self.dofs] = by / self.scale
         v.x.scatter_forward()
         return self.form(v)
+
+
+def parts_of(form: Form) -> list[Form]:
+    """A form as parts that DOLFINx compiles: on one mesh, as a stress has its own, and with one set of subdomains."""
+    kinds: dict[tuple[Any, int], list[Any]] = {}
+    for integral in form.integrals():
+        kinds.setdefault((integral.ufl_domain(), id(integral.subdomain_data())), []).append(integral)
+    return [Form(integrals) for integrals in kinds.values()]
+
+
+def derivative_by(function: fem.Function, form: Form, entity_maps: Sequence[dolfinx.mesh.EntityMap]) -> fem.Function:
+    """The derivative of a form by each coefficient of a function, as coefficients, ghosts updated (collective)."""
+    found = fem.Function(function.function_space)
+    for part in parts_of(form):
+        if any(function is other for other in part.coefficients()):
+            by_function = ufl.derivative(part, function, ufl.TestFunction(function.function_space))
+            found.x.array[:] += assembled(by_function, entity_maps)
+    found.x.scatter_forward()
+    return found

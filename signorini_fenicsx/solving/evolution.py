@@ -112,3 +112,14 @@ class Steps(Protocol):
             step: The step.
             kept: Gives the rows of this rank that were kept of a step, by their name.
         """
+
+    def by_earlier(self, step: int, by: Mapping[str, npt.NDArray]) -> Sequence[tuple[int, npt.NDArray]]:
+        """The derivatives by u of earlier steps, with their numbers, of what a step takes from them.
+
+        Args:
+            step: The step.
+            by: The derivatives by what the problem of the step sees of its data.
+
+        Raises:
+            InputError: If something else than u is taken from earlier steps.
+        """

@@ -168,6 +168,17 @@ class DiffusionSteps:
             memory.x.array[:] += weight * content.x.array
         return memory
 
+    def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
+        """The derivatives by u of earlier steps, see `solving.evolution.Steps`.
+
+        Raises:
+            InputError: If there are laws of storage.
+        """
+        if self.storage:
+            raise InputError("derivatives in time: there are none with laws of storage")
+        weights = enumerate(self.weights(step), 1)
+        return [(step - back, weight * self.capacity * by["f"]) for back, weight in weights if step > back]
+
     def _means(self, key: str, datum: Datum) -> Array:
         means = cell_means(self.spaces, datum)
         check_means(f"[time] {key}", "in the domain", means, self.spaces)

@@ -36,7 +36,7 @@ from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.discrete.part_laws import PartLaw, means_of
-from signorini_fenicsx.discrete.seen import Seen
+from signorini_fenicsx.discrete.seen import Seen, derivative_by
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.physics.diffusion.facet_system import Loads
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
@@ -105,20 +105,13 @@ class Linearised:
 
     def _segments_beside(self, tolerance: float) -> Indices:
         """Which way the other segment is of each site that is on a corner; 0 at other sites (collective)."""
-        iterate, law, present = self._solution.outcome.iterate, self._law, self._segment
+        iterate = self._solution.outcome.iterate
         p, flux = iterate.p, iterate.flux
         if self._data.inside is not None:
             p = np.append(p, self._solution.u.x.array - self._data.inside.means)
             flux = np.append(flux, self._solution.force().x.array)
         of_p, of_flux = (np.where(scale > 0, scale, 1.0) for scale in self._backend.scales(iterate))
-        near = np.abs(law.residuals(p, flux, of_flux / of_p)) <= tolerance * of_flux[:, None]
-        near &= np.arange(law.corners + 1) <= law.count[:, None]
-        sites, found = np.arange(len(present)), np.zeros_like(present)
-        for step in (-1, 1):
-            other = np.clip(present + step, 0, law.corners)
-            same = [values[sites, other] == values[sites, present] for values in (law.slope, law.value)]
-            found[near[sites, other] & ~(same[0] & same[1])] = step
-        return found
+        return self._law.beside(self._segment, p, flux, (of_p, of_flux), tolerance)
 
     def _lines(self, step: Indices) -> list[Lines]:
         """The lines of all laws on the segments that are so many beyond those that the sites are on (collective)."""
@@ -195,22 +188,23 @@ class Linearised:
         jumps = self._jumps(flux) + traces.x.array[space.dofmap.list]
         return Loads(jumps, source + np.zeros_like(u), np.zeros_like(u), forces)
 
-    def adjoint(self, J: Form) -> dict[str, Array]:
-        """The derivatives of J by all numbers that are seen, but for where the data stand in J itself (collective)."""
+    def adjoint(self, J: Form, more: Array | float = 0.0) -> dict[str, Array]:
+        """The derivatives by all numbers that are seen, but for where the data stand in J itself (collective).
+
+        Args:
+            J: What is differentiated,
+            more: and something whose derivative by u of each cell this is.
+        """
         spaces, data, u = self._spaces, self._data, self._solution.u.x.array
         p = self._solution.p.x.array[: len(spaces.facets)]
         flux, by_u, by_p = (
-            self._by(J, function, space)
-            for function, space in (
-                (self._solution.sigma, spaces.V),
-                (self._solution.u, spaces.Q),
-                (self._solution.p, spaces.Lambda),
-            )
+            derivative_by(function, J, spaces.entity_maps)
+            for function in (self._solution.sigma, self._solution.u, self._solution.p)
         )
         on_gamma, on_neumann = (
             cells_and_dofs(spaces.crouzeix_raviart, facets)[1] for facets in (spaces.facets, spaces.neumann_facets)
         )
-        on_p, on_u = by_p.x.array[: len(p)], by_u.x.array
+        on_p, on_u = by_p.x.array[: len(p)], by_u.x.array + more
         forces = np.zeros(spaces.crouzeix_raviart.dofmap.index_map.size_local)
         forces[on_gamma] = -on_p
         volumes, none = spaces.cell_measures, np.zeros_like(u)
@@ -237,15 +231,6 @@ class Linearised:
                 of_value = np.where(line.steep, of_trace[rows], of_force[rows])
                 of_slope = np.where(line.steep, 0.0, -of_force[rows] * p[rows])
             found |= line.sensitivities(of_slope, of_value)
-        return found
-
-    def _by(self, J: Form, function: fem.Function, space: fem.FunctionSpace) -> fem.Function:
-        """The derivative of J by a part of the solution, ghosts updated (collective)."""
-        found = fem.Function(space)
-        if function in J.coefficients():
-            form = ufl.derivative(J, function, ufl.TestFunction(space))
-            found.x.array[:] = assembled(form, [self._spaces.entity_map])
-            found.x.scatter_forward()
         return found
 
     def _jumps(self, functional: fem.Function) -> Array:

@@ -199,6 +199,20 @@ class ElasticBackend:
         forces: Array = self._signs * self._measure * flux
         return forces
 
+    def solve_homogeneous(self, conditions: SiteConditions, load: Array) -> Array:
+        """The unknowns of this rank, ghosts too, for a right side with 0 where û is given (collective).
+
+        There must be no springs. The last solution stays.
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        contact, x = conditions.kind == Condition.ZERO_TRACE, self._x.duplicate()
+        x.set(0.0)
+        if not self._factors.solve(load, x, contact):
+            self._solve_anew(load.copy(), x, contact, sprung=np.zeros_like(contact))
+        return self._everywhere(x.array_r)
+
     def response(self, conditions: SiteConditions, forces: Array) -> Array:
         """How the flux at all sites changes under forces per area at those that are not held (collective)."""
         contact = conditions.kind == Condition.ZERO_TRACE

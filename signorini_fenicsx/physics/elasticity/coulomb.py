@@ -24,6 +24,7 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
 from signorini_fenicsx.physics.elasticity.friction import STICKS
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 
 CHANGE = 1e-9
 """The bound is found when it differs from μ times the pressure by this share of itself,"""
@@ -62,7 +63,7 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
         outcome, present = tresca(None), backend.friction
         if present is None or not present.by_pressure or not outcome.converged:
             return outcome
-        following = present.following(_pressure(backend, outcome.iterate.flux))
+        following = present.following(pressure_of(spaces, outcome.iterate.flux))
         changes.append(present.change(following, spaces))
         if changes[-1] <= CHANGE:
             return outcome
@@ -74,7 +75,7 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
             step = np.zeros_like(following.bound)
         elif left < least or share <= SHORTEST:
             accepted, least, share = present, left, 1.0
-            step = _newton(backend, outcome, following.bound - present.bound)
+            step = newton(backend, outcome, following.bound - present.bound)
             backend.friction = accepted.moved(step)
         else:
             assert accepted is not None
@@ -125,12 +126,12 @@ def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
         return outcome.ended("no solution with this friction was found, neither by Newton's method nor along a path")
     own_sites = slice(first, first + backend.sites)
     state, p, flux = end[0][own_sites], end[1][own_sites], end[2][own_sites]
-    backend.friction = friction.following(_pressure(backend, flux))
+    backend.friction = friction.following(pressure_of(backend.spaces, flux))
     segments = np.select([state == State.OPEN, state == State.STICK, state == State.PLUS], [1, 1, 2], 0)
     segments[normal:][(state[normal:] == State.FREE) & (p[normal:] > 0)] = 2
     outcome = tresca(segments)
     changes.append(
-        backend.friction.change(backend.friction.following(_pressure(backend, outcome.iterate.flux)), spaces)
+        backend.friction.change(backend.friction.following(pressure_of(backend.spaces, outcome.iterate.flux)), spaces)
     )
     if changes[-1] > CHANGE:
         return outcome.ended(f"the bound of the friction still changes by {changes[-1]:.1e} at the end of a path")
@@ -147,27 +148,26 @@ def _shares(backend: ElasticBackend) -> Array:
     return found[first : first + backend.sites]
 
 
-def _pressure(backend: ElasticBackend, flux: Array) -> Array:
+def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
     """The pressure at the vertices of the facets with friction, of values at all sites."""
-    spaces = backend.spaces
     return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
 
 
-def _newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
+def newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
     """(I − T')⁻¹ of what is left, shape (facets, 2), under the sets of the outcome (collective)."""
     friction, conditions, normal = backend.friction, outcome.conditions, len(backend.spaces.sites)
     assert friction is not None
     segments = friction.chains.segments(conditions.take(slice(normal, None)))
     signs = np.concatenate([np.zeros(normal), 1.0 - segments])  # σ_t is g, less than g, −g on the segments
-    pressed = _pressure(backend, outcome.iterate.flux) > 0
+    pressed = pressure_of(backend.spaces, outcome.iterate.flux) > 0
     slope = np.where(friction.coulomb[:, None] & pressed, friction.mu, 0.0)
 
     def without_response(values: Array) -> Array:
         forces = signs * np.concatenate([np.zeros(normal), values])
-        pressure = _pressure(backend, backend.response(conditions, forces))
+        pressure = pressure_of(backend.spaces, backend.response(conditions, forces))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 
-    return _gmres(backend, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(left.shape)
+    return gmres(backend, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(left.shape)
 
 
 class _Product:
@@ -180,7 +180,7 @@ class _Product:
         y.array_w[:] = self._product(np.array(x.array_r))
 
 
-def _gmres(backend: ElasticBackend, product: Callable[[Array], Array], right: Array) -> Array:
+def gmres(backend: ElasticBackend, product: Callable[[Array], Array], right: Array) -> Array:
     """Solve with a matrix that is known by its products (collective)."""
     b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=backend.comm)
     b.array_w[:] = right

@@ -6,12 +6,13 @@ The shear is within its bound, and against the way that u_t has gone since the l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -45,6 +46,16 @@ class ElasticSteps:
     def memory(self, _step: int, before: Sequence[Array]) -> Array:
         """The slip at the end of the last step."""
         return before[0]
+
+    def by_earlier(self, _step: int, _by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
+        """None: without friction steps do not depend on each other.
+
+        Raises:
+            InputError: With friction.
+        """
+        if self._problem.rough:
+            raise InputError("derivatives in time: there are none with friction")
+        return []
 
     def left_by(self, solution: ElasticSolution) -> Array:
         """The slip at the end of this step."""

@@ -87,6 +87,15 @@ def to_matrices(values: Array) -> Array:
     return np.moveaxis(symmetric(values[..., None], dim)[..., 0], (-2, -1), (-2, -1))
 
 
+def to_entries(matrices: Array) -> Array:
+    """What the inner product with matrices is for the entries of symmetric ones, shape (…, entries)."""
+    sums = (matrices + matrices.swapaxes(-1, -2)) / 2
+    weights = [1 if i == j else np.sqrt(2) for i, j in entries(matrices.shape[-1])]
+    rows, columns = zip(*entries(matrices.shape[-1]), strict=True)
+    found: Array = np.array(weights) * sums[..., list(rows), list(columns)]
+    return found
+
+
 def symmetric(values: Array, dim: int) -> Array:
     """Symmetric matrices, shape (…, d, d, basis), from their entries, shape (…, entries, basis)."""
     matrices = np.zeros((*values.shape[:-2], dim, dim, values.shape[-1]))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import dolfinx.mesh
 import numpy as np
@@ -22,7 +23,7 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity import shown
-from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, facet_moments
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, elastic_data, facet_moments
 from signorini_fenicsx.physics.elasticity.differences import differences
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
@@ -71,6 +72,7 @@ class ElasticSolution(Solved):
             point, relative to itself.
         step: Number of the step of a problem in time, from 1; None for others.
         source: What the problem was read from; None if it was given in Python.
+        system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Bytes that the processes have held at most so far, summed over ranks.
     """
@@ -87,6 +89,7 @@ class ElasticSolution(Solved):
     bound_changes: tuple[float, ...] = ()
     step: int | None = None
     source: object = None
+    system: Callable[[], Any] | None = field(default=None, compare=False)
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
     lacks = ("--rigorous", "--html")
@@ -94,6 +97,21 @@ class ElasticSolution(Solved):
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns = shown.table, shown.columns
     differences = differences
+
+    def of_problem(self, problem: ElasticProblem) -> Self:
+        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        data = elastic_data(self.spaces, problem, self.data.slipped)
+        return replace(self, problem=problem, data=replace(data, friction=self.data.friction))
+
+    def linearised(self, tolerance: float) -> Any:
+        """The problem linearised at this solution, see `linearised.Linearised` (collective).
+
+        Raises:
+            InputError: If there are laws other than contact and friction, or a bound of friction is not linear.
+        """
+        from signorini_fenicsx.physics.elasticity.linearised import linearised  # which knows solutions
+
+        return linearised(self, tolerance)
 
     @property
     def approach(self) -> str:

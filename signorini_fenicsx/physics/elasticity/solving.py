@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+from weakref import ref
 
 import numpy as np
 
@@ -50,6 +51,7 @@ class System:
     Attributes:
         spaces: The discrete spaces.
         boundary: The parts that are in contact, loaded or fixed.
+        solved: The last outcome and its backend, which serves derivatives; None before the first.
     """
 
     def __init__(self, domain: Domain, boundary: ElasticBoundary, problem: ElasticProblem):
@@ -62,6 +64,7 @@ class System:
         check_parts(domain, self.boundary.named)
         self.spaces = build_elastic_spaces(domain, self.boundary, problem.rough)
         self._rough = sorted(problem.rough)
+        self.solved: tuple[ref[Outcome], ElasticBackend] | None = None
 
     def prepared(self, given: tuple[ElasticBoundary, ElasticProblem], wish: Wish) -> ElasticRun:
         """Read the data and check them; predict the sets of a large problem on coarser meshes (collective).
@@ -69,7 +72,7 @@ class System:
         Raises:
             InputError: If the problem cannot be discretised as asked, or the body can move rigidly.
         """
-        options, (boundary, problem) = wish.options, given
+        self.solved, options, (boundary, problem) = None, wish.options, given
         if options.algorithm not in RULES:
             name = options.algorithm_name
             raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {name}")
@@ -79,7 +82,7 @@ class System:
         data = elastic_data(self.spaces, problem, wish.memory)
         check_against_foundation(self.spaces, data)
         motions = check_rigid_motions(self.spaces, data)
-        return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish)
+        return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish, self)
 
     def check(self, given: tuple[ElasticBoundary, ElasticProblem]) -> None:
         """Read the data and check them, see `solving.system.System` (collective).
@@ -102,8 +105,13 @@ class System:
             raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
         return ElasticSteps(self.spaces, problem, evolution)
 
+    def backend_of(self, outcome: Outcome) -> ElasticBackend | None:
+        """The backend of this outcome; None if there is another since."""
+        return self.solved[1] if self.solved is not None and self.solved[0]() is outcome else None
+
     def forget(self) -> None:
-        """Nothing is kept from solve to solve."""
+        """Drop the backend of the last solve."""
+        self.solved = None
 
 
 @dataclass
@@ -117,7 +125,9 @@ class ElasticRun:
         problem: The data as given.
         data: The data on the mesh; in the end with the last bounds of the friction.
         wish: How it is to be solved.
+        system: What it was prepared by.
         changes: By how much the bound of Coulomb's friction changed in each step.
+        backend: What solves it; None before.
     """
 
     spaces: ElasticSpaces
@@ -126,13 +136,15 @@ class ElasticRun:
     problem: ElasticProblem
     data: ElasticData
     wish: Wish
+    system: System
     changes: Sequence[float] = ()
+    backend: ElasticBackend | None = None
 
     def outcome(self) -> Outcome:
         """Run the loop, with Coulomb's friction once for each bound of the shear (collective)."""
         options, watch, start = self.wish.options, self.wish.watch, self.wish.start
         with watch.phase("assembly"):
-            backend = ElasticBackend(self.spaces, self.data, options.tuning, self.motions)
+            self.backend = backend = ElasticBackend(self.spaces, self.data, options.tuning, self.motions)
         large = options.predict and backend.dofs >= options.tuning.elastic_predict_from
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
@@ -154,6 +166,8 @@ class ElasticRun:
 
     def solution(self, outcome: Outcome, kkt: ElasticKKT, **about: Any) -> ElasticSolution:
         """The solution."""
+        if self.backend is not None:
+            self.system.solved = ref(outcome), self.backend
         return ElasticSolution(
             boundary=self.boundary,
             problem=self.problem,
@@ -163,6 +177,7 @@ class ElasticRun:
             outcome=outcome,
             kkt=kkt,
             bound_changes=tuple(self.changes),
+            system=ref(self.system),
             **about,
         )
 

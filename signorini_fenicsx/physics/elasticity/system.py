@@ -5,7 +5,7 @@ See `forms/elasticity.py` for what is eliminated on each cell.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     compliance_product,
     facet_normals,
     reference,
+    to_entries,
     to_matrices,
 )
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -51,7 +52,13 @@ class Eliminated:
 
 
 def eliminate(
-    element: Reference, cells: Cells, tractions: Array, product: Array, moments: Array, numbers: npt.NDArray[np.int32]
+    element: Reference,
+    cells: Cells,
+    tractions: Array,
+    product: Array,
+    moments: Array,
+    numbers: npt.NDArray[np.int32],
+    functional: Array | float = 0.0,
 ) -> Eliminated:
     """Eliminate all but the traces.
 
@@ -62,17 +69,20 @@ def eliminate(
         product: (𝔸τ, τ'), shape (cells, basis, basis).
         moments: (f, φ_v), shape (cells, d + 1, d).
         numbers: The numbers of the cells.
+        functional: A right side of the first equation: its values at the stresses of the basis, shape (cells, basis).
     """
+    functional = np.broadcast_to(functional, product.shape[:2])
     free, count = element.free, len(cells.vertices)
     balance = -np.linalg.solve(cells.derivative, moments.transpose(0, 2, 1)).transpose(0, 2, 1).reshape(count, -1)
     of_free, of_rest = tractions[:, :, :free], tractions[:, :, free:]
     coupled = product[:, free:, :free]
-    right = np.concatenate([of_free.transpose(0, 2, 1), -np.einsum("nmf,nm->nf", coupled, balance)[:, :, None]], axis=2)
+    given = functional[:, :free] - np.einsum("nmf,nm->nf", coupled, balance)
+    right = np.concatenate([of_free.transpose(0, 2, 1), given[:, :, None]], axis=2)
     found = np.linalg.solve(product[:, :free, :free], right)
     stress, stress_of_f = found[:, :, :-1], found[:, :, -1]
     matrix = of_free @ stress
     load = -np.einsum("nib,nb->ni", of_free, stress_of_f) - np.einsum("nib,nb->ni", of_rest, balance)
-    displacement_of_f = -np.einsum("nmf,nf->nm", coupled, stress_of_f)
+    displacement_of_f = functional[:, free:] - np.einsum("nmf,nf->nm", coupled, stress_of_f)
     displacement_of_f -= np.einsum("nml,nl->nm", product[:, free:, free:], balance)
     rest = np.zeros((count, balance.shape[1], stress.shape[2]))
     return Eliminated(
@@ -104,33 +114,60 @@ class ElasticSystem:
         self._blocks = list(self._eliminated())
         jumps = jumps_to_sides(spaces)
         self.matrix = self._assembled() if jumps is None else self._assembled().ptap(jumps)
-        space = spaces.traces
-        index_map, size = space.dofmap.index_map, space.dofmap.index_map_bs
-        load = la.vector(index_map, size)
-        lift = self._on_sides(data.lift)
-        for block in self._blocks:
+        index_map, size = spaces.traces.dofmap.index_map, spaces.traces.dofmap.index_map_bs
+        self.tractions = data.load[: size * index_map.size_local]
+        self.load = self._load_of(self._blocks, data.lift) + self.tractions
+
+    def _load_of(self, blocks: Sequence[Eliminated], lift: Array) -> Array:
+        """The right side for x − lift, without given tractions: owned entries (collective)."""
+        index_map, size = self.spaces.traces.dofmap.index_map, self.spaces.traces.dofmap.index_map_bs
+        load, lift = la.vector(index_map, size), self._on_sides(lift)
+        for block in blocks:
             unknowns = self._unknowns(block.cells)
             of_cells = block.load - np.einsum("nij,nj->ni", block.matrix, lift[unknowns])
             load.array[:] += np.bincount(unknowns.ravel(), of_cells.ravel(), len(load.array))
         load.scatter_reverse(la.InsertMode.add)
-        self.tractions = data.load[: size * index_map.size_local]
-        self.load = self._of_jumps(load.array[: size * index_map.size_local]) + self.tractions
+        return self._of_jumps(load.array[: size * index_map.size_local])
 
-    def _eliminated(self) -> Iterator[Eliminated]:
+    def respond(
+        self, stresses: Array, moments: Array, lift: Array, solve: Callable[[Array], Array]
+    ) -> tuple[Array, Array, Array]:
+        """Solve with any right side (collective).
+
+        Args:
+            stresses: A functional of the stress: its values for unit entries of the stress at each vertex of each
+                subcell, shape (cells, d + 1, d + 1, d, d).
+            moments: (f, φ_v) of each cell, shape (cells, d + 1, d).
+            lift: Where û is given its values, else 0: unknowns of this rank, ghosts too.
+            solve: Gives x − lift, ghosts too, from the right side without given tractions.
+
+        Returns:
+            σ and u as `recover` gives them, and x.
+        """
+        blocks = list(self._eliminated(stresses, moments))
+        x = solve(self._load_of(blocks, lift)) + lift
+        return *self.recover(x, blocks=blocks), x
+
+    def _eliminated(self, stresses: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
+        """The cells after elimination, with the data or another right side, see `respond` (collective)."""
         spaces, data = self.spaces, self._data
         framed = [(facets.cells, facets.local, matrices) for facets, matrices in spaces.frames]
         for numbers in blocks_of_cells(spaces):
             cells = Cells(spaces.vertices[numbers])
-            moments = data.moments_of_f(spaces, numbers, cells.measure)
+            of_f = data.moments_of_f(spaces, numbers, cells.measure) if moments is None else moments[numbers]
             masses = data.masses(spaces, numbers, cells.measure)
             if len(numbers) == 0:  # other ranks have more cells
                 continue
-            product = compliance_product(cells.stresses(self.element.stresses), *masses)
+            basis = cells.stresses(self.element.stresses)
+            functional: Array | float = 0.0
+            if stresses is not None:
+                functional = np.einsum("nve,nveb->nb", to_entries(stresses[numbers]).reshape(basis.shape[:3]), basis)
+            product = compliance_product(basis, *masses)
             tractions = cells.tractions(self.element.tractions)
             for facets, local, matrices in framed:
                 mine = np.flatnonzero(np.isin(facets, numbers))
                 _transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
-            yield eliminate(self.element, cells, tractions, product, moments, numbers)
+            yield eliminate(self.element, cells, tractions, product, of_f, numbers, functional)
 
     def _unknowns(self, cells: npt.NDArray[np.int32]) -> Indices:
         """Unknowns of the facets of cells, shape (cells, (d + 1) d²)."""
@@ -174,12 +211,15 @@ class ElasticSystem:
         matrix.setValuesCOO(np.concatenate([np.empty(0), *values]), PETSc.InsertMode.ADD_VALUES)
         return matrix
 
-    def recover(self, x: Array, *, with_f: bool = True) -> tuple[Array, Array]:
+    def recover(
+        self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None
+    ) -> tuple[Array, Array]:
         """σ at the vertices of the subcells and u at those of the cells, from all unknowns of this rank.
 
         Args:
             x: The unknowns, ghosts too.
             with_f: Whether σ balances f; without it x is a correction.
+            blocks: Cells after elimination with another right side; None for that of the data.
 
         Returns:
             Shapes (cells, d + 1, d + 1, d, d) and (cells, d + 1, d), with the vertices as in `ElasticSpaces.order`.
@@ -187,7 +227,7 @@ class ElasticSystem:
         spaces, dim, x = self.spaces, self.spaces.dim, self._on_sides(x)
         sigma = np.empty((len(spaces.order), dim + 1, dim + 1, dim, dim))
         u = np.empty((len(spaces.order), dim + 1, dim))
-        for block in self._blocks:
+        for block in self._blocks if blocks is None else blocks:
             here, cells = x[self._unknowns(block.cells)], Cells(spaces.vertices[block.cells])
             coefficients = np.einsum("nbi,ni->nb", block.stress, here) + with_f * block.stress_of_f
             on_reference = np.einsum("veb,nb->nve", self.element.stresses, coefficients)
