@@ -97,7 +97,7 @@ def complementary_energy(solution: ElasticSolution) -> np.ndarray:
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-11
     rows, low, high = pull, np.full(len(pull), -np.inf), np.zeros(len(pull))
     if data.friction is not None:
-        along = np.einsum("fair,fi->far", facets[spaces.rough.blocks], spaces.tangents)
+        along = np.einsum("fair,fi->far", facets[spaces.rough.blocks], spaces.tangents[:, 0])
         rub = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)
         bound = spaces.slip_measure * data.friction.bound.ravel()
         rows, low, high = np.vstack([pull, rub]), np.append(low, -bound), np.append(high, bound)

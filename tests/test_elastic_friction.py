@@ -211,7 +211,6 @@ solve = {h = "1/4"}
         assert row["friction"] != "stick" or abs(float(row["shear"])) < bound
     expected = {
         "both": "the law 'friction' must have either g, the bound of the shear, or mu",
-        "space": "friction: only in two dimensions",
         "negative": "law.0.mu: must be finite and not negative",
     }
     for name, message in expected.items():

@@ -16,6 +16,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.linear.petsc import LinearSolveFailure
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
+from signorini_fenicsx.physics.elasticity.friction import shortened
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt, energy_squares
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -33,7 +34,7 @@ class AdmissibleStress:
         stresses: Its values, as in `SplitMesh.values`.
         pressure: −y_nn at the vertices of the facets of Γ_C, measured from the references of the laws and within what
             they allow: in contact ≥ 0, and 0 where there is none, shape (facets, d).
-        shear: y_t at those with friction, at most the bound, shape (facets, d).
+        shear: y_t at those with friction, at most the bound, shape (facets, d, d − 1).
         segment: The segment of its law on which each of the vertices of Γ_C is, shape (facets, d).
         distance: A bound of ‖y − σ_h‖; infinite if too much is left.
     """
@@ -92,7 +93,7 @@ def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -
     _, tractions = solution.outcome.conditions.clean(p, tractions, 0.0)  # on springs as it is
     pressure, shear = np.split(tractions, [len(spaces.sites)])
     if data.friction is not None:
-        shear = np.clip(shear, -data.friction.bound.ravel(), data.friction.bound.ravel())
+        shear = shortened(shear.reshape(-1, spaces.dim, spaces.dim - 1), data.friction.bound)
     pressure = np.clip(pressure, *data.laws.chains.extent()[2:]).reshape(-1, spaces.dim)
     segment = solution.segment.reshape(pressure.shape)
-    return AdmissibleStress(stresses, pressure, shear.reshape(-1, spaces.dim), segment, distance)
+    return AdmissibleStress(stresses, pressure, shear.reshape(-1, spaces.dim, spaces.dim - 1), segment, distance)

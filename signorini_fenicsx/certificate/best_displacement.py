@@ -107,12 +107,13 @@ class BestDisplacement:
     def _collect_terms(self) -> None:
         """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective)."""
         contact, (rough, here), dim = self.contact, self.rough, self.spaces.dim
-        self.openings, weights = contact.openings(self.spaces.mesh, self._data), self._rubbing_weights()
+        self.openings = contact.openings(self.spaces.mesh, self._data)
+        tangents = self._rubbing_frames()
+        weights = np.repeat(self._rubbing_weights()[:, :, None], dim - 1, axis=2)
         rubs = weights > 0
         on, at, sides, corners, most = self._kinks()
         rows, places = np.append(on, rough[np.nonzero(rubs)[0]]), np.append(at, np.nonzero(rubs)[1])
-        tangents = self.spaces.tangents[here][np.nonzero(rubs)[0]]
-        directions = np.append(sides[:, None] * contact.facets.normals[on], tangents.reshape(-1, dim), 0)
+        directions = np.append(sides[:, None] * contact.facets.normals[on], tangents[rubs].reshape(-1, dim), 0)
         nodes, signs = contact.pairs(rows, places)
         axes = signs[:, :, None] * np.einsum("ksij,ki->ksj", self._given.frames[nodes], directions)
         slipped = self._slipped()
@@ -125,16 +126,19 @@ class BestDisplacement:
         self._nodes, self._axes, self.bound = nodes[free], axes[free], bound[free]
         self.low, self.high = low[free], high[free]
         forces, apart = self._pressing()
-        rubbing = -self._in_coefficients(self._y.shear[here], contact.facets.measure[rough])
-        self._forces = np.append(sides * forces[on, at], rubbing[rubs])[free]
+        measure = contact.facets.measure[rough]
+        shear = np.einsum("nak,nki->nai", self._y.shear[here], self.spaces.tangents[here])
+        rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self._moments)
+        self._forces = np.append(sides * forces[on, at], np.einsum("nki,nkmi->nkm", rubbing, tangents)[rubs])[free]
 
         pull = fem.assemble_vector(fenicsx.form(ufl.inner(self.sigma, strain(ufl.TestFunction(self.space))) * self.dx))
         on_facets = forces[:, :, None] * contact.facets.normals[:, None]
-        on_facets[rough] += rubbing[:, :, None] * self.spaces.tangents[here][:, None]
+        on_facets[rough] += rubbing
         add_at(pull, contact.nodes, on_facets)
         add_at(pull, contact.across, -on_facets[contact.touched])
         pull.scatter_reverse(la.InsertMode.add)
-        self._pull, self._apart = pull, apart + float((rubbing * slipped).sum())
+        self._pull = pull
+        self._apart = apart + float((np.einsum("nki,nkmi->nkm", rubbing, tangents) * slipped).sum())
 
     def _kinks(self) -> tuple[Indices, Indices, Array, Array, Array]:
         """Where the gap has a kink in p: facet, coefficient, its side of the line of v, p there, and the largest force.
@@ -391,27 +395,50 @@ class BestDisplacement:
         return self._in_coefficients(bound, self.contact.facets.measure[rough])
 
     def _slipped(self) -> Array:
-        """The slip of the last step in time on the facets with friction, by its coefficients, shape (facets, nodes).
+        """The slip of the last step in time on the facets with friction, by its coefficients.
 
-        It is linear on each facet, so the coefficients are its values at equidistant points.
+        It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d −
+        1); 0 in space, where there are no steps.
         """
         rough, here = self.rough
+        if self.spaces.dim == 3:
+            return np.zeros((len(rough), self.openings.shape[1], 2))
         values = linear_from_means(self._data.slipped.reshape(-1, 2)[here])
         ends, points = self.contact.facets.vertices[rough], self.contact.places()[rough]
         edges = ends[:, 1] - ends[:, 0]
         along = np.einsum("nki,ni->nk", points - ends[:, :1], edges) / (edges**2).sum(axis=1)[:, None]
-        return values[:, :1] + along * (values[:, 1:] - values[:, :1])
+        return (values[:, :1] + along * (values[:, 1:] - values[:, :1]))[:, :, None]
+
+    def _rubbing_frames(self) -> Array:
+        """Tangents for each coefficient on the facets with friction, shape (facets, nodes, d − 1, d).
+
+        In space the first one is along y_t there: |v_t| is at most the sum of both components, and this is sharp where
+        v_t has the direction of u_t.
+        """
+        rough, here = self.rough
+        tangents = np.repeat(self.spaces.tangents[here][:, None], self.openings.shape[1], axis=1)
+        if self.spaces.dim == 2:
+            return tangents
+        ends, points = self.contact.facets.vertices[rough], self.contact.places()[rough]
+        edges = np.linalg.pinv(ends[:, 1:] - ends[:, :1])
+        beside = (points - ends[:, :1]) @ edges
+        hats = np.concatenate([1 - beside.sum(axis=2, keepdims=True), beside], axis=2)
+        shear = hats @ self._y.shear[here]
+        size = np.linalg.norm(shear, axis=2, keepdims=True)
+        along = np.where(size > 0, shear / np.where(size > 0, size, 1.0), [1.0, 0.0])
+        beyond = np.stack([-along[..., 1], along[..., 0]], axis=2)
+        return np.stack([along, beyond], axis=2) @ tangents
 
     def slips(self, v: fem.Function) -> Array:
-        """∫ (v_t − w)φ_a over the facets with friction, shape (facets, d); w is the slip of the last step in time."""
+        """∫ (v_t − w)φ_a over the facets with friction, shape (facets, d, d − 1); w is the slip of the last step."""
         coefficients = self._slips(v)
-        return np.einsum("n,ak,nk->na", self.contact.facets.measure[self.rough[0]], self._moments, coefficients)
+        return np.einsum("n,ak,nkm->nam", self.contact.facets.measure[self.rough[0]], self._moments, coefficients)
 
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t − w| over the facets with friction: |v_t − w| is at most a mean of its |coefficients|."""
-        return (self._rubbing_weights() * np.abs(self._slips(v))).sum(axis=1)
+        return (self._rubbing_weights() * np.linalg.norm(self._slips(v), axis=2)).sum(axis=1)
 
     def _slips(self, v: fem.Function) -> Array:
-        """The coefficients of v_t − w on the facets with friction, shape (facets, nodes)."""
+        """The coefficients of v_t − w on the facets with friction, shape (facets, nodes, d − 1)."""
         (rough, here), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
-        return np.einsum("nki,ni->nk", slips[rough], self.spaces.tangents[here]) - self._slipped()
+        return np.einsum("nki,nmi->nkm", slips[rough], self.spaces.tangents[here]) - self._slipped()

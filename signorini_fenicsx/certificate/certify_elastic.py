@@ -192,7 +192,7 @@ def _on_contact(solution: ElasticSolution, y: AdmissibleStress, problem: BestDis
         found[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure)
     if data.friction is not None:
         rough, here = problem.rough
-        found[rough] += problem.rubbed(v) + np.einsum("na,na->n", y.shear[here], problem.slips(v))
+        found[rough] += problem.rubbed(v) + np.einsum("nam,nam->n", y.shear[here], problem.slips(v))
     return found
 
 

@@ -1,5 +1,7 @@
 """An assembled matrix with unknowns that are fixed in one step and free in another; its sparsity pattern stays."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -44,7 +46,7 @@ class ConstrainedMatrix:
         essential: npt.NDArray[np.int32],
         robin: npt.NDArray[np.int32],
         added: npt.ArrayLike,
-        blocks: tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]] | None = None,
+        blocks: Sequence[tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]] = (),
     ) -> None:
         """Start again from `natural`, add to its diagonal and fix unknowns (collective).
 
@@ -52,16 +54,16 @@ class ConstrainedMatrix:
             essential: Owned unknowns that get an identity row and column.
             robin: Owned unknowns whose diagonal entries grow.
             added: What is added to these entries; one value, or one for each.
-            blocks: Owned unknowns, some together in a row, and a matrix for each row that is added to their entries;
-                on all ranks, or on none.
+            blocks: Pairs of owned unknowns, some together in a row, and a matrix for each row that is added to their
+                entries; on all ranks as many.
         """
         self.natural.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         diagonal = self.matrix.createVecLeft()
         diagonal.set(0.0)
         diagonal.array_w[robin] = added
         self.matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
-        if blocks is not None:
-            places, values = (blocks[0] + self.matrix.getOwnershipRange()[0]).astype(PETSc.IntType), blocks[1]
+        for unknowns, values in blocks:
+            places = (unknowns + self.matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
             rows, columns = (np.broadcast_to(each, values.shape) for each in (places[:, :, None], places[:, None]))
             triples = (np.ascontiguousarray(each).reshape(-1, 1) for each in (rows, columns, values))
             self.matrix.setValuesRCV(*triples, addv=True)

@@ -299,6 +299,7 @@ def _check_layout(found: Checkpoint) -> None:
     layout = {**MESH, **found.keeping.layout} | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
     }
+    layout |= {name: form for name, form in found.keeping.of_some.items() if name in headers}
     if about.step is not None:
         layout |= found.keeping.of_step
         if found.case is None or about.step > found.case.steps:

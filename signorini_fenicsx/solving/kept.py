@@ -68,6 +68,7 @@ class Keeping:
         read: Makes the solution from the boundary, the problem and the spaces (collective).
         own: Attributes of a solution that are lists of numbers, kept beside the arrays.
         of_step: The arrays that a step in time has besides: what it takes from those before.
+        of_some: The arrays that only some solutions have; `read` refuses a file without what it needs.
     """
 
     boundary: type
@@ -80,3 +81,4 @@ class Keeping:
     read: Callable[[Any, Any, Any, Stored], Any]
     own: Sequence[str] = ()
     of_step: Layout = field(default_factory=dict)
+    of_some: Layout = field(default_factory=dict)

@@ -47,7 +47,8 @@ class ElasticBackend:
 
     ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is as
     `NormalLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the
-    flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips.
+    flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips. In space a vertex with
+    friction has two of them, for the components of both, and `FrictionBounds.stiffness` is added where it slips.
     """
 
     name = "elastic"
@@ -154,7 +155,21 @@ class ElasticBackend:
         laws, normal = self._data.laws, len(self.spaces.sites)
         segment = laws.chains.segments(conditions.take(slice(normal)))
         p = np.append(laws.own(segment, p[:normal], flux[:normal]), p[normal:])
-        return conditions.clean(p, flux, np.inf)
+        p, flux = conditions.clean(p, flux, np.inf)
+        flux[normal:] -= self._turned(p[normal:])
+        return p, flux
+
+    @property
+    def _turns(self) -> bool:
+        """Whether the shear turns with the slip, as in space."""
+        return self.friction is not None and self.friction.slipping is not None
+
+    def _turned(self, slip: Array) -> Array:
+        """What the linear law of friction in space adds to −σ_t, of u_t at the sites."""
+        if self.friction is None or not self._turns:
+            return np.zeros_like(slip)
+        bends: Array = np.einsum("nakl,nal->nak", self.friction.stiffness, slip.reshape(-1, 3, 2))
+        return bends.ravel()
 
     def _loose(self, contact: Mask) -> bool:
         """Whether these sites leave a rigid motion free (collective)."""
@@ -182,7 +197,7 @@ class ElasticBackend:
         loose = self._loose(~free)
         if loose or self._sprung:
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
-        if loose or self._sprung or self._springs is not None:
+        if loose or self._sprung or self._springs is not None or self._turns:
             self._factors.forget()
         if not self._factors.solve(load, self._x, contact):
             self._solve_anew(load, self._x, contact, sprung=free & loose)
@@ -196,6 +211,9 @@ class ElasticBackend:
         if self._springs is not None:
             normal = len(self.spaces.sites)
             flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
+        if self._turns:
+            normal = len(self.spaces.sites)
+            flux[normal:] -= self._turned(np.broadcast_to(p, self.sites)[normal:])
         forces: Array = self._signs * self._measure * flux
         return forces
 
@@ -220,7 +238,7 @@ class ElasticBackend:
         load[self._unknowns] = np.where(contact, 0.0, self._measure * forces)
         x, image = self._x.duplicate(), self._x.duplicate()
         x.set(0.0)
-        if self._springs is not None:
+        if self._springs is not None or self._turns:
             load[np.concatenate([self._data.fixed, self._unknowns[contact]])] = 0.0
             self._b.array_w[:] = load
             self._solver.solve(self._b, x)
@@ -228,6 +246,30 @@ class ElasticBackend:
             self._solve_anew(load, x, contact, sprung=np.zeros_like(contact))
         self._operator.natural.mult(x, image)
         return self._signs * image.array_r[self._unknowns] / self._measure
+
+    def state(self) -> Array:
+        """The unknowns of the last solve."""
+        return np.array(self._x.array_r)
+
+    def energy_along(self, x: Array, step: Array) -> tuple[float, float]:
+        """The first and the second derivative of the energy without friction at x along a step (collective)."""
+        moved, image = self._x.duplicate(), self._x.duplicate()
+        found = []
+        for direction in (x, step):
+            moved.array_w[:] = direction
+            self._operator.natural.mult(moved, image)
+            found.append(np.array(image.array_r))
+        first, second = self.comm.allreduce(np.array([(found[0] - self.system.load) @ step, found[1] @ step])).tolist()
+        for each in (moved, image):
+            each.destroy()
+        return first, second
+
+    @property
+    def stiffness_of_slips(self) -> Array:
+        """The diagonal entries of the vertices with friction over their measure, shape (facets, d)."""
+        number = len(self.spaces.sites)
+        diagonal = self.system.matrix.getDiagonal().array_r[self._unknowns[number:]] / self._measure[number:]
+        return diagonal.reshape(-1, self.spaces.dim, self.spaces.dim - 1).mean(axis=2)
 
     def reactions(self) -> tuple[Array, Array]:
         """The flux at the sites of this rank as `matrix @ p + force`, for any p at the sites of all (collective).
@@ -279,10 +321,14 @@ class ElasticBackend:
     def _solve_anew(self, load: Array, x: PETSc.Vec, contact: Mask, *, sprung: Mask) -> None:
         """Set the solver up and solve (collective)."""
         essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
-        blocks = None
+        blocks, number = [], len(self.spaces.sites)
         if self._springs is not None:
-            normal = self._unknowns[: len(self.spaces.sites)].reshape(-1, self.spaces.dim)
-            blocks = normal, self._springs.stiffness * self._measure[: normal.size].reshape(normal.shape)[:, :, None]
+            normal = self._unknowns[:number].reshape(-1, self.spaces.dim)
+            stiffness = self._springs.stiffness * self._measure[:number].reshape(normal.shape)[:, :, None]
+            blocks.append((normal, stiffness))
+        if self.friction is not None and self._turns:
+            along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
+            blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
         self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
         self._b.array_w[:] = load
         for vector in (self._b, x):
@@ -291,7 +337,7 @@ class ElasticBackend:
             with self._solver.options():
                 self._solver.levels.update(self._data.fixed, essential)
         self._solver.solve(self._b, x)
-        if self._springs is None:
+        if not blocks:
             self._factors.keep(essential, contact)
 
     def _recovered(self, conditions: SiteConditions) -> Iterate:
@@ -370,11 +416,15 @@ class ElasticBackend:
 
     def places(self) -> Array:
         """The vertex, the sum of its facet's vertices, and whether the site is one of friction."""
+        dim = self.spaces.dim
         contact, rough = self.spaces.contact.vertices, self.spaces.rough.vertices
         vertices = np.concatenate([contact, rough])
         of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
-        places = np.concatenate([vertices, of_facet], axis=2).reshape(self.sites, 2 * self.spaces.dim)
-        return np.column_stack([places, np.arange(self.sites) >= len(self.spaces.sites)])
+        places = np.concatenate([vertices, of_facet], axis=2).reshape(-1, 2 * dim)
+        number, normal = np.ones(len(places), dtype=int), len(self.spaces.sites)
+        number[normal:] = dim - 1
+        component = np.append(np.zeros(normal), np.tile(np.arange(1, dim), len(places) - normal))
+        return np.column_stack([np.repeat(places, number, axis=0), component])
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """The iterate and its conditions: σ is in the Johnson-Mercier space and u linear on each cell already."""

@@ -93,6 +93,7 @@ def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
         not outcome.converged
         or not backend.factorises
         or not backend.is_contact
+        or backend.spaces.dim == 3
         or comm.allreduce(backend.sites) > MOST_SITES
     ):
         return outcome.ended(
@@ -154,16 +155,16 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
 
 
 def newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
-    """(I − T')⁻¹ of what is left, shape (facets, 2), under the sets of the outcome (collective)."""
+    """(I − T')⁻¹ of what is left, shape (facets, d), under the sets of the outcome (collective)."""
     friction, conditions, normal = backend.friction, outcome.conditions, len(backend.spaces.sites)
     assert friction is not None
-    segments = friction.chains.segments(conditions.take(slice(normal, None)))
-    signs = np.concatenate([np.zeros(normal), 1.0 - segments])  # σ_t is g, less than g, −g on the segments
+    directions = friction.directions(friction.chains.segments(conditions.take(slice(normal, None))))
+    each = backend.spaces.dim - 1
     pressed = pressure_of(backend.spaces, outcome.iterate.flux) > 0
     slope = np.where(friction.coulomb[:, None] & pressed, friction.mu, 0.0)
 
     def without_response(values: Array) -> Array:
-        forces = signs * np.concatenate([np.zeros(normal), values])
+        forces = np.concatenate([np.zeros(normal), directions * np.repeat(values, each)])
         pressure = pressure_of(backend.spaces, backend.response(conditions, forces))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 

@@ -1,9 +1,9 @@
-"""Friction on Γ_C in the plane: the bounds of the shear at facet vertices.
+"""Friction on Γ_C: the bounds of the shear at facet vertices.
 
 |σ_t| ≤ g, and u_t = 0 where it is less; σ_t = −g where u_t > 0, σ_t = g where u_t < 0 (Tresca). Both are linear on a
 facet if û_t has the basis that û_n has. So a facet vertex is a site with three states, and with bounds g_i at the
 vertices such that Σ g_i φ_i ≤ g the shear is admissible on the whole facet. In Coulomb's law g is μ times the pressure,
-which is not known before; see `coulomb`.
+which is not known before; see `coulomb`. In space σ_t = −g u_t/|u_t| where u_t ≠ 0, and `slipping` makes it linear.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.discrete.datum import datum_of
+from signorini_fenicsx.discrete.lattices import lattice
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, is_normal
@@ -30,15 +31,37 @@ SAMPLES = 8
 
 
 @dataclass(frozen=True)
+class Slipping:
+    """Newton's linear law at the vertices with friction in space: σ_t = −g s − (g/a)(I − ssᵀ)u_t, or u_t = 0.
+
+    Attributes:
+        direction: The unit vector s in the frame of the facet, 0 where nothing slips, shape (facets, 3, 2).
+        size: a, the last |u_t|, shape (facets, 3).
+        cautious: Whether the law is σ_t = −(g/a)u_t instead, whose energy is above that of friction, g|u_t|, and equal
+            to it where |u_t| = a.
+    """
+
+    direction: Array
+    size: Array
+    cautious: bool = False
+
+    @classmethod
+    def nowhere(cls, facets: int) -> Slipping:
+        """No slip on so many facets."""
+        return cls(np.zeros((facets, 3, 2)), np.ones((facets, 3)))
+
+
+@dataclass(frozen=True)
 class FrictionBounds:
     """Bounds of the shear on the facets with friction of this rank, in the order of `ElasticSpaces.rough`.
 
     Attributes:
-        bound: g_i at their vertices, shape (facets, 2).
+        bound: g_i at their vertices, shape (facets, d).
         mu: μ there; 0 where g is given.
         coulomb: Whether g is μ times the pressure, per facet.
         inexact: Names of data that are not linear on facets.
         by_pressure: Whether g is μ times the pressure somewhere, on any rank.
+        slipping: The linear law, in space; None in the plane.
     """
 
     bound: Array
@@ -46,18 +69,78 @@ class FrictionBounds:
     coulomb: Mask
     inexact: tuple[str, ...]
     by_pressure: bool
+    slipping: Slipping | None = None
 
     @property
     def chains(self) -> Chains:
-        """The law of each site, between u_t and σ_t."""
-        return friction_chains(self.bound.ravel())
+        """The law of each site, between u_t and σ_t; in space between their components, stick or a given σ_t."""
+        if self.slipping is None:
+            return friction_chains(self.bound.ravel())
+        sticks, force = np.repeat(self.sticks.ravel(), 2), self.forces.ravel()
+        p, flux = np.where(sticks, 0.0, STICKS), np.where(sticks, -STICKS, force)
+        return Chains.through(p[:, None], flux[:, None], np.where(sticks, np.inf, 0.0), np.zeros(len(p)))
+
+    @property
+    def sticks(self) -> Mask:
+        """In space where u_t = 0 is held, shape (facets, 3)."""
+        assert self.slipping is not None
+        return (self.bound > 0) & ~self.slipping.direction.any(axis=2)
+
+    @property
+    def forces(self) -> Array:
+        """In space −g s, shape (facets, 3, 2)."""
+        assert self.slipping is not None
+        return -self.turning * np.where(self.sticks, 0.0, self.bound)[:, :, None] * self.slipping.direction
+
+    @property
+    def turning(self) -> float:
+        """1, or 0 for the cautious law."""
+        assert self.slipping is not None
+        return 0.0 if self.slipping.cautious else 1.0
+
+    @property
+    def stiffness(self) -> Array:
+        """In space (g/a)(I − ssᵀ), 0 where nothing slips, shape (facets, 3, 2, 2)."""
+        assert self.slipping is not None
+        s, slope = self.slipping.direction, np.zeros(self.bound.shape)
+        slips = s.any(axis=2)
+        slope[slips] = (self.bound / self.slipping.size)[slips]
+        found: Array = slope[:, :, None, None] * (np.eye(2) - self.turning * s[:, :, :, None] * s[:, :, None])
+        return found
+
+    def directions(self, segments: Indices) -> Array:
+        """σ_t at the sites for each unit of the bound, 0 where nothing slips.
+
+        Args:
+            segments: Number of the segment of each site with friction.
+        """
+        if self.slipping is None:
+            return 1.0 - segments  # σ_t is g, less than g, −g on the segments
+        return -self.slipping.direction.ravel()
+
+    def residuals(self, slip: Array, shear: Array, unit: Array) -> tuple[Array, Array]:
+        """By how much |σ_t| is above g, and the distance of u_t and σ_t to the graph, shape (facets, d).
+
+        In the plane it is that of `Chains.distances`. In space it is that of σ_t to −P(k u_t − σ_t), where P goes to
+        the nearest vector that is not longer than g.
+
+        Args:
+            slip: u_t, shape (facets, d, d − 1).
+            shear: σ_t likewise.
+            unit: k, one of u_t is so many of σ_t, shape (facets, d).
+        """
+        if self.slipping is None:
+            _, above, off = self.chains.distances(slip.ravel(), shear.ravel(), unit.ravel())
+            return above.reshape(unit.shape), off.reshape(unit.shape)
+        size, left = np.linalg.norm(shear, axis=2), shear + shortened(unit[:, :, None] * slip - shear, self.bound)
+        return np.maximum(size - self.bound, 0.0), np.asarray(np.linalg.norm(left, axis=2))
 
     def following(self, pressure: Array) -> FrictionBounds:
-        """The bounds by Coulomb's law under this pressure at the vertices, shape (facets, 2)."""
+        """The bounds by Coulomb's law under this pressure at the vertices, shape (facets, d)."""
         return self.with_bounds(self.mu * np.maximum(pressure, 0.0))
 
     def with_bounds(self, bound: Array) -> FrictionBounds:
-        """The friction with new bounds where they are by the pressure, shape (facets, 2)."""
+        """The friction with new bounds where they are by the pressure, shape (facets, d)."""
         return replace(self, bound=np.where(self.coulomb[:, None], bound, self.bound))
 
     def moved(self, step: Array) -> FrictionBounds:
@@ -94,6 +177,14 @@ def friction_chains(g: Array) -> Chains:
     return Chains.through(np.column_stack([none, none]), np.column_stack([g, -g]), none, none)
 
 
+def shortened(vectors: Array, longest: Array) -> Array:
+    """The vectors, those that are too long cut to the length allowed; shapes (…, k) and (…)."""
+    size = np.linalg.norm(vectors, axis=-1)
+    share = np.divide(longest, size, out=np.ones_like(size), where=size > longest)
+    found: Array = share[..., None] * vectors
+    return found
+
+
 def law_of_sites(spaces: ElasticSpaces, normal: Chains, friction: FrictionBounds | None) -> Chains:
     """The law of each site of an elastic problem: in the normal direction, then friction by these bounds."""
     if friction is None:
@@ -107,17 +198,17 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
     """Read the laws; None if there are none (collective).
 
     Raises:
-        InputError: If g or μ is negative or not finite somewhere, or in space.
+        InputError: If g or μ is negative or not finite somewhere.
     """
     rubbing = [(index, law) for index, law in enumerate(laws) if not is_normal(law)]
     if not rubbing:
         return None
-    if spaces.dim == 3:
-        raise InputError("friction: only in two dimensions")
-    rough = spaces.rough
+    rough, dim = spaces.rough, spaces.dim
     number, order = len(rough.facets), np.argsort(rough.facets)
     coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
-    found = FrictionBounds(np.zeros((number, 2)), np.zeros((number, 2)), np.zeros(number, dtype=bool), (), coulomb)
+    none = np.zeros((number, dim))
+    slipping = Slipping.nowhere(number) if dim == 3 else None
+    found = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, slipping)
     inexact = []
     for index, law in rubbing:
         name = "mu" if isinstance(law, CoulombLaw) else "g"
@@ -136,18 +227,21 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
 
 def _lower_values(spaces: ElasticSpaces, name: str, given: Given, facets: BoundaryFacets) -> tuple[Array, bool]:
     """Values at the vertices of linear functions below a datum, and whether they are the datum itself (collective)."""
-    datum = datum_of(spaces, name, parsed(given, "xy", name))
-    places = np.append([0.0, 1.0], np.arange(1, SAMPLES) / SAMPLES)[:, None]
+    dim = spaces.dim
+    datum = datum_of(spaces, name, parsed(given, "xyz"[:dim], name))
+    hats = lattice(dim, SAMPLES) / SAMPLES
+    hats = np.concatenate([np.eye(dim), hats[hats.max(axis=1) < 1]])
+    places = hats[:, 1:]
     points = in_facets(spaces.mesh, facets.facets, places)
     values = datum.values(points)
     low = float(np.nan_to_num(values, nan=-np.inf, posinf=-np.inf).min(initial=np.inf))
     if spaces.mesh.comm.allreduce(low, MPI.MIN) < 0:
         raise InputError(f"{name}: must be finite and not negative everywhere on its parts")
-    at_vertices = values[:, :2]
+    at_vertices = values[:, :dim]
     linear = datum.polynomial is not None and datum.polynomial <= 1
     if not linear:
         values = np.maximum(from_within(datum.values, points), 0.0)
-        at_vertices = values[:, :2]
-        interpolant = at_vertices @ np.stack([1 - places[:, 0], places[:, 0]])
+        at_vertices = values[:, :dim]
+        interpolant = at_vertices @ hats.T
         at_vertices = np.maximum(at_vertices + np.minimum(values - interpolant, 0).min(axis=1, keepdims=True), 0.0)
     return np.take_along_axis(at_vertices, facets.ranking, axis=1), linear

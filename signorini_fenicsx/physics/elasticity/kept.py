@@ -4,15 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.evolution import spread
-from signorini_fenicsx.physics.elasticity.friction import law_of_sites
+from signorini_fenicsx.physics.elasticity.friction import Slipping, law_of_sites
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
+from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored
@@ -39,6 +42,11 @@ def _on_facets(solution: ElasticSolution) -> Arrays:
         for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
             values[spaces.rough_rows] = rough
     slip, state, bound = friction
+    in_space = {}
+    if solution.data.friction is not None and spaces.dim == 3:
+        in_space["slip_vector"] = np.zeros((*touching.shape, 3))
+        in_space["slip_vector"][spaces.rough_rows] = solution.slip_vectors
+        state = np.where(state == STATES.index("stick"), state, 0)
     slipped = {} if solution.step is None else {"slipped": spread(spaces, solution.data.slipped.reshape(-1, 2))}
     return {
         "vertices": facet_vertices(spaces.mesh, spaces.contact.facets),
@@ -48,7 +56,17 @@ def _on_facets(solution: ElasticSolution) -> Arrays:
         "state": state.astype(np.int64),
         "bound": bound,
         **slipped,
+        **in_space,
     }
+
+
+def _slipping(sticks: Mask, shear: Array, slip: Array) -> Slipping:
+    """The linear law of friction in space at a solution, see `Slipping`."""
+    size = np.linalg.norm(shear, axis=2)
+    direction = np.divide(-shear, size[:, :, None], out=np.zeros_like(shear), where=(size > 0)[:, :, None])
+    moved = np.linalg.norm(slip, axis=2)
+    slips = ~sticks & (moved > 0)
+    return Slipping(np.where(sticks[:, :, None], 0.0, direction), np.where(slips, moved, 1.0))
 
 
 def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored) -> ElasticSolution:
@@ -61,12 +79,23 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
     if data.friction is not None:
         by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
         data = replace(data, friction=replace(data.friction, bound=by_pressure))
+    along = slip[rough].ravel()
+    segment = state[rough].ravel()
+    if data.friction is not None and spaces.dim == 3:
+        if "facet_slip_vector" not in stored.arrays:
+            raise InputError("not a readable solution (it holds no facet_slip_vector)")
+        vectors = stored.on_facets(spaces.mesh.comm, "slip_vector")[0][rough]
+        along = np.einsum("nai,nki->nak", vectors, spaces.tangents).ravel()
+        segment = np.zeros(len(along))
+        shear = spaces.shear(stresses).reshape(-1, 3, 2)
+        slipping = _slipping(state[rough] == STATES.index("stick"), shear, along.reshape(shear.shape))
+        data = replace(data, friction=replace(data.friction, slipping=slipping))
     chains = law_of_sites(spaces, data.laws.chains, data.friction)
     pressure = -spaces.normal_stress(stresses) - data.laws.pressure
     normal = data.laws.chains.nearest(condition.ravel().astype(np.int8), p.ravel(), pressure)
-    conditions = chains.conditions(np.concatenate([normal, state[rough].ravel()]).astype(np.int64))
+    conditions = chains.conditions(np.concatenate([normal, segment]).astype(np.int64))
     iterate = Iterate(
-        p=np.concatenate([p.ravel(), slip[rough].ravel() - data.slipped]),
+        p=np.concatenate([p.ravel(), along - data.slipped]),
         flux=np.concatenate([pressure, spaces.shear(stresses)]),
         linear_iterations=0,
         sigma=spaces.split.stress(stresses),
@@ -97,4 +126,5 @@ KEEPING = Keeping(
     read=_read,
     own=("bound_changes",),
     of_step={"facet_slipped": (np.float64, "facets", "dim")},
+    of_some={"facet_slip_vector": (np.float64, "facets", "dim", "dim")},
 )

@@ -37,7 +37,7 @@ class Plane(StrEnum):
 
 @dataclass(frozen=True)
 class CoulombLaw:
-    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn, in two dimensions.
+    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
 
     Attributes:
         parts: Names of parts of Γ_C.
@@ -60,7 +60,7 @@ pressure."""
 
 @dataclass(frozen=True)
 class Tresca:
-    """Friction by Tresca's law, |σ_t| ≤ g, in two dimensions.
+    """Friction by Tresca's law, |σ_t| ≤ g.
 
     Attributes:
         g: g ≥ 0.
@@ -75,7 +75,7 @@ class Tresca:
 
 @dataclass(frozen=True)
 class Coulomb:
-    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn, in two dimensions.
+    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
 
     Attributes:
         mu: μ ≥ 0.
@@ -219,7 +219,7 @@ class ElasticProblem:
         gap: g, the distance to the foundation along the outer normal, or one for each part of Γ_C.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
-        laws: Friction on parts of Γ_C, in two dimensions; elsewhere Γ_C is without friction. Or other laws, between the
+        laws: Friction on parts of Γ_C; elsewhere Γ_C is without friction. Or other laws, between the
             opening p = gap − u_n and the pressure −σ_nn, in the place of contact on parts of Γ_C.
     """
 

@@ -12,7 +12,6 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.friction import law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
@@ -70,11 +69,18 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
     if norm == 0:
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
-    k = np.repeat(stiffness[np.concatenate([spaces.contact.cells, spaces.rough.cells])], dim) / length
-    flux = np.concatenate([-spaces.normal_stress(stresses) - data.laws.pressure, spaces.shear(stresses)])
-    measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
-    low, inward, smaller = law_of_sites(spaces, data.laws.chains, data.friction).distances(p, flux, k)
-    squares = comm.allreduce(np.array([measure @ values**2 for values in (k * low, inward, smaller)]))
+    k = np.repeat(stiffness[spaces.contact.cells], dim) / length
+    number = len(spaces.sites)
+    flux = -spaces.normal_stress(stresses) - data.laws.pressure
+    low, inward, smaller = data.laws.chains.distances(p[:number], flux, k)
+    squares = np.array([spaces.site_measure @ values**2 for values in (k * low, inward, smaller)])
+    if data.friction is not None:
+        shape = len(spaces.rough.facets), dim, dim - 1
+        unit = np.repeat(stiffness[spaces.rough.cells] / length, dim).reshape(shape[:2])
+        slip, shear = (values.reshape(shape) for values in (p[number:], spaces.shear(stresses)))
+        weights = (spaces.rough.measure / dim)[:, None]
+        squares[1:] += [(weights * each**2).sum() for each in data.friction.residuals(slip, shear, unit)]
+    squares = comm.allreduce(squares)
     primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
     return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))
 

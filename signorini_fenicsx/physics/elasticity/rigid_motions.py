@@ -73,21 +73,26 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
     work = work @ free / most
     rough = spaces.rough_rows
     into = bodies.relative(_at(spaces.contact.normals, spaces.dim)) @ free
-    tangents = np.zeros_like(spaces.contact.normals)
-    tangents[rough] = spaces.tangents
-    along = (bodies.relative(_at(tangents, spaces.dim)) @ free)[rough]
-    slips, shears = along.reshape(-1, free.shape[1]), np.empty(0)
+    along = np.empty((len(rough), spaces.dim, spaces.dim - 1, free.shape[1]))
+    for k in range(spaces.dim - 1):
+        tangents = np.zeros_like(spaces.contact.normals)
+        tangents[rough] = spaces.tangents[:, k]
+        along[:, :, k] = (bodies.relative(_at(tangents, spaces.dim)) @ free)[rough]
+    slips, shears = along.reshape(-1, spaces.dim - 1, free.shape[1]), np.empty(0)
     if data.friction is not None:
-        shears = np.repeat(spaces.rough.measure, 2) / 2 * data.friction.bound.ravel() / most
+        shears = (spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most
+        shears = shears.ravel()
     limits, work = _limits(spaces, data, work, into.reshape(-1, free.shape[1]), slips, shears, most)
     motion, told = limits.unprevented(), None
     if motion is not None:
         words, unit = bodies.in_words(free @ motion)
-        rubbed = float(limits.shears @ np.abs(limits.slips @ motion)) if len(limits.shears) else 0.0
+        rubbed = float(limits.shears @ np.linalg.norm(limits.slips @ motion, axis=1)) if len(limits.shears) else 0.0
         told = words, float(work @ motion) * most / unit, spaces.mesh.comm.allreduce(rubbed) * most / unit
-    found = np.concatenate([into, along])
-    means = (found + found.sum(axis=1, keepdims=True)) / (spaces.dim + 1)  # weighted by the hats
-    return means.reshape(-1, free.shape[1]), told
+    means = [
+        ((found + found.sum(axis=1, keepdims=True)) / (spaces.dim + 1)).reshape(-1, free.shape[1])
+        for found in (into, along)
+    ]  # weighted by the hats
+    return np.concatenate(means), told
 
 
 def _limits(
@@ -107,7 +112,9 @@ def _limits(
     half = np.where(between, high - low, 0.0)[between] / 2 * spaces.site_measure[between] / most
     work = work - spaces.mesh.comm.allreduce(np.where(shuts | opens, constant, 0.0) @ into)
     rows = np.concatenate([into[~shuts], -into[~opens]])
-    slips, shears = np.concatenate([slips[: len(shears)], into[between]]), np.append(shears, half)
+    rubbing = np.zeros((np.count_nonzero(between), spaces.dim - 1, into.shape[1]))
+    rubbing[:, 0] = into[between]
+    slips, shears = np.concatenate([slips[: len(shears)], rubbing]), np.append(shears, half)
     return Limits(spaces.mesh.comm, work, rows, slips, shears), work
 
 
@@ -239,7 +246,7 @@ class Limits:
         comm: Communicator.
         work: What the loads do on the motions.
         into: Rows of this rank, r_n on Γ_C.
-        slips: Rows of this rank, r_t where there is friction.
+        slips: Rows of this rank, r_t where there is friction, shape (rows, d − 1, motions).
         shears: The shear for each of them; where nothing slips it is infinite.
     """
 
@@ -252,7 +259,7 @@ class Limits:
     def unprevented(self) -> Array | None:
         """A motion with an entry 1 or −1, or None (collective)."""
         sticks = self.shears > STICKS / 1e100
-        stuck = self.slips[sticks]
+        stuck = self.slips[sticks].reshape(-1, len(self.work))
         sizes, vectors = np.linalg.eigh(self.comm.allreduce(stuck.T @ stuck))
         still = vectors[:, sizes > FREE**2].T
         cuts = np.empty((0, len(self.work)))
@@ -272,7 +279,10 @@ class Limits:
         off = self.into @ motion
         worst = self.into[np.argmax(off)][None] if off.max(initial=0.0) > SLACK else self.into[:0]
         slips, shears = self.slips[slides], self.shears[slides]
-        rubbing = (shears * np.sign(slips @ motion)) @ slips if len(slips) else np.zeros(len(motion))
+        moved = slips @ motion
+        size = np.linalg.norm(moved, axis=1)[:, None]
+        pulls = shears[:, None] * np.divide(moved, size, out=np.zeros_like(moved), where=size > 0)
+        rubbing = np.einsum("nk,nkr->r", pulls, slips)
         along = self.comm.allreduce(rubbing) - self.work
         rows = np.concatenate(self.comm.allgather(worst))
         return np.concatenate([rows, along[None]]) if along @ motion > SLACK else rows

@@ -99,8 +99,8 @@ def von_mises(stresses: Array) -> Array:
     return found
 
 
-STATES = (*Friction.segments, "open")
-"""The states of a vertex with friction."""
+STATES = (*Friction.segments, "open", "slip")
+"""The states of a vertex with friction; "slip" is that in space, which has no sign."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,10 @@ class ContactTable(SiteTable):
         gap: g − u_n, linear on the facet.
         touching: Whether it is in contact.
         segment: Index into the names of the segments of all laws.
-        shear: σ_t, NaN without friction.
+        shear: σ_t, in space |σ_t|, NaN without friction.
         slip: u_t likewise.
+        shear_vector: σ_t as a vector in space, shape (rows, 3).
+        slip_vector: u_t likewise.
         state: Index into `STATES`, −1 without friction.
         forward: 1 where the coordinate along the part grows along the tangent, −1 where it falls; 0 in space.
     """
@@ -126,6 +128,8 @@ class ContactTable(SiteTable):
     segment: npt.NDArray[np.int64]
     shear: Array
     slip: Array
+    shear_vector: Array
+    slip_vector: Array
     state: npt.NDArray[np.int64]
     forward: npt.NDArray[np.int64]
     name = "contact"
@@ -151,9 +155,18 @@ def table(solution: ElasticSolution) -> ContactTable:
         segment=_labels(solution),
         shear=shear,
         slip=slip,
+        shear_vector=_vectors(spaces, solution.shear_vectors),
+        slip_vector=_vectors(spaces, linear_from_means(solution.slip_vectors)),
         state=np.nan_to_num(state, nan=-1.0).astype(np.int64),
         forward=np.repeat(_forward(contact, along), dim),
     )
+
+
+def _vectors(spaces: ElasticSpaces, rough: Array) -> Array:
+    """Vectors at the vertices of all facets of Γ_C, from those on the facets with friction."""
+    found = np.full((len(spaces.contact.facets), spaces.dim, 3), np.nan)
+    found[spaces.rough_rows] = np.pad(rough, ((0, 0), (0, 0), (0, 3 - spaces.dim)))
+    return found.reshape(-1, 3)
 
 
 def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
@@ -170,7 +183,10 @@ def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
     if solution.data.friction is None:
         return columns
     states = np.array(STATES)[table.state]
-    for name, values in {"shear": table.shear, "slip": table.slip, "friction": states}.items():
+    found = {"shear": table.shear, "slip": table.slip, "friction": states}
+    for name, vectors in {"shear": table.shear_vector, "slip": table.slip_vector}.items():
+        found |= {f"{name}_{axis}": vectors[:, i] for i, axis in enumerate("xyz") if solution.spaces.dim == 3}
+    for name, values in found.items():
         columns[name] = values.astype(object)
         columns[name][table.state < 0] = None
     return columns

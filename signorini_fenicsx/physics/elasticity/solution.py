@@ -157,33 +157,54 @@ class ElasticSolution(Solved):
 
     @property
     def slip(self) -> Array:
-        """u_t on the facets with friction, in means weighted by the hats of their vertices, shape (facets, 2)."""
-        return self._slips + self.data.slipped.reshape(-1, 2)
+        """u_t on the facets with friction, in means weighted by the hats of their vertices, shape (facets, d).
+
+        In space it is |u_t|.
+        """
+        return self._scalar(self._slips + self.data.slipped)
 
     @property
     def _slips(self) -> Array:
-        """What of u_t comes after the last step in time, all of it without one."""
-        return self.outcome.iterate.p[len(self.spaces.sites) :].reshape(-1, 2)
+        """What of u_t at the sites comes after the last step in time, all of it without one."""
+        return self.outcome.iterate.p[len(self.spaces.sites) :]
+
+    def _scalar(self, values: Array) -> Array:
+        """Tangential values at the sites as one number for each vertex: in space the length."""
+        by_vertex = values.reshape(-1, self.spaces.dim, self.spaces.dim - 1)
+        found: Array = by_vertex[:, :, 0] if self.spaces.dim == 2 else np.linalg.norm(by_vertex, axis=2)
+        return found
+
+    @property
+    def slip_vectors(self) -> Array:
+        """u_t as vectors, shape (facets, d, d)."""
+        return self.spaces.along(self._slips + self.data.slipped)
+
+    @property
+    def shear_vectors(self) -> Array:
+        """σ_t as vectors, shape (facets, d, d)."""
+        return self.spaces.along(self.spaces.shear(self.stresses))
 
     @property
     def shear(self) -> Array:
-        """σ_t at these vertices."""
-        return self.spaces.shear(self.stresses).reshape(-1, 2)
+        """σ_t at these vertices, in space |σ_t|."""
+        return self._scalar(self.spaces.shear(self.stresses))
 
     @property
     def states(self) -> Indices:
-        """The state of these vertices, an index into `Friction.segments`; without shear by the sign of u_t."""
+        """The state of these vertices, an index into `STATES`; without shear by the sign of u_t."""
         assert self.data.friction is not None
+        if self.data.friction.slipping is not None:
+            return np.where(self.data.friction.sticks, STATES.index("stick"), STATES.index("slip"))
         normal = len(self.spaces.sites)
         tangential = self.outcome.conditions.take(slice(normal, None))
         found = self.data.friction.chains.segments(tangential).reshape(-1, 2)
-        return np.where(self.data.friction.bound > 0, found, np.where(self._slips < 0, 0, 2))
+        return np.where(self.data.friction.bound > 0, found, np.where(self._scalar(self._slips) < 0, 0, 2))
 
     def segments(self) -> ElasticSegments:
         """Where the next step in time starts."""
         friction = self.data.friction
         chains = law_of_sites(self.spaces, self.data.laws.chains, friction)
-        bound = np.empty((0, 2)) if friction is None else friction.bound
+        bound = np.empty((0, self.spaces.dim)) if friction is None else friction.bound
         return ElasticSegments(self.spaces, chains.segments(self.outcome.conditions), bound)
 
     @property
@@ -215,7 +236,8 @@ class ElasticSolution(Solved):
         """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
         found = np.full((3, *self.touching.shape), np.nan)
         if self.data.friction is not None:
-            linear_slip = (self.spaces.dim + 1) * self.slip - self.slip.sum(axis=1, keepdims=True)
+            vectors = (self._slips + self.data.slipped).reshape(-1, self.spaces.dim, self.spaces.dim - 1)
+            linear_slip = self._scalar(linear_from_means(vectors))
             for values, rough in zip(found, (self.shear, linear_slip, self._states_or_open), strict=True):
                 values[self.spaces.rough_rows] = rough
         shear, slip, state = found
@@ -247,11 +269,14 @@ class ElasticSolution(Solved):
         """Number of facet vertices with friction in each state, and their measure (collective)."""
         states = self._states_or_open.ravel()
         number = len(STATES)
-        found = np.stack([np.bincount(states, weights, number) for weights in (None, self.spaces.slip_measure)])
+        measure = np.repeat(self.spaces.rough.measure / self.spaces.dim, self.spaces.dim)
+        found = np.stack([np.bincount(states, weights, number) for weights in (None, measure)])
         counts, measures = self.spaces.mesh.comm.allreduce(found).tolist()
+        names = STATES[:-1] if self.spaces.dim == 2 else ("stick", "slip", "open")
         return {
-            name: {"vertices": int(count), "measure": measure}
-            for name, count, measure in zip(STATES, counts, measures, strict=True)
+            name: {"vertices": int(counts[index]), "measure": measures[index]}
+            for name in names
+            for index in [STATES.index(name)]
         }
 
     @collector_off()

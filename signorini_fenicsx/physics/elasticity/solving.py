@@ -32,6 +32,7 @@ from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
+from signorini_fenicsx.physics.elasticity.slipping import slipped
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.evolution import Evolution
@@ -101,6 +102,8 @@ class System:
         check_kind("problem", problem, ElasticProblem)
         _check_start(self.spaces.domain, start)
         plain = Evolution(evolution.end, evolution.steps)
+        if problem.rough and self.spaces.dim == 3:
+            raise InputError("[time]: loads in steps with friction are in two dimensions only")
         if evolution != plain:
             raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
         return ElasticSteps(self.spaces, problem, evolution)
@@ -184,9 +187,10 @@ class ElasticRun:
 
 def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: ElasticKKT) -> str | None:
     """Why there is no solution; None if there is one (collective)."""
-    if not outcome.converged:
+    turns = data.friction is not None and data.friction.slipping is not None
+    if not outcome.converged and not turns:
         return outcome.reason
-    failure = kkt.violation()
+    failure = kkt.violation() if outcome.converged else outcome.reason
     return failure if failure is None or data.friction is None else slides(spaces, data) or failure
 
 
@@ -284,13 +288,17 @@ def _with_friction(
     parameters = Parameters(max_iterations=options.max_iterations or most)
     last: Indices | None = None
 
-    def tresca(segments: Indices | None) -> Outcome:
+    def loop(segments: Indices | None = None) -> Outcome:
         nonlocal before, last
         segments = last if segments is None else segments
         start = first if segments is None else backend.chains.conditions(segments)  # with the values of this bound
         outcome = iterate_sets(backend, rule, parameters, start=start, before=before, history=history)
         before, last = outcome.iterate, backend.chains.segments(outcome.conditions)
         return outcome
+
+    def tresca(segments: Indices | None) -> Outcome:
+        in_space = backend.friction is not None and backend.friction.slipping is not None
+        return slipped(backend, loop) if in_space else loop(segments)
 
     return balanced(backend, tresca, changes)
 

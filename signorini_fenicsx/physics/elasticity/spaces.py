@@ -67,7 +67,7 @@ def linear_values(moments: Array, measure: Array) -> Array:
 
 
 def linear_from_means(means: Array) -> Array:
-    """Values at the vertices of linear functions with these means weighted by the hats, shape (facets, d)."""
+    """Values at the vertices of linear functions with these means weighted by the hats, shape (facets, d, …)."""
     return (means.shape[1] + 1) * means - means.sum(axis=1, keepdims=True)
 
 
@@ -202,18 +202,22 @@ class ElasticSpaces(MeshSpaces):
 
     @cached_property
     def slip_sites(self) -> npt.NDArray[np.int32]:
-        """The unknown of each site with friction, facet by facet."""
-        return self.unknowns(self.rough, 1).ravel()
+        """The unknowns of each vertex with friction, one in the plane and two in space, facet by facet."""
+        return np.stack([self.unknowns(self.rough, k) for k in range(1, self.dim)], axis=2).ravel()
 
     @cached_property
     def slip_measure(self) -> Array:
         """|e|/d of each site with friction."""
-        return np.repeat(self.rough.measure / self.dim, self.dim)
+        return np.repeat(self.rough.measure / self.dim, self.dim * (self.dim - 1))
 
     @cached_property
     def tangents(self) -> Array:
-        """Tangents of the facets with friction: n turned to the left."""
-        return _frames(self.rough.normals)[:, 1]
+        """Tangents of the facets with friction, n turned to the left or two in space, shape (facets, d − 1, d)."""
+        return _frames(self.rough.normals)[:, 1:]
+
+    def along(self, values: Array) -> Array:
+        """Tangential vectors from values at the sites with friction, shape (facets, d, d)."""
+        return np.einsum("nak,nki->nai", values.reshape(-1, self.dim, self.dim - 1), self.tangents)
 
     def displacement(self, values: Array, name: str = "u") -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d)."""
@@ -238,7 +242,7 @@ class ElasticSpaces(MeshSpaces):
 
     def shear(self, stresses: Array) -> Array:
         """σ_t at the sites with friction."""
-        return np.einsum("nai,ni->na", self.tractions(self.rough, stresses), self.tangents).ravel()
+        return np.einsum("nai,nki->nak", self.tractions(self.rough, stresses), self.tangents).ravel()
 
     @cached_property
     def split(self) -> SplitMesh:

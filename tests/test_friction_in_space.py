@@ -1,0 +1,190 @@
+"""Friction in space: exact states, the law at each vertex, any start, two bodies, bounds, files, ranks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from elastic import box, two_boxes
+from mpi4py import MPI
+
+from signorini_fenicsx.api import load_solution
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.physics.elasticity import friction
+from signorini_fenicsx.physics.elasticity.friction import Slipping
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolving import evolve
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+SIDES = ["x0", "x1", "y0", "y1"]
+
+
+def oblique(comm: MPI.Comm, law: ElasticLaw, shear: float, slip: float) -> ElasticSolution:
+    """A block under a pressure of 0.1 and a uniform shear along an oblique direction, ν = 0; it slips so far."""
+    way = np.array([np.cos(0.7), np.sin(0.7)])
+    u = [*(f"{w}*({slip} + {2 * shear}*z)" for w in way), "-0.1*z"]
+    return solve(
+        box(comm, 2, [0.0] * 3, [1.0] * 3), (ElasticBoundary([]), ElasticProblem(1.0, 0.0, u_D=u, exact=u, laws=[law]))
+    )
+
+
+@pytest.mark.parametrize("law", [Friction(["z0"], g=0.03), CoulombLaw(["z0"], 0.3)], ids=["tresca", "coulomb"])
+@pytest.mark.parallel([1, 3])
+def test_oblique_slip_is_exact(law: ElasticLaw):
+    """In a uniform state of slip along an oblique direction the solution is exact, and the bound is rounding."""
+    solution = oblique(COMM, law, 0.03, 0.1)
+    errors = solution.errors()
+    assert errors is not None
+    assert max(errors["energy"], errors["u_L2"]) < 1e-10
+    way = np.array([np.cos(0.7), np.sin(0.7), 0.0])
+    np.testing.assert_allclose(
+        solution.shear_vectors, np.broadcast_to(-0.03 * way, solution.shear_vectors.shape), atol=1e-10
+    )
+    np.testing.assert_allclose(
+        solution.slip_vectors, np.broadcast_to(0.1 * way, solution.slip_vectors.shape), atol=1e-10
+    )
+    assert solution.friction_states()["slip"]["measure"] == pytest.approx(1.0)
+    assert certify_elastic(solution).relative < 1e-6
+
+
+def test_oblique_stick_is_exact():
+    """Under less shear than the bound nothing slips."""
+    solution = oblique(COMM, CoulombLaw(["z0"], 0.3), 0.02, 0.0)
+    errors = solution.errors()
+    assert errors is not None
+    assert errors["energy"] < 1e-10
+    assert solution.friction_states()["stick"]["measure"] == pytest.approx(1.0)
+
+
+def twisted(comm: MPI.Comm, law: ElasticLaw, n: int = 2) -> ElasticSolution:
+    """A block that is pressed, tilted, pushed and twisted on a plane."""
+    u = ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"]
+    problem = ElasticProblem(1.0, 0.3, u_D={"z1": u}, gap="0.01*x", laws=[law])
+    return solve(box(comm, n, [0.0] * 3, [1.0, 1.0, 0.5]), (ElasticBoundary([], SIDES), problem))
+
+
+def check_law(solution: ElasticSolution) -> None:
+    """|σ_t| ≤ g everywhere, and σ_t = −g u_t/|u_t| where u_t is not 0."""
+    assert solution.data.friction is not None
+    bound, slip, shear = solution.data.friction.bound, solution.slip_vectors, solution.shear_vectors
+    size = np.linalg.norm(slip, axis=2)
+    assert (np.linalg.norm(shear, axis=2) <= bound + 1e-12).all()
+    slips = size > 1e-10
+    np.testing.assert_allclose(
+        shear[slips], -(bound / np.where(slips, size, 1.0))[slips, None] * slip[slips], atol=1e-12
+    )
+
+
+def test_the_law_holds_at_each_vertex():
+    """Some vertices stick, others slip along many directions; Coulomb's bound is μ times the pressure."""
+    solution = twisted(COMM, Friction(["z0"], g="0.02 + 0.02*x"))
+    states = solution.friction_states()
+    assert min(states["stick"]["vertices"], states["slip"]["vertices"]) > 0
+    check_law(solution)
+    solution = twisted(COMM, CoulombLaw(["z0"], 1.0))
+    assert min(each["vertices"] for each in solution.friction_states().values()) > 0
+    check_law(solution)
+    assert solution.data.friction is not None
+    np.testing.assert_allclose(solution.data.friction.bound, solution.pressure, atol=1e-9)
+    assert len(solution.bound_changes) <= 6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_from_any_start(seed: int, monkeypatch: pytest.MonkeyPatch):
+    """From random directions and sizes of slip Newton's method finds the same solution."""
+    law = Friction(["z0"], g=0.03)
+    expected = twisted(COMM, law)
+
+    def anywhere(facets: int) -> Slipping:
+        random = np.random.default_rng(seed)
+        angle, size = random.uniform(0, 2 * np.pi, (facets, 3)), 10 ** random.uniform(-4, 0, (facets, 3))
+        sticks = random.uniform(size=(facets, 3, 1)) < 0.3
+        return Slipping(np.where(sticks, 0.0, np.stack([np.cos(angle), np.sin(angle)], axis=2)), size)
+
+    monkeypatch.setattr(friction.Slipping, "nowhere", anywhere)
+    found = twisted(COMM, law)
+    np.testing.assert_allclose(found.stresses, expected.stresses, atol=1e-10)
+    assert len(found.outcome.history) <= 40
+
+
+@pytest.mark.parallel([3])
+def test_same_on_ranks():
+    """On three ranks the solution and its bound are those of one."""
+    together, alone = (twisted(comm, CoulombLaw(["z0"], 1.0)) for comm in (COMM, MPI.COMM_SELF))
+    assert together.friction_states() == {
+        name: {"vertices": each["vertices"], "measure": pytest.approx(each["measure"])}
+        for name, each in alone.friction_states().items()
+    }
+    assert together.norms() == pytest.approx(alone.norms(), rel=1e-10)
+    assert certify_elastic(together).bound == pytest.approx(certify_elastic(alone).bound, rel=1e-6)
+
+
+def test_bound_where_slip_turns():
+    """u_t = d turns around a point, u = d + 2gz d/|d|, ν = 0: the bound is above the error, and how far."""
+    errors, bounds = [], []
+    for n in (1, 2):
+        domain = box(COMM, n, [0.0] * 3, [1.0, 1.0, 1.0])
+        x, y, z = ufl.SpatialCoordinate(domain.mesh)
+        d = ufl.as_vector([-(y + 0.5), x + 0.5, 0])
+        u = 0.1 * d + 0.06 * z * d / ufl.sqrt(ufl.dot(d, d)) - 0.1 * z * ufl.as_vector([0, 0, 1])
+        f = -ufl.div(stress(strain(u), 1.0, 0.0))
+        problem = ElasticProblem(1.0, 0.0, f=f, u_D=u, exact=u, laws=[Friction(["z0"], g=0.03)])
+        solution = solve(domain, (ElasticBoundary([]), problem))
+        errors.append(solution.errors()["energy"])
+        bounds.append(certify_elastic(solution).sigma_bound)
+    assert errors[1] < errors[0] / 2
+    assert bounds[1] < bounds[0] / 1.8
+    assert errors[0] < bounds[0] < 5 * errors[0]
+    assert errors[1] < bounds[1] < 6 * errors[1]
+
+
+@pytest.mark.parallel([1, 3])
+def test_two_bodies():
+    """A body that is pushed over another one: the law holds between both, and forces balance."""
+    u = ["0.08", "0.06", "-0.05"]
+    problem = ElasticProblem(1.0, 0.3, u_D={"top": u, "bottom": ["0"] * 3}, laws=[CoulombLaw(["fault"], 0.3)])
+    boundary = ElasticBoundary([], ["left", "right", "front", "back"], inner=["fault"])
+    solution = solve(two_boxes(COMM, 2, 3), (boundary, problem))
+    check_law(solution)
+    assert COMM.allreduce(solution.slip.max(initial=0.0), MPI.MAX) > 1e-3
+    assert solution.quantities()["balance"] < 1e-12
+    assert np.isfinite(certify_elastic(solution).bound)
+
+
+def test_pushed_away():
+    """A block that friction alone holds rests under a small push; under a large one it slides, and that is told."""
+
+    def pushed(push: float) -> ElasticSolution:
+        load = {"z1": [str(0.8 * push), str(0.6 * push), "-0.1"]}
+        problem = ElasticProblem(1.0, 0.3, g_N=load, laws=[CoulombLaw(["z0"], 0.5)])
+        return solve(box(COMM, 1, [0.0] * 3, [1.0, 1.0, 0.25]), (ElasticBoundary([], ["z1", *SIDES]), problem))
+
+    solution = pushed(0.03)
+    force = solution.resultants()["z0"][:3]
+    assert force == pytest.approx([-0.024, -0.018, 0.1])
+    with pytest.raises(NumericalFailure, match="the body slides away, along"):
+        pushed(0.06)
+
+
+def test_file(tmp_path: Path):
+    """A solution that is written and read is the same, the directions of slip too."""
+    solution = twisted(COMM, CoulombLaw(["z0"], 1.0))
+    solution.write(tmp_path / "out")
+    again = load_solution(tmp_path / "out")
+    assert again.friction_states() == solution.friction_states()
+    np.testing.assert_allclose(np.sort(again.slip_vectors, axis=None), np.sort(solution.slip_vectors, axis=None))
+    assert again.kkt.complementarity < 1e-10
+    assert certify_elastic(again).bound == pytest.approx(certify_elastic(solution).bound, rel=1e-6)
+
+
+def test_steps_are_refused():
+    """Loads in steps with friction are in the plane only."""
+    problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1*t"], laws=[Friction(["z0"], g=0.1)])
+    with pytest.raises(InputError, match="in two dimensions only"):
+        list(evolve(box(COMM, 1, [0.0] * 3, [1.0] * 3), (ElasticBoundary([]), problem), Evolution(end=1.0, steps=2)))
