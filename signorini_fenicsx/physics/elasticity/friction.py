@@ -115,7 +115,7 @@ class FrictionBounds:
             segments: Number of the segment of each site with friction.
         """
         if self.slipping is None:
-            return 1.0 - segments  # σ_t is g, less than g, −g on the segments
+            return np.subtract(1.0, segments)  # σ_t is g, less than g, −g on the segments
         return -self.slipping.direction.ravel()
 
     def residuals(self, slip: Array, shear: Array, unit: Array) -> tuple[Array, Array]:
