@@ -20,6 +20,7 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.of_solution import certify
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.writing import write_solution
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
@@ -54,16 +55,25 @@ def draw(name: str) -> None:
             sys.stdout.write(f"{name}: {solution.contact.facets} in contact\n")
             certificate = certify(solution) if name in WITH_OVERVIEW else None
             write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
-        save(Image.open(found), GALLERY / f"{name}.png", WIDTH, Image.Quantize.MEDIANCUT)  # maps of u stay smooth
+        save(Image.open(found), GALLERY / f"{name}.png", WIDTH)
         if name in WITH_OVERVIEW:
             save(Image.open(Path(folder) / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
 
 
-def save(picture: Image.Image, path: Path, width: int, kind: Image.Quantize = Image.Quantize.MAXCOVERAGE) -> None:
-    """Write a picture with this width in few colours."""
+def save(picture: Image.Image, path: Path, width: int) -> None:
+    """Write a picture with this width in few colours, among them those of sets: maps of u stay smooth."""
     size = (width, round(picture.height * width / picture.width))
     small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    small.quantize(256, kind).save(path, optimize=True)
+    sets = [
+        *bytes.fromhex(
+            "".join(colour[1:] for colour in ("#ffffff", "#000000", style.CONTACT, style.FREE, *style.SEGMENTS))
+        )
+    ]
+    most = 256 - len(sets) // 3
+    palette = small.quantize(most, Image.Quantize.MEDIANCUT).getpalette()
+    known = Image.new("P", (1, 1))
+    known.putpalette((palette or [])[: 3 * most] + sets)
+    small.quantize(palette=known, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def draw_strip() -> None:

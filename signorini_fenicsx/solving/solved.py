@@ -107,20 +107,9 @@ class Solved(ABC):
     lacks: ClassVar[Sequence[str]] = ()
     """Options of commands that there are not for it."""
     offers: ClassVar[Sequence[str]] = (
-        *("approach", "at", "boundary", "certify", "contact", "converged", "errors", "kkt", "name", "norms", "options"),
-        *(
-            "outcome",
-            "plot",
-            "problem",
-            "segments_of_parts",
-            "sigma",
-            "spaces",
-            "step",
-            "summary",
-            "title",
-            "u",
-            "write",
-        ),
+        *("approach", "at", "boundary", "certify", "contact", "converged", "derivative", "errors", "gradient"),
+        *("kkt", "name", "norms", "options", "outcome", "plot", "problem", "quantity"),
+        *("segments_of_parts", "sigma", "spaces", "step", "summary", "title", "u", "write"),
     )
     """The names that completion in a notebook shows; others are for the program itself."""
     order: ClassVar[int]
