@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from mpi4py import MPI
 from PIL import Image
 
@@ -64,16 +65,14 @@ def save(picture: Image.Image, path: Path, width: int) -> None:
     """Write a picture with this width in few colours, among them those of sets: maps of u stay smooth."""
     size = (width, round(picture.height * width / picture.width))
     small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    sets = [
-        *bytes.fromhex(
-            "".join(colour[1:] for colour in ("#ffffff", "#000000", style.CONTACT, style.FREE, *style.SEGMENTS))
-        )
-    ]
-    most = 256 - len(sets) // 3
-    palette = small.quantize(most, Image.Quantize.MEDIANCUT).getpalette()
+    sets = "".join(colour[1:] for colour in (style.CONTACT, style.FREE, *style.SEGMENTS, "#ffffff"))
+    most = 256 - len(sets) // 6
+    palette = small.quantize(most, Image.Quantize.MEDIANCUT).getpalette() or []
     known = Image.new("P", (1, 1))
-    known.putpalette((palette or [])[: 3 * most] + sets)
-    small.quantize(palette=known, dither=Image.Dither.NONE).save(path, optimize=True)
+    known.putpalette([*palette[: 3 * most], *bytes.fromhex(sets)])
+    few = small.quantize(palette=known, dither=Image.Dither.NONE)
+    few.paste(255, mask=Image.fromarray(np.all(np.asarray(small) == 255, axis=2)))  # which Pillow may have tinted
+    few.save(path, optimize=True)
 
 
 def draw_strip() -> None:
