@@ -1,12 +1,16 @@
 """Draws the pictures of docs/gallery.md: u of each shipped case on a coarse mesh, in small files.
 
 Usage: python scripts/gallery.py [CASE …]
+
+Of some cases there is the whole `overview.png`, too. Without a case it also draws the strip of the README. It prints
+the number of facets in contact, of elastic bodies that of vertices of facets.
 """
 
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 from mpi4py import MPI
 from PIL import Image
 
@@ -14,14 +18,25 @@ from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.cli.evolving import solve_in_time
+from signorini_fenicsx.certificate.of_solution import certify
+from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.writing import write_solution
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
 """The diameter of a shape divided by h."""
 WIDTH = 900
+WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
+STRIP = {
+    "example2": (0.0, 0.045, 0.45, 0.86),
+    "dam": (0.0, 0.08, 0.93, 0.71),
+    "hertz": (0.02, 0.13, 0.86, 0.95),
+    "ball": (0.02, 0.09, 0.44, 0.88),
+}
+"""Pictures of the strip, and which part of each: left, upper, right and lower edge."""
+STRIP_HEIGHT, GAP = 260, 20
 
 
 def draw(name: str) -> None:
@@ -34,17 +49,50 @@ def draw(name: str) -> None:
         found = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")
         if case.time is not None:
             kept = {"restart": False, "certify_steps": False}
-            solve_in_time(case, MPI.COMM_WORLD, Path(folder, "x"), **kept, plot=True, quiet=True, as_json=False)
+            solve_in_time(case, MPI.COMM_WORLD, EvolutionReport(quiet=True), Path(folder, "x"), **kept, plot=True)
             found = Path(folder) / "x" / "contact.png"
         else:
-            write_solution(solve_case(case), folder, plot=True, fields=False)
-        picture = Image.open(found).convert("RGB")
-    size = (WIDTH, round(picture.height * WIDTH / picture.width))
-    picture = picture.resize(size, Image.Resampling.LANCZOS)
-    picture = picture.quantize(256, Image.Quantize.MEDIANCUT)  # maps of u stay smooth
-    picture.save(GALLERY / f"{name}.png", optimize=True)
+            solution = solve_case(case)
+            sys.stdout.write(f"{name}: {solution.contact.facets} in contact\n")
+            certificate = certify(solution) if name in WITH_OVERVIEW else None
+            write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
+        save(Image.open(found), GALLERY / f"{name}.png", WIDTH)
+        if name in WITH_OVERVIEW:
+            save(Image.open(Path(folder) / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
+
+
+def save(picture: Image.Image, path: Path, width: int) -> None:
+    """Write a picture with this width in few colours, among them those of sets: maps of u stay smooth."""
+    size = (width, round(picture.height * width / picture.width))
+    small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    sets = "".join(colour[1:] for colour in (style.CONTACT, style.FREE, *style.SEGMENTS, "#ffffff"))
+    most = 256 - len(sets) // 6
+    palette = small.quantize(most, Image.Quantize.MEDIANCUT).getpalette() or []
+    known = Image.new("P", (1, 1))
+    known.putpalette([*palette[: 3 * most], *bytes.fromhex(sets)])
+    few = small.quantize(palette=known, dither=Image.Dither.NONE)
+    few.paste(255, mask=Image.fromarray(np.all(np.asarray(small) == 255, axis=2)))  # which Pillow may have tinted
+    few.save(path, optimize=True)
+
+
+def draw_strip() -> None:
+    """Put the main panels of four pictures of the gallery side by side."""
+    panels = []
+    for name, (left, upper, right, lower) in STRIP.items():
+        picture = Image.open(GALLERY / f"{name}.png").convert("RGB")
+        width, height = picture.size
+        panel = picture.crop((round(left * width), round(upper * height), round(right * width), round(lower * height)))
+        panels.append(panel.resize((round(panel.width * STRIP_HEIGHT / panel.height), STRIP_HEIGHT)))
+    strip = Image.new("RGB", (sum(panel.width + GAP for panel in panels), STRIP_HEIGHT), "white")
+    across = 0
+    for panel in panels:
+        strip.paste(panel, (across, 0))
+        across += panel.width + GAP
+    strip.save(GALLERY.parent / "strip.png", optimize=True)
 
 
 if __name__ == "__main__":
     for each in sys.argv[1:] or case_names():
         draw(each)
+    if not sys.argv[1:]:
+        draw_strip()

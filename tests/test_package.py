@@ -102,7 +102,7 @@ def test_gallery_and_pictures():
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
     for path in (ROOT / "data" / "cases").glob("*.toml"):
         title = tomllib.loads(path.read_text(encoding="utf-8"))["title"]
-        assert f"### {path.stem}\n\n{title}" in page
+        assert f"<br>**{path.stem}**: {title}" in page
         assert f"(static/gallery/{path.stem}.png)" in page
     for path in (ROOT / "docs" / "static").rglob("*.png"):
         assert path.stat().st_size <= 300_000, path

@@ -2,6 +2,7 @@
 
 import doctest
 import gc
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from dolfinx import fem, mesh
 from dolfinx.fem.petsc import LinearProblem
 from mpi4py import MPI
 
-from signorini_fenicsx import InputError, Solution, domain_of, load_solution, solve, write_solution
+from signorini_fenicsx import InputError, NumericalFailure, Solution, domain_of, load_solution, solve, write_solution
 from signorini_fenicsx.extend import Step
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion import solution as module
@@ -113,10 +114,22 @@ def test_trace_in_ones_own_ufl():
     assert distances[1] < 0.02
 
 
+def test_errors_are_one_line_in_a_notebook():
+    """IPython shows what `_render_traceback_` gives in the place of a traceback."""
+    for error in (InputError("no mesh"), NumericalFailure("no solution")):
+        assert error._render_traceback_() == [f"{type(error).__name__}: {error}"]
+
+
 @pytest.mark.parallel([1, 2])
 def test_it_shows_and_writes_itself(folder: Path):
     solution = solved(n=4)
+    certificate = solution.certify()
     assert len(repr(solution)) < 100
+    assert repr(solution.spaces.domain) == "<Domain mesh: 32 cells, h = 0.3536, parts bottom, low, right>"
+    assert re.fullmatch(r"<Certificate: energy error ≤ \S+, relative \S+, guaranteed>", repr(certificate))
+    for shown in (solution, certificate, solution.spaces.domain):
+        assert {name for name in dir(shown) if not hasattr(shown, name)} == set()
+        assert not [name for name in dir(shown) if name.startswith("_")]
     figure, page = solution.plot(), solution._repr_html_()
     if COMM.rank == 0:
         assert figure.axes[0].get_title() == "(a) $u_h$"

@@ -20,7 +20,7 @@ from signorini_fenicsx.cases.inspection import check
 from signorini_fenicsx.cases.solving import evolve_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.step_bounds import StepBounds
-from signorini_fenicsx.cli.evolving import solve_in_time
+from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.cli.solutions import export
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.steps import StepFolder
@@ -56,7 +56,7 @@ def run(
     plot: bool = False,
 ) -> None:
     kept = {"restart": restart, "certify_steps": certify_steps}
-    solve_in_time(about, COMM, folder, start_from, **kept, plot=plot, quiet=True, as_json=False)
+    solve_in_time(about, COMM, EvolutionReport(quiet=True), folder, start_from, **kept, plot=plot)
 
 
 def run_in_two(about: Case, folder: Path, step: int, monkeypatch: pytest.MonkeyPatch) -> None:

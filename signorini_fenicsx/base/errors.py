@@ -3,11 +3,19 @@
 from typing import Any
 
 
-class InputError(Exception):
+class InOneSentence(Exception):
+    """An error whose message says all: a notebook shows it without a traceback."""
+
+    def _render_traceback_(self) -> list[str]:
+        """What IPython shows in the place of a traceback."""
+        return [f"{type(self).__name__}: {self}"]
+
+
+class InputError(InOneSentence):
     """The user asked for something impossible: one clear sentence, exit status 2, nothing is written."""
 
 
-class NumericalFailure(Exception):
+class NumericalFailure(InOneSentence):
     """The computation ended without a solution that satisfies the Signorini conditions: exit status 1.
 
     Attributes:

@@ -24,6 +24,7 @@ from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
+from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cases.texts import ProblemTexts, Time, Times
 from signorini_fenicsx.cases.toml_files import read_toml
@@ -243,6 +244,7 @@ class Case(CaseFile):
     exact: Exact = Exact()
     time: Time | None = None
     dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
+    plot: Annotated[Plot | None, Field(default=None, exclude_if=lambda plot: plot is None)]
 
     @model_validator(mode="before")
     @classmethod

@@ -72,6 +72,20 @@ QUADRATIC = 2
 ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
 
+API = (
+    "bound",
+    "gap",
+    "guaranteed",
+    "indicator",
+    "numbers",
+    "oscillation",
+    "relative",
+    "remainder",
+    "sigma_bound",
+    "summary",
+)
+"""What a notebook offers of a certificate."""
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -114,6 +128,17 @@ class Certificate:
     if_none: str = ""
     if_by_quadrature: ClassVar[str] = "by quadrature"
     """What is missing for the data in `by_quadrature`."""
+
+    def __repr__(self) -> str:
+        if not math.isfinite(self.bound):
+            return f"<{type(self).__name__}: no bound, {self.if_none}>"
+        trust = "guaranteed" if self.guaranteed else "not guaranteed"
+        return (
+            f"<{type(self).__name__}: energy error{self.of} ≤ {self.bound:.4g}, relative {self.relative:.3g}, {trust}>"
+        )
+
+    def __dir__(self) -> list[str]:
+        return sorted(API)
 
     def summary(self) -> dict[str, Any]:
         """All but the fields, ready for JSON."""

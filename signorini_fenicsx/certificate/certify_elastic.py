@@ -56,7 +56,7 @@ HALF, FEW = 0.5, {2: 200, 3: 20}
 """or it is one of those that have half of the gap, if these are not more than so many, by dimension."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ElasticCertificate(Certificate):
     """The bound of an elastic solution; its `v` is quadratic also where the bound has a better one.
 

@@ -50,6 +50,10 @@ def other_side(name: str) -> str:
     return f"{name} (other side)"
 
 
+API = ("box", "cells", "facets", "h", "mesh", "name", "origin", "parts", "regions")
+"""What a notebook offers of a domain."""
+
+
 @dataclass(frozen=True)
 class Domain:
     """A distributed mesh with named boundary parts and regions.
@@ -97,6 +101,12 @@ class Domain:
                 f"{share:.1e} of the height of a cell, and at most {COARSEST:g} is exact enough; measure coordinates "
                 "from a point of the domain"
             )
+
+    def __repr__(self) -> str:
+        return f"<Domain {self.name}: {self.cells} cells, h = {self.h:.4g}, parts {', '.join(self.parts)}>"
+
+    def __dir__(self) -> list[str]:
+        return sorted(API)
 
     @property
     def cells(self) -> int:

@@ -106,6 +106,12 @@ class Solved(ABC):
     WORD: ClassVar[str] = "Solution"
     lacks: ClassVar[Sequence[str]] = ()
     """Options of commands that there are not for it."""
+    offers: ClassVar[Sequence[str]] = (
+        *("approach", "at", "boundary", "certify", "contact", "converged", "derivative", "errors", "gradient"),
+        *("kkt", "name", "norms", "options", "outcome", "plot", "problem", "quantity"),
+        *("segments_of_parts", "sigma", "spaces", "step", "summary", "title", "u", "write"),
+    )
+    """The names that completion in a notebook shows; others are for the program itself."""
     order: ClassVar[int]
     """Order in h of ‖σ − σ_h‖ for a smooth u."""
 
@@ -412,3 +418,6 @@ class Solved(ABC):
         iterations = counted(len(self.outcome.history), "iteration")
         about = f"{self.options.algorithm_name}, {self.spaces.domain.cells} cells, {ended} after {iterations}"
         return f"<{type(self).__name__} of {self.name}: {about}>"
+
+    def __dir__(self) -> list[str]:
+        return sorted(self.offers)

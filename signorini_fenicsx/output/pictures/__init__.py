@@ -23,7 +23,7 @@ from signorini_fenicsx.output.pictures.evolution import (
     draw_sets_over_time,
     shown,
 )
-from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.output.pictures.scene import UNNAMED, Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solved import Solved
 
@@ -95,6 +95,7 @@ def scene_of(
         phreatic_line=phreatic_line,
         physics=physics,
         sites=gathered.sites,
+        plot=getattr(solution.source, "plot", None) or UNNAMED,
     )
 
 

@@ -178,7 +178,7 @@ def animate(path: Path, scene: Scene, chosen: Sequence[Frame]) -> None:
     plane = Plane(scene)
     sheet, axes = one_map(plane, dpi=80)
     image = axes.tripcolor(plane.triangulation, chosen[0][1], cmap=style.U_MAP, vmin=low, vmax=high)
-    sheet.bar(axes, image, "$u_h$")
+    sheet.bar(axes, image, scene.plot.u_label)
     segments = scene.fields.points[scene.facets.vertices]
     line = axes.add_collection(LineCollection(segments, linewidths=4, clip_on=False, zorder=5))
     groups = _groups([replace(scene, facets=table) for _, _, table in chosen])

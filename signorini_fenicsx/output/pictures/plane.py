@@ -1,6 +1,6 @@
 """Maps of a solution in the plane: u_h, σ_h, the certificate, the mesh. Each is drawn into given axes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +21,7 @@ from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.streams import streamlines
-from signorini_fenicsx.output.pictures.water import Water
+from signorini_fenicsx.output.pictures.water import Water, water_lines, wet
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 
 MOST_FACES = 4_000
@@ -65,8 +65,25 @@ class Plane:
 
     @cached_property
     def streams(self) -> tuple[list[Array], Array]:
-        """Streamlines of σ_h and their arrow heads."""
-        return streamlines(self.scene.fields)
+        """Streamlines of the physical flux and their arrow heads."""
+        fields = self.scene.fields
+        if self.scene.phreatic_line is not None:
+            return water_lines(fields)
+        sign = self.scene.plot.sign
+        return streamlines(replace(fields, sigma=sign * fields.sigma, divergence=sign * fields.divergence))
+
+    @property
+    def u_label(self) -> str:
+        """What u is called."""
+        return "$H = -u_h$" if self.water and not self.scene.plot.u else self.scene.plot.u_label
+
+    @property
+    def flux_title(self) -> str:
+        """What the map of the flux shows."""
+        if self.scene.phreatic_line is not None:
+            return r"water on its head $y - \partial_y u_h$"
+        plot = self.scene.plot
+        return plot.flux_name if plot.flux else f"{plot.flux_name} on {plot.flux_label}"
 
     @cached_property
     def outline(self) -> Outline:
@@ -88,9 +105,9 @@ class Plane:
         scene = self.scene
         values = -scene.u if self.water else scene.u
         image = axes.tripcolor(self.triangulation, values, cmap=style.U_MAP, shading="gouraud", rasterized=True)
-        levels = MaxNLocator(12).tick_values(float(values.min()), float(values.max()))
+        levels = scene.plot.levels or MaxNLocator(12).tick_values(float(values.min()), float(values.max()))
         lines = axes.tricontour(self.triangulation, values, levels, colors="white", linewidths=0.6, alpha=0.8)
-        bar = sheet.bar(axes, image, "$H = -u_h$" if self.water else "$u_h$")
+        bar = sheet.bar(axes, image, self.u_label)
         bar.add_lines(lines)
         self._surroundings(axes, title)
 
@@ -116,14 +133,18 @@ class Plane:
         axes.locator_params(nbins=4)
 
     def draw_sigma(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """Streamlines of σ_h on |σ_h|."""
-        scene = self.scene
+        """Streamlines of the physical flux on its length; of Baiocchi's dam those of the water on its head."""
+        scene, triangles = self.scene, self.triangulation
         low, high, extend = style.limits(scene.sigma_norm, scene.measure)
-        norm = np.linalg.norm(scene.fields.sigma_at_points, axis=1)
+        values, label = np.linalg.norm(scene.fields.sigma_at_points, axis=1), scene.plot.flux_label
+        if scene.phreatic_line is not None:
+            triangles, values = wet(scene.fields), scene.fields.points[:, 1] - scene.fields.sigma_at_points[:, 1]
+            seen = values[triangles.triangles]
+            low, high, extend, label = float(seen.min()), float(seen.max()), "neither", "head"
         image = axes.tripcolor(
-            self.triangulation, norm, cmap=style.FLUX_MAP, vmin=low, vmax=high, shading="gouraud", rasterized=True
+            triangles, values, cmap=style.FLUX_MAP, vmin=low, vmax=high, shading="gouraud", rasterized=True
         )
-        sheet.bar(axes, image, r"$|\sigma_h|$", extend)
+        sheet.bar(axes, image, label, extend)
         lines, heads = self.streams
         clip = PathPatch(self.outline, transform=axes.transData)
         for drawn in (LineCollection(lines, colors="white", linewidths=0.7), PolyCollection(heads, facecolors="white")):

@@ -54,7 +54,7 @@ def one_map(plane: Plane, *, bars: bool = True, dpi: float | None = None) -> tup
 
 
 def _draw_u(path: Path, plane: Plane) -> None:
-    title = "head of water $H = -u_h$" if plane.water else "$u_h$"
+    title = f"head of water {plane.u_label}" if plane.water and not plane.scene.plot.u else plane.u_label
     if plane.wide:
         sheet, axes = one_map(plane)
     else:
@@ -62,7 +62,7 @@ def _draw_u(path: Path, plane: Plane) -> None:
         width = min(4.4, 6.0 * plane.aspect)
         sheet = Sheet([width, 3.8], [width / plane.aspect])
         axes = sheet.panel(0, 0, aspect=plane.aspect)
-        plane.draw_surface(sheet.panel(0, 1, aspect=1.1, projection="3d"), "(b) $u_h$ as a surface")
+        plane.draw_surface(sheet.panel(0, 1, aspect=1.1, projection="3d"), f"(b) {plane.u_label} as a surface")
     plane.draw_u(sheet, axes, title)
     sheet.legend_below(plane.handles())
     sheet.save(path)
@@ -71,7 +71,7 @@ def _draw_u(path: Path, plane: Plane) -> None:
 def _draw_map(path: Path, plane: Plane, which: str) -> None:
     sheet, axes = one_map(plane)
     if which == "sigma":
-        plane.draw_sigma(sheet, axes, r"flux $\sigma_h$: streamlines on $|\sigma_h|$")
+        plane.draw_sigma(sheet, axes, f"streamlines of {plane.flux_title}")
     else:
         plane.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the error bound")
     sheet.legend_below(plane.handles())
@@ -109,8 +109,8 @@ def _overview(plane: Plane) -> Sheet:
     def panel(number: int) -> Axes:
         return sheet.panel(*slots[number], aspect=plane.aspect)
 
-    plane.draw_u(sheet, panel(0), "(a) $H = -u_h$" if plane.water else "(a) $u_h$")
-    plane.draw_sigma(sheet, panel(1), r"(b) $\sigma_h$ on $|\sigma_h|$")
+    plane.draw_u(sheet, panel(0), f"(a) {plane.u_label}")
+    plane.draw_sigma(sheet, panel(1), f"(b) {plane.flux_title}")
     number = 2
     if scene.fields.indicator is not None:
         plane.draw_certificate(sheet, panel(2), r"(c) error contributions $\eta_T$")

@@ -8,11 +8,15 @@ from functools import cached_property
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable
 from signorini_fenicsx.output.gather import Boundary, Fields
 from signorini_fenicsx.output.pictures import style
+
+UNNAMED = Plot()
+"""Of problems that name nothing."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class Scene:
         inside: The parts of Γ_S inside the domain.
         phreatic_line: Points of the phreatic line of a dam, shape (points, 2), or None.
         physics: Name of the physics.
+        plot: Names of u and of the flux, and level lines.
         sites: The table of the solution.
     """
 
@@ -69,6 +74,7 @@ class Scene:
     phreatic_line: Array | None = None
     physics: str = "diffusion"
     sites: SiteTable | None = None
+    plot: Plot = UNNAMED
 
     @property
     def dim(self) -> int:

@@ -141,7 +141,7 @@ class Space:
 
     def _draw_u(self, sheet: Sheet, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
         low, high = float(self.scene.u.min()), float(self.scene.u.max())
-        lines = surface.contour(np.linspace(low, high, 12)[1:-1], scalars="u")
+        lines = surface.contour(self.scene.plot.levels or np.linspace(low, high, 12)[1:-1].tolist(), scalars="u")
 
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, surface, "u", style.U_MAP, (low, high))
@@ -149,7 +149,7 @@ class Space:
                 self._add_lines(plotter, lines, self.views[0], "white", 1.5)
 
         self._show(axes, title, key, build, self.views[0])
-        _bar(sheet, axes, Normalize(low, high), style.U_MAP, "$u_h$")
+        _bar(sheet, axes, Normalize(low, high), style.U_MAP, self.scene.plot.u_label)
 
     def draw_sigma(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """|σ_h| on half of the domain."""
@@ -187,7 +187,7 @@ class Space:
                 _add_colours(plotter, tubes, "sigma_norm", style.STREAM_MAP, (low, high), lighting=True, ambient=0.4)
 
         self._show(axes, title, "streamlines", build, self.views[0])
-        _bar(sheet, axes, Normalize(low, high), style.STREAM_MAP, r"$|\sigma_h|$", extend)
+        _bar(sheet, axes, Normalize(low, high), style.STREAM_MAP, self.scene.plot.flux_label, extend)
 
     def draw_certificate(self, sheet: Sheet, axes: Axes, title: str) -> None:
         """η_T on half of the domain, on a logarithmic scale."""

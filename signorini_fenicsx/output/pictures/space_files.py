@@ -20,13 +20,13 @@ def draw_files(folder: Path, scene: Scene) -> None:
     """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and `certificate.png`."""
     space = Space(scene)
     sheet, (left, right) = _row(2)
-    space.draw_half(sheet, left, "(a) $u_h$ on half of the domain")
-    space.draw_cuts(sheet, right, "(b) $u_h$ on cuts through the middle")
+    space.draw_half(sheet, left, f"(a) {space.scene.plot.u_label} on half of the domain")
+    space.draw_cuts(sheet, right, f"(b) {space.scene.plot.u_label} on cuts through the middle")
     _finish(sheet, space, folder / "u.png")
 
     sheet, (left, right) = _row(2)
     space.draw_sigma(sheet, left, r"(a) $|\sigma_h|$ on half of the domain")
-    space.draw_streamlines(sheet, right, r"(b) streamlines of $\sigma_h$")
+    space.draw_streamlines(sheet, right, f"(b) streamlines of {space.scene.plot.flux_name}")
     _finish(sheet, space, folder / "sigma.png")
 
     _draw_certificate_file(folder, space)
@@ -112,8 +112,8 @@ def _overview(space: Space) -> Sheet:
         sheet.view(1, 0),
         sheet.view(1, 1),
     ]
-    space.draw_half(sheet, panels[0], "(a) $u_h$ on half of the domain")
-    space.draw_streamlines(sheet, panels[1], r"(b) streamlines of $\sigma_h$")
+    space.draw_half(sheet, panels[0], f"(a) {space.scene.plot.u_label} on half of the domain")
+    space.draw_streamlines(sheet, panels[1], f"(b) streamlines of {space.scene.plot.flux_name}")
     if scene.fields.indicator is None:
         space.draw_sigma(sheet, panels[2], r"(c) $|\sigma_h|$ on half of the domain")
     else:
@@ -122,7 +122,7 @@ def _overview(space: Space) -> Sheet:
         space.draw_trace(sheet, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
         space.draw_trace(sheet, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
     else:
-        space.draw_cuts(sheet, panels[3], "(d) $u_h$ on cuts through the middle")
+        space.draw_cuts(sheet, panels[3], f"(d) {space.scene.plot.u_label} on cuts through the middle")
         space.draw_contact(panels[4], f"(e) {scene.edges}", space.views[0])
     handles = space.handles()
     if moves(scene.history):

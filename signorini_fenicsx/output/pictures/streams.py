@@ -32,7 +32,7 @@ def streamlines(fields: Fields) -> tuple[list[Array], Array]:
     sigma[:, norm < STILL * np.nanquantile(norm, style.QUANTILE)] = np.nan
     found = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
     lines = [line for line in found.lines.get_segments() if len(line) > 2]
-    return lines, np.array([_head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
+    return lines, np.array([head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
 
 
 def on_grid(fields: Fields, x: Array, y: Array) -> Array:
@@ -67,7 +67,7 @@ def _spread(sigma: Array) -> Array:
     return np.where(np.isfinite(sigma), sigma, np.where(known.any(axis=0), mean, np.nan))
 
 
-def _head(line: Array, length: float) -> Array:
+def head(line: Array, length: float) -> Array:
     """A triangle in the middle of a line, pointing along it."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     at = int(np.searchsorted(np.cumsum(steps), steps.sum() / 2))

@@ -24,9 +24,10 @@ STYLE = {
 """Settings of Matplotlib; `mpl.rc_context(STYLE)` applies them to a function only, not to the process."""
 
 CONTACT, FREE, WATER = "#d62728", "#5ab4e6", "#4a90c2"
-SEGMENTS = ("#ff9f1c", "#2a9d8f", "#8d5bb5", "#b08968", "#e377c2", "#7f7f7f")
-OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "#8c1d40", "open": FREE}
-"""Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn."""
+SEGMENTS = ("#e69f00", "#009e73", "#cc79a7", "#0072b2", "#f0e442", "#7f7f7f")
+OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "#0072b2", "open": FREE}
+"""Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn, which are
+those of Okabe and Ito: colour-blind readers tell them apart."""
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
 
 QUANTILE = 0.99

@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET
+from signorini_fenicsx.output.gather import Fields
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains
+from signorini_fenicsx.output.pictures.streams import ARROW, head
 
 
 @dataclass(frozen=True)
@@ -77,3 +80,32 @@ def _pool(wall: Array, level: float, domain: Array) -> Array:
     away = 0.25 * float(np.ptp(domain[:, 1]))
     end = domain[:, 0].min() - away if left else domain[:, 0].max() + away
     return np.concatenate([wall, [[wall[-1, 0], level], [end, level], [end, wall[0, 1]]]])
+
+
+WATER_LINES = 14
+"""Streamlines of the water in Baiocchi's dam; between two neighbours the discharge is the same."""
+
+
+def wet(fields: Fields) -> Triangulation:
+    """The triangles of Baiocchi's dam below the phreatic line."""
+    dry = fields.contact
+    return Triangulation(*fields.points.T, fields.cells if dry is None or dry.all() else fields.cells[~dry])
+
+
+def water_lines(fields: Fields) -> tuple[list[Array], Array]:
+    """Streamlines of the water in Baiocchi's dam, and arrow heads, as `streamlines` has them.
+
+    With the pressure −∂w/∂y and Δw = 1 the velocity is (∂²w/∂x∂y, −∂²w/∂x²). So its stream function is ∂w/∂x, whose
+    level lines are drawn.
+    """
+    triangles, stream = wet(fields), fields.sigma_at_points[:, 0]
+    seen = stream[triangles.triangles]
+    levels = np.linspace(float(seen.min()), float(seen.max()), WATER_LINES + 2)[1:-1]
+    if not levels[-1] > levels[0]:
+        return [], np.empty((0, 3, 2))
+    drawn = Figure().add_subplot().tricontour(triangles, stream, levels)
+    lines = [
+        line if line[-1, 0] > line[0, 0] else line[::-1] for each in drawn.allsegs for line in each if len(line) > 2
+    ]
+    size = float(np.ptp(fields.points, axis=0).max())
+    return lines, np.array([head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)

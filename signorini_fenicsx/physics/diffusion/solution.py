@@ -122,6 +122,7 @@ class Solution(Solved):
     timings: dict[str, float] = field(default_factory=dict)
     peak_memory: int = 0
     order = 1
+    offers = (*Solved.offers, "cell_flux", "flux_through", "force", "free_boundary", "p")
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns, other_tables = shown.table, shown.columns, shown.other_tables
     differences = differences

@@ -94,6 +94,17 @@ class ElasticSolution(Solved):
     peak_memory: int = 0
     lacks = ("--rigorous", "--html")
     order = 2
+    offers = (
+        *Solved.offers,
+        "friction_states",
+        "gap",
+        "pressure",
+        "quantities",
+        "resultants",
+        "shear",
+        "slip",
+        "stresses",
+    )
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns = shown.table, shown.columns
     differences = differences

@@ -1,0 +1,55 @@
+"""`[plot]`: what pictures call u and the flux, and the level lines that they draw."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from signorini_fenicsx.cases.parts import Section
+
+MOST_LEVELS = 100
+
+type Word = Annotated[str, Field(max_length=30)]
+
+
+class Plot(Section):
+    """`[plot]`: names and units of u and of the flux; the sign of the physical flux, −1 where it is −σ; levels of u."""
+
+    u: Word = ""
+    unit: Word = ""
+    flux: Word = ""
+    flux_unit: Word = ""
+    sign: Literal[1, -1] = 1
+    levels: list[Annotated[float, Field(allow_inf_nan=False)]] = Field(default=[], max_length=MOST_LEVELS)
+
+    @model_validator(mode="after")
+    def _can_be_drawn(self) -> Self:
+        for key in ("u", "unit", "flux", "flux_unit"):
+            if not getattr(self, key).isprintable():
+                raise ValueError(f"{key}: must be one line of text")
+        if any(one >= other for one, other in zip(self.levels, self.levels[1:], strict=False)):
+            raise ValueError("levels: must ascend")
+        return self
+
+    @property
+    def u_label(self) -> str:
+        """U with its unit, in Matplotlib's mathematical type."""
+        return _with_unit(self.u, self.unit, "$u_h$")
+
+    @property
+    def flux_name(self) -> str:
+        """The physical flux."""
+        return _plain(self.flux) or (r"$\sigma_h$" if self.sign > 0 else r"$-\sigma_h$")
+
+    @property
+    def flux_label(self) -> str:
+        """The length of the flux, with its unit."""
+        return _with_unit(self.flux, self.flux_unit, r"$|\sigma_h|$")
+
+
+def _with_unit(name: str, unit: str, default: str) -> str:
+    return (_plain(name) or default) + (f" ({_plain(unit)})" if unit else "")
+
+
+def _plain(text: str) -> str:
+    """A text in which Matplotlib sees no mathematics."""
+    return text.replace("$", r"\$")

@@ -1,0 +1,101 @@
+"""`[plot]`: names, units, the direction of the physical flux, level lines; the water of Baiocchi's dam."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import signorini
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.plot import Plot
+from signorini_fenicsx.cases.seepage import seepage
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.output.pictures import gathered_scene, overview
+from signorini_fenicsx.output.pictures.plane import Plane
+from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.output.pictures.water import WATER_LINES, water_lines, wet
+from signorini_fenicsx.studies.study import make_run
+
+HEAT = {
+    "u": "temperature",
+    "unit": "°C",
+    "flux": "heat flux $x",
+    "flux_unit": "W/m²",
+    "sign": -1,
+    "levels": [-0.1, 0.1],
+}
+
+
+def scene(case: Case) -> Scene:
+    found = gathered_scene(solve_case(case, MPI.COMM_SELF))
+    assert found is not None
+    return found
+
+
+def test_names_and_levels():
+    """They are on the maps, a dollar is no mathematics; a flux that is −σ turns the arrows round."""
+    case = load_case("example2").with_values({"solve.h": 0.25})
+    plain, named = scene(case), scene(case.with_values({f"plot.{key}": value for key, value in HEAT.items()}))
+    texts = [axes.get_ylabel() for axes in overview(named).axes]
+    assert {"temperature (°C)", r"heat flux \$x (W/m²)"} <= set(texts)
+    assert {"$u_h$", r"$|\sigma_h|$"} <= {axes.get_ylabel() for axes in overview(plain).axes}
+    there, back = (Plane(each).streams[1] for each in (plain, named))
+    middle = there.mean(axis=1)
+    nearest = np.linalg.norm(back.mean(axis=1)[:, None] - middle, axis=2).argmin(axis=0)
+    along = [each[:, 0] - each[:, 1:].mean(axis=1) for each in (there, back[nearest])]
+    assert np.mean(np.einsum("ki,ki->k", *along) < 0) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"sign": 2}, "sign"),
+        ({"levels": [1, 1]}, "levels: must ascend"),
+        ({"u": "a\nb"}, "one line"),
+        ({"u": "a" * 31}, "at most 30"),
+        ({"name": "u"}, "unknown key"),
+        ({"levels": list(range(101))}, "at most 100"),
+    ],
+)
+def test_wrong_names_are_refused(values: dict, message: str):
+    with pytest.raises(InputError, match=message):
+        load_case("example1").with_values({f"plot.{key}": value for key, value in values.items()})
+
+
+def test_names_are_kept_with_a_solution(tmp_path: Path):
+    (tmp_path / "mine.toml").write_text(
+        '[geometry]\nshape = "square"\n[boundary]\nsignorini = ["bottom"]\n[problem]\nf = "-1"\n[plot]\nu = "head"\n'
+    )
+    assert signorini(tmp_path, "solve", "mine.toml", "--h", "0.5", "--plot").returncode == 0
+    assert signorini(tmp_path, "export", "results/mine", "--plot").returncode == 0
+    case = load_case("example1")
+    assert "plot" not in case.model_dump()
+    assert "plot.u" not in make_run(case).parameters
+
+
+def test_the_water_of_a_dam():
+    """Its head is H upstream and h downstream; its lines share the discharge equally, and flow from left to right."""
+    solution = solve_case(load_case("dam_baiocchi").with_values({"solve.h": 1.0}), MPI.COMM_SELF)
+    found, known = gathered_scene(solution), seepage(solution)
+    assert found is not None
+    assert known is not None
+    fields, triangles = found.fields, wet(found.fields)
+    points, below = fields.points, np.unique(triangles.triangles)
+    head = points[:, 1] - fields.sigma_at_points[:, 1]
+    left = below[points[below, 0] == 0]
+    right = below[(points[below, 0] == 16) & (points[below, 1] < 4)]
+    np.testing.assert_allclose(head[left], 24, atol=1.0)
+    np.testing.assert_allclose(head[right], 4, atol=1.0)
+    stream = fields.sigma_at_points[below, 0]
+    assert np.ptp(stream) == pytest.approx(known.discharge, rel=0.08)
+    lines, heads = water_lines(fields)
+    assert len(lines) >= WATER_LINES
+    assert all(line[0, 0] < line[-1, 0] for line in lines)
+    assert np.all(heads[:, 0, 0] > heads[:, 1:, 0].mean(axis=1))
+    plane = Plane(replace(found, phreatic_line=known.phreatic_line))
+    assert "head" in plane.flux_title
+    assert len(plane.streams[0]) == len(lines)
+    assert Plot().flux_name == r"$\sigma_h$"
