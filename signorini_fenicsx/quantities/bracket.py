@@ -103,9 +103,9 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Qua
         for factor in (0.5, 2.0):
             while len(tried) < MOST and width(tau * factor) < ENOUGH * width(tau):
                 tau *= factor
-    lower, upper = max(each.lower for each in tried.values()), min(each.upper for each in tried.values())
-    lower, upper = min(lower, upper), max(lower, upper)  # equal but for rounding where a quantity is known
-    reason = tried[tau].reason
+    best = max(tried.values(), key=lambda each: each.lower), min(tried.values(), key=lambda each: each.upper)
+    lower, upper = sorted((best[0].lower, best[1].upper))  # where a quantity is known they are equal but for rounding
+    reason = best[0].reason or best[1].reason
     finite = math.isfinite(upper - lower)
     middle = (lower + upper) / 2 if finite else discrete
     return Quantity(middle, lower, upper, finite and not reason, reason)

@@ -63,6 +63,8 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
             raise InputError("the energy has bounds under the law of Signorini alone")
     elif not isinstance(kind, Flux | Integral):
         raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
+    elif isinstance(kind, Integral) and kind.direction is not None:
+        raise InputError("direction: is of displacements; u is a scalar here")
     else:
         _moved(domain, posed, kind, 0.0)
 
