@@ -1,5 +1,6 @@
 """Quantities are within their intervals, which shrink as they should; fluxes without bounds are told."""
 
+import csv
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -328,3 +329,23 @@ def test_bodies_on_ranks():
     )
     for name in ("value", "lower", "upper"):
         assert getattr(many, name) == pytest.approx(getattr(one, name), rel=1e-8)
+
+
+def test_adapt(folder: Path):
+    """`adapt` refines until an interval is short enough, and fails if it has too few cells for that."""
+    (folder / "case.toml").write_text(CASE, encoding="utf-8")
+    wanted = "adapt", "case.toml", "--quantity", "left half", "--width"
+    ended = signorini(folder, *wanted, "0.015", "--output", "found")
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]["left half"]
+    rows = list(csv.DictReader((folder / "found" / "adapt.csv").open(encoding="utf-8")))
+    assert found["upper"] - found["lower"] <= 0.015 < float(rows[0]["upper"]) - float(rows[0]["lower"])
+    assert float(rows[-1]["lower"]) == found["lower"]
+    assert signorini(folder, *wanted, "1e-6", "--max-cells", "200", "--output", "failed").returncode == 1
+    for arguments, words in (
+        (("--quantity", "left half"), "belong together"),
+        (("--quantity", "nothing", "--width", "1"), "case has left half, inflow, unbounded"),
+    ):
+        refused = signorini(folder, "adapt", "case.toml", *arguments, "--output", "refused")
+        assert refused.returncode == 2
+        assert words in refused.stderr

@@ -31,7 +31,7 @@ from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoun
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.quantities.bracket import Ends, Quantity, bracket
-from signorini_fenicsx.quantities.diffusion import UNBOUNDED
+from signorini_fenicsx.quantities.diffusion import UNBOUNDED, Half
 from signorini_fenicsx.quantities.kinds import Force, Integral, Kind, Mean, Moment
 from signorini_fenicsx.quantities.shifts import added
 from signorini_fenicsx.solving.options import Options
@@ -187,17 +187,19 @@ class _Shifted:
         found = []
         for sign in (-1.0, 1.0):
             of_y, of_v = (above, below) if (sign > 0) is not isinstance(self.kind, Force) else (below, above)
-            half, reason = self._half(of_v, of_y)
+            half = self._half(of_v, of_y)
             value = (
                 self._force(of_y.solution, of_y.y.stresses) if isinstance(self.kind, Force) else self._integral(of_v.v)
             )
-            found.append((value + sign * half / tau, reason))
-        (lower, reason), (upper, other) = found
+            found.append((value + sign * half.value / tau, half))
+        (lower, one), (upper, other) = found
         size = above.solution.norms()["energy"]
         apart = above.solution.stresses - below.solution.stresses
         squares = self.comm.allreduce(float(energy_squares(self.spaces, self.solution.data, apart).sum()))
         PETSc.garbage_cleanup(self.comm)
-        return Ends(lower, upper, 2 * tau * size / math.sqrt(squares) if squares > 0 else 0.0, reason or other)
+        shares = (one.of_cells + other.of_cells) / tau
+        scale = 2 * tau * size / math.sqrt(squares) if squares > 0 else 0.0
+        return Ends(lower, upper, scale, one.reason or other.reason, shares)
 
     def _side(self, tau: float) -> _Side:
         """The problem with data that differ by τ, solved (collective)."""
@@ -206,14 +208,15 @@ class _Shifted:
         v, past = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC).minimum()
         return _Side(solution, y, v, past)
 
-    def _half(self, of_v: _Side, of_y: _Side) -> tuple[float, str]:
-        """The right side of the theorem for the v and the y of two problems, and why it is not guaranteed (collective).
+    def _half(self, of_v: _Side, of_y: _Side) -> Half:
+        """The right side of the theorem for the v and the y of two problems (collective).
 
         What the linear solver leaves of the jumps of y counts like a load.
         """
         solution, y = of_y.solution, of_y.y
         if of_v.past or not math.isfinite(y.distance):
-            return math.inf, of_v.past or "the linear solver leaves too much of the balance of the stress"
+            why = of_v.past or "the linear solver leaves too much of the balance of the stress"
+            return Half(math.inf, why, np.zeros(len(self.spaces.order)))
         problem = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC)
         mismatch, contact = gap_of_cells(solution, y, problem, of_v.v)
         oscillation = load_oscillation(solution.spaces, solution.data, y.stresses)
@@ -221,11 +224,12 @@ class _Shifted:
         total, at_sites = self.comm.allreduce(np.array([squares.sum(), contact.sum()])).tolist()
         missing = not_in_the_spaces(solution.data)
         reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
-        return (math.sqrt(total) + y.distance) ** 2 / 4 + max(at_sites, 0.0), reason
+        value = (math.sqrt(total) + y.distance) ** 2 / 4 + max(at_sites, 0.0)
+        return Half(value, reason, squares / 4 + np.maximum(contact, 0.0))
 
     def _force(self, solution: ElasticSolution, stresses: Array) -> float:
         """⟨σn, w⟩ on the parts (collective)."""
-        found = resultants(solution.spaces, solution.data, stresses)[0]
+        found = resultants(solution.spaces, solution.data, stresses)
         total = np.sum([found[part] for part in self.kind.parts], axis=0)
         dim = self.spaces.dim
         if not isinstance(self.kind, Moment):
