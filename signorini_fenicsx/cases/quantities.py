@@ -28,7 +28,6 @@ class QuantityTexts(Section):
     region: Annotated[str | list[str] | None, Field(default=None, exclude_if=lambda given: given is None)]
     parts: Annotated[str | list[str] | None, Field(default=None, exclude_if=lambda given: given is None)]
     weight: Annotated[Expression | None, Field(default=None, exclude_if=lambda given: given is None)]
-
     direction: Annotated[list[float] | None, Field(default=None, exclude_if=lambda given: given is None)]
 
     @property
