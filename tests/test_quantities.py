@@ -1,5 +1,6 @@
 """Quantities are within their intervals, which shrink as they should; fluxes without bounds are told."""
 
+import csv
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -12,7 +13,7 @@ from conftest import case_of
 from mpi4py import MPI
 from random_quantities import random_row
 
-from signorini_fenicsx import Diffusion, Dirichlet, Neumann, Signorini, solve
+from signorini_fenicsx import Contact, Coulomb, Diffusion, Dirichlet, Elasticity, Neumann, Signorini, Tresca, solve
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
@@ -20,7 +21,8 @@ from signorini_fenicsx.certificate.laws import gap, half_gap
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.expressions import read, values
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.quantities import Energy, Flux, Integral, Kind, Mean
+from signorini_fenicsx.quantities import Energy, Flux, Force, Integral, Kind, Mean, Moment
+from signorini_fenicsx.quantities.of_solution import check_quantities
 
 COMM = MPI.COMM_WORLD
 LEFT = "1 if x < 0.5 else 0"
@@ -159,7 +161,7 @@ def test_random_problems(seeds: Sequence[int]):
     assert sum(row.found for row in rows) > len(rows) / 2
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_on_ranks():
     """Intervals do not depend on the number of ranks."""
     problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
@@ -227,3 +229,123 @@ def test_case_file(folder: Path):
         assert refused.returncode == 2
         assert words in refused.stderr
         assert not (folder / "refused").exists()
+
+
+def pressed(friction: Tresca | Coulomb | None) -> Elasticity:
+    """A block that is pushed over a foundation that is nowhere far from it, by a force along x, and pressed onto it."""
+    touching = Contact("bottom", gap="0.05*x", friction=friction)
+    walls = [Dirichlet("top", ["0", "-0.1"]), Neumann(["left", "right"])]
+    return Elasticity(young=1.0, poisson=0.3, f=["0.1", "-0.2*x"], conditions=[touching, *walls])
+
+
+@pytest.mark.parametrize(("friction", "known"), [(None, -0.1), (Tresca(0.02), -0.08)], ids=["none", "tresca"])
+def test_elastic(friction: Tresca | None, known: float):
+    """The force along x is what f and the friction leave; the mean meets that on a finer mesh."""
+    mean = Mean(direction=[0, 1])
+    coarse, fine = (
+        solve(build_domain(COMM, "square", 1.001 * 2**0.5 / n, mesh="structured"), pressed(friction)) for n in (4, 8)
+    )
+    force, one, other = coarse.quantity(Force("top", [1, 0])), coarse.quantity(mean), fine.quantity(mean)
+    assert all(each.guaranteed for each in (force, one, other))
+    assert force.lower - 1e-12 <= known <= force.upper + 1e-12
+    assert one.lower <= other.value <= one.upper
+    assert other.width < one.width / 2
+
+
+def test_patch():
+    """A block under uniform pressure: its force and the mean of its displacement are inside short intervals."""
+    sides = Neumann(["left", "right"])
+    block = Elasticity(1.0, 0.0, conditions=[Contact("bottom"), Dirichlet("top", ["0", "-0.1"]), sides])
+    solution = solve(build_domain(COMM, "square", 1 / 4, mesh="structured"), block)
+    for kind, known in ((Force("top", [0, 1]), -0.1), (Mean(direction=[0, 1]), -0.05), (Moment("top"), -0.05)):
+        found = solution.quantity(kind)
+        assert found.lower - 1e-8 <= known <= found.upper + 1e-8
+        assert found.width < 1e-2 * abs(known)
+
+
+@pytest.mark.parametrize(
+    ("friction", "kind", "words"),
+    [
+        (None, Force("bottom", [0, 1]), "parts where u is given, and 'bottom' is none"),
+        (None, Force("top"), "direction: needs 2 numbers"),
+        (None, Mean(direction=[1]), "direction: needs 2 numbers"),
+        (None, Mean(direction=[1, 0], parts="top"), "over all of Ω"),
+        (None, Flux("top"), "elastic contact has Integral, Mean, Force and Moment"),
+        (Coulomb(0.3), Mean(direction=[1, 0]), "under Coulomb's friction"),
+    ],
+)
+def test_refused_of_bodies(friction: Coulomb | None, kind: Kind, words: str):
+    """Quantities that elastic contact has not are refused in a sentence."""
+    domain = build_domain(COMM, "square", 1 / 2, mesh="structured")
+    with pytest.raises(InputError, match=words):
+        check_quantities(domain, pressed(friction).on(domain), [kind])
+
+
+ELASTIC = """
+physics = "elasticity"
+
+[geometry]
+shape = "square"
+mesh = "structured"
+
+[boundary]
+contact = ["bottom"]
+neumann = ["left", "right"]
+
+[problem]
+young = 1
+poisson = 0.3
+f = ["0.1", "-0.2*x"]
+u_D = ["0", "-0.1"]
+gap = "0.05*x"
+
+[solve]
+h = "1/2"
+
+[[quantity]]
+name = "push"
+kind = "force"
+parts = "top"
+direction = [1, 0]
+"""
+
+
+def test_elastic_case_file(folder: Path):
+    """Elastic cases have quantities too, on any number of ranks."""
+    (folder / "body.toml").write_text(ELASTIC, encoding="utf-8")
+    ended = signorini(folder, "solve", "body.toml", "--output", "found")
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]["push"]
+    assert found["lower"] - 1e-9 <= -0.1 <= found["upper"] + 1e-9
+    assert found["guaranteed"]
+
+
+@pytest.mark.parallel(2)
+def test_bodies_on_ranks():
+    """Intervals of elastic contact do not depend on the number of ranks."""
+    one, many = (
+        solve(build_domain(comm, "square", 1 / 2, mesh="structured"), pressed(Tresca(0.02))).quantity(Moment("top"))
+        for comm in (MPI.COMM_SELF, COMM)
+    )
+    for name in ("value", "lower", "upper"):
+        assert getattr(many, name) == pytest.approx(getattr(one, name), rel=1e-8)
+
+
+def test_adapt(folder: Path):
+    """`adapt` refines until an interval is short enough, and fails if it has too few cells for that."""
+    (folder / "case.toml").write_text(CASE, encoding="utf-8")
+    wanted = "adapt", "case.toml", "--quantity", "left half", "--width"
+    ended = signorini(folder, *wanted, "0.015", "--output", "found")
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]["left half"]
+    rows = list(csv.DictReader((folder / "found" / "adapt.csv").open(encoding="utf-8")))
+    assert found["upper"] - found["lower"] <= 0.015 < float(rows[0]["upper"]) - float(rows[0]["lower"])
+    assert float(rows[-1]["lower"]) == found["lower"]
+    assert signorini(folder, *wanted, "1e-6", "--max-cells", "200", "--output", "failed").returncode == 1
+    for arguments, words in (
+        (("--quantity", "left half"), "belong together"),
+        (("--quantity", "nothing", "--width", "1"), "case has left half, inflow, unbounded"),
+    ):
+        refused = signorini(folder, "adapt", "case.toml", *arguments, "--output", "refused")
+        assert refused.returncode == 2
+        assert words in refused.stderr

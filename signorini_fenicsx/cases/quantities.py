@@ -7,13 +7,15 @@ from pydantic import Field, model_validator
 
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.values import Expression, choice
-from signorini_fenicsx.quantities import Energy, Flux, Integral, Kind, Mean
+from signorini_fenicsx.quantities import Energy, Flux, Force, Integral, Kind, Mean, Moment
 
 KINDS: Mapping[str, tuple[Callable[..., Kind], tuple[str, ...]]] = {
-    "integral": (Integral, ("weight", "region", "parts")),
-    "mean": (Mean, ("weight", "region", "parts")),
+    "integral": (Integral, ("weight", "region", "parts", "direction")),
+    "mean": (Mean, ("weight", "region", "parts", "direction")),
     "flux": (Flux, ("parts",)),
     "energy": (Energy, ()),
+    "force": (Force, ("parts", "direction")),
+    "moment": (Moment, ("parts", "direction")),
 }
 """The quantities by the names that case files have for them, with the keys of each."""
 
@@ -26,6 +28,7 @@ class QuantityTexts(Section):
     region: Annotated[str | list[str] | None, Field(default=None, exclude_if=lambda given: given is None)]
     parts: Annotated[str | list[str] | None, Field(default=None, exclude_if=lambda given: given is None)]
     weight: Annotated[Expression | None, Field(default=None, exclude_if=lambda given: given is None)]
+    direction: Annotated[list[float] | None, Field(default=None, exclude_if=lambda given: given is None)]
 
     @property
     def given(self) -> dict[str, Any]:
@@ -40,8 +43,8 @@ class QuantityTexts(Section):
                 raise ValueError(f"a quantity '{self.kind}' has no {key}; it has {', '.join(keys) or 'none'}")
         if self.region and self.parts:
             raise ValueError("region is in the place of parts; leave out one of them")
-        if self.kind == "flux" and not self.parts:
-            raise ValueError("a quantity 'flux' needs parts, those through which it is")
+        if "parts" in keys and "weight" not in keys and not self.parts:
+            raise ValueError(f"a quantity '{self.kind}' needs parts, those where it is measured")
         return self
 
     @property

@@ -149,6 +149,8 @@ def adapt_case(
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
     on_step: OnStep = lambda step: None,
+    measure: Callable[[Any], Quantity] | None = None,
+    width: float | None = None,
 ) -> tuple[Any, Certificate]:
     """Solve a case on meshes refined where the error is, see `certificate.adaptive.adapt` (collective).
 
@@ -160,7 +162,16 @@ def adapt_case(
     def solve_on(domain: Domain, start: Solved | None) -> Any:
         return solve_case(case, domain=domain, start=start, on_step=on_step)
 
-    return adapt(mesh_case(case, comm), solve_on, target=target, max_cells=max_cells, theta=theta, on_row=on_row)
+    return adapt(
+        mesh_case(case, comm),
+        solve_on,
+        target=target,
+        max_cells=max_cells,
+        theta=theta,
+        on_row=on_row,
+        measure=measure,
+        width=width,
+    )
 
 
 def options_of(case: CaseFile, tuning: Tuning | None = None) -> Options:

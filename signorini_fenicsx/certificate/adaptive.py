@@ -3,12 +3,13 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
@@ -66,6 +67,39 @@ class AdaptRow:
     seconds: float
 
 
+@dataclass(frozen=True)
+class MeasuredRow(AdaptRow):
+    """One mesh of an adaptive run for a quantity.
+
+    Attributes:
+        lower: Lower bound of the quantity.
+        upper: Upper bound.
+    """
+
+    lower: float
+    upper: float
+
+
+class Measured(Protocol):
+    """A quantity with its interval, see `quantities.Quantity`."""
+
+    @property
+    def lower(self) -> float:
+        """Lower bound."""
+
+    @property
+    def upper(self) -> float:
+        """Upper bound."""
+
+    @property
+    def width(self) -> float:
+        """The length of the interval."""
+
+    @property
+    def shares(self) -> Array | None:
+        """What each owned cell adds to this length; None if that is not known."""
+
+
 @collector_off()
 def adapt[S: Solved](
     domain: Domain,
@@ -75,6 +109,8 @@ def adapt[S: Solved](
     max_cells: int = DEFAULT_MAX_CELLS,
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
+    measure: Callable[[S], Measured] | None = None,
+    width: float | None = None,
 ) -> tuple[S, Certificate]:
     """Refine a mesh where the certificate of its solution finds the error (collective).
 
@@ -87,7 +123,10 @@ def adapt[S: Solved](
         target: Relative bound at which to stop; with None only the number of cells ends the refinement.
         max_cells: Meshes with more cells are not used.
         theta: The refined cells have this share of Σ η_T²; 1 refines uniformly.
-        on_row: Called on all ranks after each mesh.
+        on_row: Called on all ranks after each mesh, with a `MeasuredRow` if there is a quantity.
+        measure: Gives a quantity of a solution with its interval, such as `lambda solution: solution.quantity(Mean())`;
+            then the mesh is refined where this is long (collective). None for the bound of the energy error.
+        width: Length of its interval at which to stop.
 
     Returns:
         The last solution and its certificate, whether the target is reached or not.
@@ -112,12 +151,16 @@ def adapt[S: Solved](
         check_kind("what solve_on returns", solution, Solved)
         start = solution if solution.method.starts_from_sets else None
         certificate = certify(solution)
+        found = None if measure is None else measure(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
-        on_row(_row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds))
-        if target is not None and certificate.relative <= target:
+        row = _row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds)
+        on_row(row if found is None else MeasuredRow(**vars(row), lower=found.lower, upper=found.upper))
+        narrow = found is not None and width is not None and found.width <= width
+        if narrow or (target is not None and certificate.relative <= target):
             return solution, certificate
+        shares = None if found is None else found.shares
         with doing("refining the mesh"):
-            marked = dorfler(certificate.indicator.x.array, theta, comm)
+            marked = dorfler(certificate.indicator.x.array if shares is None else np.sqrt(shares), theta, comm)
             try:
                 domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
             except (InputError, NumericalFailure) as error:  # cells too small for their coordinates, or flat

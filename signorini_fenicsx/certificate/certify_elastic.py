@@ -119,7 +119,7 @@ def _certificate(solution: ElasticSolution) -> Certificate:
     )
     indicator = fem.Function(spaces.Q, name="indicator")
     indicator.x.array[:] = np.sqrt(np.maximum(of_cells + oscillation**2, 0.0))  # no ghost cells
-    missing = _not_in_the_spaces(data)
+    missing = not_in_the_spaces(data)
     return ElasticCertificate(
         bound=float(bound),
         sigma_bound=float(sigma_bound),
@@ -149,13 +149,22 @@ def _displacement(
     spaces = solution.spaces
     problem = BestDisplacement(spaces, solution.data, y, split, degree, v)
     v, past = problem.minimum()
+    mismatch, on_contact = gap_of_cells(solution, y, problem, v)
+    return v, mismatch + 2 * on_contact, past
+
+
+def gap_of_cells(
+    solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function
+) -> tuple[Array, Array]:
+    """‖ℂε(v) − y‖², and the gap on Γ_C, on each owned cell (collective)."""
+    spaces, split = solution.spaces, problem.split
     weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
     gaps = stress_gap(v, problem.sigma, *problem.moduli, weight, problem.dx)
-    mismatch = fem.assemble_vector(fenicsx.form(gaps)).array
-    found = np.zeros(len(spaces.order))
-    np.add.at(found, split.subcells // (spaces.dim + 1), mismatch[: len(split.subcells)])
-    np.add.at(found, problem.contact.facets.cells, 2 * _on_contact(solution, y, problem, v))
-    return v, found, past
+    of_subcells = fem.assemble_vector(fenicsx.form(gaps)).array
+    mismatch, on_contact = np.zeros((2, len(spaces.order)))
+    np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells[: len(split.subcells)])
+    np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v))
+    return mismatch, on_contact
 
 
 def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
@@ -196,7 +205,7 @@ def _on_contact(solution: ElasticSolution, y: AdmissibleStress, problem: BestDis
     return found
 
 
-def _not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
+def not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
     """Data that the discrete problem does not hold exactly."""
     found = [(each.name, each.polynomial, MOST // 2) for each in (data.f, *data.g_N.values())]
     found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]

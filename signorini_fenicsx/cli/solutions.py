@@ -1,10 +1,10 @@
 """Commands that compute solutions or write them again: solve, adapt, export."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from mpi4py import MPI
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import Case, CaseFile
     from signorini_fenicsx.certificate.certify import Certificate
     from signorini_fenicsx.contact.history import Step
+    from signorini_fenicsx.quantities import Quantity
     from signorini_fenicsx.rigorous.proof import Proof
     from signorini_fenicsx.solving.solved import Solved
 
@@ -187,6 +188,10 @@ def adapt(
         str | None, typer.Option("--target", help="Relative certified error to reach, such as 1e-2.")
     ] = None,
     max_cells: Annotated[int | None, typer.Option("--max-cells", help="Most cells of a mesh; default 10^6.")] = None,
+    quantity: Annotated[
+        str | None, typer.Option("--quantity", help="Refine for this [[quantity]] of the case, with --width.")
+    ] = None,
+    width: Annotated[str | None, typer.Option("--width", help="Length of its interval to reach.")] = None,
     theta: Annotated[str, typer.Option("--theta", help="Share of the squared error to refine; 1 is uniform.")] = "0.5",
     uniform: Annotated[bool, typer.Option("--uniform", help="Refine uniformly as well, for comparison.")] = False,
     algorithm: AlgorithmName = None,
@@ -206,6 +211,7 @@ def adapt(
     Examples:
       signorini adapt example5 --target 1e-2
       signorini adapt lprism --max-cells 50000 --uniform
+      signorini adapt my-case.toml --quantity discharge --width 0.01
     """
     from signorini_fenicsx.cases.solving import adapt_case
     from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, AdaptRow
@@ -213,48 +219,88 @@ def adapt(
     from signorini_fenicsx.output.writing import write_adapt, write_solution
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
-    wanted, part = _checked(target, max_cells, theta)
+    wanted, part, narrow = _checked(target, max_cells, theta, quantity, width)
     most = max_cells or DEFAULT_MAX_CELLS
     values = overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     problem = on_root(comm, lambda: _on_first_mesh(case, values))
     _refuse_lacking(problem, {"--html": html})
     rows: list[AdaptRow] = []
+    found, measure = _measuring(problem, quantity)
 
     def on_row(row: AdaptRow) -> None:
         rows.append(row)
         report.mesh(row)
 
-    def on_step(row: "Step") -> None:
-        end_if_told(comm)
-
-    refined = partial(adapt_case, problem, comm, target=wanted, max_cells=most, on_row=on_row, on_step=on_step)
+    end: Any = {"target": wanted, "max_cells": most, "width": narrow, "on_step": lambda _: end_if_told(comm)}
+    refined = partial(adapt_case, problem, comm, **end, measure=measure, on_row=on_row)
     with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
         report.heading(problem, comm)
-        report.columns(wanted, most)
+        report.columns(wanted, most, {} if quantity is None else {quantity: narrow})
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
             solution, certificate = refined(theta=part)
+            quantities = dict(found)
             if uniform:
                 refined(theta=1.0)
-        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
+        write_solution(solution, folder.path, certificate=certificate, quantities=quantities, plot=plot, html=html)
         write_adapt(solution, rows, folder.path)
-        if wanted is not None and not certificate.relative <= wanted:
-            kept = folder.keep_failed()
-            raise NumericalFailure(
-                f"relative error ≤ {certificate.relative:.3g}, not {wanted:g}, with the largest mesh of at most {most} "
-                f"cells; the last state is in {kept}"
-            )
+        _refuse_missed(folder, most, certificate, wanted, quantities, narrow)
         folder.publish()
-        report.adapted(rows, solution.best_rate, certificate)
+        report.adapted(rows, solution.best_rate, certificate, quantities)
         report.published(folder.target)
 
 
-def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[float | None, float]:
-    """The relative error to reach and the share of the error to refine.
+def _refuse_missed(
+    folder: ResultsFolder,
+    most: int,
+    certificate: "Certificate",
+    target: float | None,
+    quantities: "Mapping[str, Quantity]",
+    width: float | None,
+) -> None:
+    """Tell that a run of so many cells at most ended before one of its targets was reached (collective).
+
+    Raises:
+        NumericalFailure: If it did.
+    """
+    reached = [] if target is None else [("relative error", certificate.relative, target)]
+    reached += [(f"length of {name}", each.width, width or 0.0) for name, each in quantities.items()]
+    if reached and all(not value <= limit for _, value, limit in reached):
+        told = ", ".join(f"{what} ≤ {value:.3g}, not {limit:g}" for what, value, limit in reached)
+        kept = folder.keep_failed()
+        raise NumericalFailure(f"{told}, with the largest mesh of at most {most} cells; the last state is in {kept}")
+
+
+def _measuring(case: "CaseFile", name: str | None) -> "tuple[dict[str, Quantity], Callable[[Solved], Quantity] | None]":
+    """Where the last interval of a quantity of a case is put, by its name, and what finds it; None without a name.
+
+    Raises:
+        InputError: If the case has no such quantity.
+    """
+    found: dict[str, Quantity] = {}
+    if name is None:
+        return found, None
+    kinds = {each.name: each.measured for each in case.quantity}
+    if name not in kinds:
+        raise InputError(f"--quantity {name}: {case.name} has {', '.join(kinds) or 'no [[quantity]]'}")
+
+    def measure(solution: "Solved") -> "Quantity":
+        found[name] = solution.quantity(kinds[name])
+        return found[name]
+
+    return found, measure
+
+
+def _checked(
+    target: str | None, max_cells: int | None, theta: str, quantity: str | None, width: str | None
+) -> tuple[float | None, float, float | None]:
+    """The relative error to reach, the share of the error to refine, and the length of an interval to reach.
 
     Raises:
         InputError: If one of the options of `adapt` is not valid, or none of them defines the end.
     """
-    if target is None and max_cells is None:
+    if (quantity is None) is not (width is None):
+        raise InputError("adapt: --quantity and --width, the length of its interval to reach, belong together")
+    if target is None and max_cells is None and width is None:
         raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
     wanted = None if target is None else positive("--target", target)
     part = positive("--theta", theta)
@@ -262,7 +308,7 @@ def _checked(target: str | None, max_cells: int | None, theta: str) -> tuple[flo
         raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
     if max_cells is not None and max_cells < 1:
         raise InputError(f"--max-cells {max_cells}: must be at least 1")
-    return wanted, part
+    return wanted, part, None if width is None else positive("--width", width)
 
 
 def _on_first_mesh(name: str, values: dict[str, object]) -> "CaseFile":

@@ -191,7 +191,7 @@ def write_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
     scene = pictures.gathered_scene(solution)
 
     def write() -> None:
-        write_table(folder / "adapt.csv", AdaptRow, rows)
+        write_table(folder / "adapt.csv", type(rows[0]), rows)
         pictures.draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
         if scene is not None:
             pictures.draw_mesh(folder / "mesh.png", scene)

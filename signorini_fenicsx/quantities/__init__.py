@@ -11,6 +11,6 @@
 """
 
 from signorini_fenicsx.quantities.bracket import Quantity
-from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind, Mean
+from signorini_fenicsx.quantities.kinds import Energy, Flux, Force, Integral, Kind, Mean, Moment
 
-__all__ = ["Energy", "Flux", "Integral", "Kind", "Mean", "Quantity"]
+__all__ = ["Energy", "Flux", "Force", "Integral", "Kind", "Mean", "Moment", "Quantity"]

@@ -28,7 +28,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from signorini_fenicsx.base.arrays import Array
 
 MOST = 7
 """Largest number of τ that are tried."""
@@ -46,6 +48,7 @@ class Quantity:
         upper: Upper bound.
         guaranteed: Whether both are proved: all data are enclosed and resolved.
         reason: Why they are not; empty if they are.
+        shares: What each owned cell adds to the length of the interval; None where there is none.
     """
 
     value: float
@@ -53,6 +56,7 @@ class Quantity:
     upper: float
     guaranteed: bool
     reason: str = ""
+    shares: Array | None = field(default=None, compare=False, repr=False)
 
     @property
     def width(self) -> float:
@@ -61,7 +65,7 @@ class Quantity:
 
     def summary(self) -> dict[str, float | bool | str]:
         """All of it, ready for JSON."""
-        return dict(vars(self))
+        return {key: value for key, value in vars(self).items() if key != "shares"}
 
 
 @dataclass(frozen=True)
@@ -73,12 +77,14 @@ class Ends:
         upper: Upper bound; ∞ for none.
         scale: ‖σ_h‖ divided by the size of what changes it, a τ that may well be the best.
         reason: Why they are not guaranteed, or infinite; empty for neither.
+        shares: What each owned cell adds to their distance.
     """
 
     lower: float
     upper: float
     scale: float
     reason: str
+    shares: Array | None = None
 
 
 def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Quantity:
@@ -103,9 +109,9 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Qua
         for factor in (0.5, 2.0):
             while len(tried) < MOST and width(tau * factor) < ENOUGH * width(tau):
                 tau *= factor
-    lower, upper = max(each.lower for each in tried.values()), min(each.upper for each in tried.values())
-    lower, upper = min(lower, upper), max(lower, upper)  # equal but for rounding where a quantity is known
-    reason = tried[tau].reason
+    best = max(tried.values(), key=lambda each: each.lower), min(tried.values(), key=lambda each: each.upper)
+    lower, upper = sorted((best[0].lower, best[1].upper))  # where a quantity is known they are equal but for rounding
+    reason = best[0].reason or best[1].reason
     finite = math.isfinite(upper - lower)
     middle = (lower + upper) / 2 if finite else discrete
-    return Quantity(middle, lower, upper, finite and not reason, reason)
+    return Quantity(middle, lower, upper, finite and not reason, reason, tried[tau].shares)

@@ -63,6 +63,8 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
             raise InputError("the energy has bounds under the law of Signorini alone")
     elif not isinstance(kind, Flux | Integral):
         raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
+    elif isinstance(kind, Integral) and kind.direction is not None:
+        raise InputError("direction: is of displacements; u is a scalar here")
     else:
         _moved(domain, posed, kind, 0.0)
 
@@ -82,33 +84,37 @@ def _moved(domain: Domain, posed: Posed, kind: Flux | Integral, tau: float) -> P
 
 
 @dataclass(frozen=True)
-class _Half:
+class Half:
     """A quarter of the squares, and the sups at the sites, for the v and the y' of two solutions.
 
     Attributes:
         value: Their sum.
         reason: Why it is not guaranteed; empty if it is.
+        of_cells: What each owned cell adds.
     """
 
     value: float
     reason: str
+    of_cells: Array
 
 
-def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> _Half:
+def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> Half:
     """The right side of the theorem (collective).
 
     Rounding that the solver leaves in the balance of y' counts like a load.
     """
     resolution, comm = of_y.resolution, of_y.solution.spaces.mesh.comm
     if of_v.trace.hindrance or not math.isfinite(of_y.remainder):
-        return _Half(math.inf, of_v.trace.hindrance or "a linear solve failed, by which the flux would be balanced")
+        why = of_v.trace.hindrance or "a linear solve failed, by which the flux would be balanced"
+        return Half(math.inf, why, np.zeros_like(of_y.metric.volume))
     parts = gap_parts(of_v, of_y, goal, area=half_gap)
     squares = (np.sqrt(parts.mismatch + parts.reaction) + parts.oscillation) ** 2
-    local = np.array([squares.sum(), (parts.contact - parts.reaction).sum(), resolution.missed.sum()])
+    at_each = parts.contact - parts.reaction
+    local = np.array([squares.sum(), at_each.sum(), resolution.missed.sum()])
     total, at_sites, missed = comm.allreduce(local).tolist()
     value = (math.sqrt(total) + 2 * ROUNDING * of_y.size) ** 2 / 4 + max(at_sites, 0.0) / 2
     share = (math.sqrt(missed) + parts.left) / math.sqrt(value) if value > 0 else 0.0
-    return _Half(value, _reason(of_y, share))
+    return Half(value, _reason(of_y, share), squares / 4 + np.maximum(at_each, 0.0) / 2)
 
 
 def _reason(of_y: Admissible, share: float) -> str:
@@ -139,17 +145,17 @@ class _Shifted:
         try:
             with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
                 below, above = self._admissible(-tau), self._admissible(tau)
-                lower, upper = self.sides(below, above, tau)
+                (lower, one), (upper, other) = self.sides(below, above, tau)
         except NumericalFailure as failure:
             return Ends(-math.inf, math.inf, 0.0, f"a problem beside it: {failure}")
         size, metric = above.size, above.metric
         moved = distance(above.solution.spaces, metric, above.solution.sigma, below.solution.sigma) / (2 * tau)
         PETSc.garbage_cleanup(self.comm)
-        reason = lower[1] or upper[1]
-        return Ends(lower[0], upper[0], size / moved if moved > 0 else 0.0, reason)
+        shares = (one.of_cells + other.of_cells) / tau
+        return Ends(lower, upper, size / moved if moved > 0 else 0.0, one.reason or other.reason, shares)
 
-    def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, str]]:
-        """The bounds with the reasons why they are not guaranteed (collective)."""
+    def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, Half]]:
+        """The bounds, each with the right side of the theorem (collective)."""
         raise NotImplementedError
 
     def _admissible(self, tau: float) -> Admissible:
@@ -188,13 +194,13 @@ class _Fluxes(_Shifted):
         found = bracket(self.ends, self.first(response), self.solution.flux_through(self.parts))
         return found if math.isfinite(found.width) else replace(found, reason=f"{UNBOUNDED}: {found.reason}")
 
-    def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, str]]:
+    def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, Half]]:
         """The bounds; F(y') is the flux of y', as η' has the same means."""
         found = []
         for of_v, of_y, sign in ((below, above, -1.0), (above, below, 1.0)):
             half = _half(of_v, of_y, of_v.goal)
             flux = flux_through(of_y.solution.spaces, of_y.y, self.parts)
-            found.append((flux + sign * (half.value / tau + self._unseen(of_y)), half.reason))
+            found.append((flux + sign * (half.value / tau + self._unseen(of_y)), half))
         return found
 
     def _unseen(self, of_y: Admissible) -> float:
@@ -234,12 +240,12 @@ class _Integrals(_Shifted):
         lower, upper = sorted((found.lower / total, found.upper / total))
         return replace(found, value=found.value / total, lower=lower, upper=upper)
 
-    def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, str]]:
+    def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, Half]]:
         """The bounds."""
         found = []
         for of_v, of_y, sign in ((above, below, -1.0), (below, above, 1.0)):
             half = _half(of_v, of_y, of_y.goal)
-            found.append((self._of(of_v.trace) + sign * half.value / tau, half.reason))
+            found.append((self._of(of_v.trace) + sign * half.value / tau, half))
         return found
 
     def _of(self, trace: Trace) -> float:

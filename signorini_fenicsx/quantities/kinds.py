@@ -23,6 +23,7 @@ class Integral(Kind):
         weight: The weight.
         region: Name of a region of the mesh, or a list of names; none for all of Ω.
         parts: Name of a part of the boundary, or a list of names, in the place of regions.
+        direction: Of a displacement, the vector with which it is multiplied; None for scalar problems.
 
     Raises:
         InputError: If there are regions and parts.
@@ -31,6 +32,7 @@ class Integral(Kind):
     weight: Given = 1.0
     region: str | Sequence[str] = ()
     parts: str | Sequence[str] = ()
+    direction: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         """Make lists of single names."""
@@ -63,6 +65,33 @@ class Flux(Kind):
         object.__setattr__(self, "parts", names_of("parts", self.parts))
         if not self.parts:
             raise InputError("parts: a flux needs the part through which it is")
+
+
+@dataclass(frozen=True)
+class Force(Kind):
+    """∫ σn·direction over parts of the boundary where u is given, of an elastic body: the force on the body there.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        direction: The vector with which the force is multiplied.
+
+    Raises:
+        InputError: If there is no part.
+    """
+
+    parts: str | Sequence[str]
+    direction: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Make a list of one name."""
+        object.__setattr__(self, "parts", names_of("parts", self.parts))
+        if not self.parts:
+            raise InputError("parts: a force needs the parts on which it acts")
+
+
+@dataclass(frozen=True)
+class Moment(Force):
+    """The moment of σn about the origin on such parts; in space about an axis through it, the direction."""
 
 
 @dataclass(frozen=True)

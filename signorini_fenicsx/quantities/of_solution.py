@@ -8,12 +8,12 @@ from typing import Any
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.quantities import diffusion
+from signorini_fenicsx.quantities import diffusion, elasticity
 from signorini_fenicsx.quantities.bracket import Quantity
 from signorini_fenicsx.quantities.kinds import Kind
 from signorini_fenicsx.solving.solved import Solved
 
-QUANTITIES: dict[str, Any] = {"diffusion": diffusion}
+QUANTITIES: dict[str, Any] = {"diffusion": diffusion, "elasticity": elasticity}
 """The quantities of the physics that have some: each module has `quantity`, and `check` for what may be asked."""
 
 
