@@ -310,3 +310,20 @@ def test_in_time(scheme: str):
     assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)
     with pytest.raises(InputError, match="use gradient_in_time"):
         instants[0].solution.gradient(J(instants[0]), [k])
+
+
+def test_kept_factors():
+    """A solver that knows all traces on Γ_S from one factorisation gives the same gradient, and solves on after it."""
+    domain = build_domain(COMM, "square", 0.15, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    f, psi = controls = constants(domain, 10.0, -0.05)
+    problem = Diffusion(f=f * (x[0] - 0.6), conditions=[Signorini("bottom", psi=psi), Neumann("right")])
+    solver, inverse = Solver(domain, problem), []
+    for value in (10.0, 20.0, 30.0, 40.0, 50.0):
+        f.value = value
+        kept, fresh = solver.solve(problem), solve(domain, problem)
+        found = [each.gradient(each.u**2 * ufl.dx + each.p * each.spaces.ds, controls) for each in (kept, fresh)]
+        assert kept.u.x.array == pytest.approx(fresh.u.x.array, abs=1e-11)
+        assert found[0].gradients == pytest.approx(found[1].gradients, rel=1e-9)
+        inverse.append(solver._system._backend._condensed is not None)
+    assert inverse[-1]

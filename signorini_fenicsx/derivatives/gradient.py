@@ -17,6 +17,7 @@ from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.derivatives.controls import Control, check_control, gradient_of, occurs, sum_of, varied
 from signorini_fenicsx.derivatives.paths import with_constants
@@ -110,6 +111,7 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control | str], toleranc
     return _of_step(solution, J, controls, tolerance)[0]
 
 
+@collector_off()
 def gradient_in_time(
     instants: Sequence[Instant],
     J: Callable[[Instant], Form],

@@ -21,6 +21,7 @@ from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.data import DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw, ElasticProblem, is_normal
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,12 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
     places = facets.blocks[:, None].astype(np.int64) * dim**2 + np.arange(dim**2)
     for index, (name, datum) in enumerate(data.g_N.items()):
         rows = np.flatnonzero(last == index)
-        for r, component in enumerate(datum.components):
-            matrices = by_component[rows, :, r].transpose(0, 2, 1)
+        if isinstance(datum, PressureDatum):
+            given = [(datum.pressure, -np.einsum("narj,nr->nja", by_component[rows], facets.normals[rows]))]
+        else:
+            each = enumerate(datum.components)
+            given = [(component, by_component[rows, :, r].transpose(0, 2, 1)) for r, component in each]
+        for r, (component, matrices) in enumerate(given):
             for part, moments in _of_datum(spaces, component, facets.take(rows), places[rows], matrices):
                 yield "load", f"g_N.{name}.{r}.{part}", moments
 
