@@ -94,23 +94,14 @@ class ElasticSolution(Solved):
     peak_memory: int = 0
     lacks = ("--rigorous", "--html")
     order = 2
-    offers = (
-        *Solved.offers,
-        "friction_states",
-        "gap",
-        "pressure",
-        "quantities",
-        "resultants",
-        "shear",
-        "slip",
-        "stresses",
-    )
+    _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
+    offers = (*Solved.offers, *_own)
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns = shown.table, shown.columns
     differences = differences
 
     def of_problem(self, problem: ElasticProblem) -> Self:
-        """The same solution, of a problem whose data have the same values but are given otherwise (collective)."""
+        """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         data = elastic_data(self.spaces, problem, self.data.slipped)
         return replace(self, problem=problem, data=replace(data, friction=self.data.friction))
 
