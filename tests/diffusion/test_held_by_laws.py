@@ -27,7 +27,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
 
 COMM = MPI.COMM_WORLD
-MESHES = Path(__file__).parents[1] / "data" / "meshes"
+MESHES = Path(__file__).parents[2] / "data" / "meshes"
 TWO = """geometry = {file = "FILE/fault.msh"}
 law = [{parts = ["fault"], LAW}]
 problem = {f = {upper = LOAD, lower = 0}}

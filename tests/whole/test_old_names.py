@@ -21,7 +21,7 @@ SIDES = {"bottom": (1, 0.0), "right": (0, 1.0), "top": (1, 1.0), "left": (0, 0.0
 
 def translations() -> list[tuple[str, str]]:
     """The rows of the changelog's table: how something was written in 0.4, and how in 0.5."""
-    text = Path(__file__).parents[1].joinpath("CHANGELOG.md").read_text(encoding="utf-8")
+    text = Path(__file__).parents[2].joinpath("CHANGELOG.md").read_text(encoding="utf-8")
     lines = text.split("## 0.4.0")[0].splitlines()
     rows = [line.strip().strip("|").split(" | ") for line in lines if line.strip().startswith("| `")]
     return [(old.strip(" `"), new.strip(" `")) for old, new in rows]

@@ -50,7 +50,7 @@ FORCE = {2: ["0.1*x", "0.3 + 0.1*y"], 3: ["0.1*x", "0", "0.3 + 0.1*z"]}
 
 def blocks(folder: Path, law: str, load: float) -> Path:
     """A case file of two blocks with a law between them."""
-    mesh = str(Path(__file__).parents[1] / "data" / "meshes" / "fault.msh")
+    mesh = str(Path(__file__).parents[2] / "data" / "meshes" / "fault.msh")
     path = folder / "blocks.toml"
     if COMM.rank == 0:
         path.write_text(BLOCKS.replace("FILE", mesh).replace("LAW", law).replace("LOAD", str(load)), encoding="utf-8")

@@ -14,7 +14,7 @@ from sizes import too_long
 import signorini_fenicsx
 from signorini_fenicsx import api
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def test_every_room_is_installed():

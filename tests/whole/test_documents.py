@@ -20,7 +20,7 @@ from signorini_fenicsx.cli.app import app
 from signorini_fenicsx.contact.laws import LAWS
 
 PUBLIC = {"signorini_fenicsx": signorini_fenicsx, "signorini_fenicsx.extend": extend}
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"```\{?(sh|toml|python|code-cell)\b[^\n]*\n(.*?)```", re.DOTALL)
 

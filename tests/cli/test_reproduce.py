@@ -6,7 +6,7 @@ from pathlib import Path
 
 from commands import read_rows, run
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 
 def test_reproduce_and_draw_again(tmp_path: Path):

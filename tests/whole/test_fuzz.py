@@ -9,7 +9,7 @@ from commands import run
 from fuzzing.broken import Broken
 from fuzzing.judge import BAD, Ending, judged, put_files_of_the_user, snapshot
 
-SCRIPT = str(Path(__file__).parents[1] / "scripts" / "fuzz.py")
+SCRIPT = str(Path(__file__).parents[2] / "scripts" / "fuzz.py")
 
 
 @pytest.mark.parametrize(

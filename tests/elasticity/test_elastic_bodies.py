@@ -48,7 +48,7 @@ fixed = {left = "x", right = "x", bottom = "y"}
 
 def blocks(folder: Path, **changes: str) -> Path:
     """A case file of two blocks that are pressed together, with texts replaced."""
-    text = BLOCKS.replace("FILE", str(Path(__file__).parents[1] / "data" / "meshes" / "fault.msh"))
+    text = BLOCKS.replace("FILE", str(Path(__file__).parents[2] / "data" / "meshes" / "fault.msh"))
     for old, new in changes.values():
         assert old in text
         text = text.replace(old, new)
