@@ -85,3 +85,11 @@ def test_the_reference_has_every_name():
     reference = (ROOT / "docs" / "code" / "api.md").read_text("utf-8")
     shown = set(re.findall(r"(?m)^\.\. auto\w+:: (?:[\w.]*\.)?(\w+)$", reference))
     assert set(signorini_fenicsx.api.__all__) - shown == set()
+
+
+def test_each_file_of_tests_has_its_line():
+    """The page on tests has one line for each file: the first line of its docstring."""
+    page = (ROOT / "docs" / "code" / "tests.md").read_text(encoding="utf-8")
+    lines = dict(re.findall(r"^\| `(\w+/test_\w+\.py)` \| (.*) \|$", page, flags=re.MULTILINE))
+    files = {path: path.read_text(encoding="utf-8").splitlines()[0] for path in (ROOT / "tests").glob("*/test_*.py")}
+    assert lines == {f"{path.parent.name}/{path.name}": first.strip('"') for path, first in files.items()}
