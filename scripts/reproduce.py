@@ -129,7 +129,7 @@ def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quic
     runs = list({run.name: run for runs in runs_by_item.values() for run in runs}.values())
     with folder, Progress(runs, folder, comm, StudyReport()) as progress:
         if runs:
-            run_study(runs, 1, folder, comm, on_run=progress.say)
+            run_study(runs, 1, folder, comm, title="The tables and figures of the slides", on_run=progress.say)
             check_all_succeeded(runs, folder, comm)
         on_root(comm, lambda: draw(wanted, runs_by_item, folder.path, quick=quick))
 

@@ -34,7 +34,7 @@ def test_cutting_planes_find_what_one_programme_finds():
         work = -rng.uniform(0, 1, len(into)) @ into if number % 2 else rng.normal(size=size)
         shears = rng.uniform(0, 0.1, len(slips))
         mine = [np.arange(len(rows)) % min(COMM.size, 2) == COMM.rank for rows in (into, slips)]
-        limits = Limits(COMM, work, into[mine[0]], slips[mine[1]], shears[mine[1]])
+        limits = Limits(COMM, work, into[mine[0]], slips[mine[1]][:, None], shears[mine[1]])
         motion = limits.unprevented()
         assert (motion is None) == is_prevented(work, into, slips, shears)
         held += motion is None
