@@ -65,9 +65,9 @@ class Change:
     """The change of a solution with its data: functions of the spaces of σ, u and p.
 
     Attributes:
-        sigma: That of σ.
-        u: That of u.
-        p: That of p; None in elasticity.
+        sigma: The change of σ.
+        u: The change of u.
+        p: The change of p; None in elasticity.
         spaces: The discrete spaces.
     """
 
@@ -218,4 +218,4 @@ def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance:
         raise InputError(
             f"direction: {counted(len(controls) - len(used), 'control')} in no datum of the problem that was solved"
         )
-    return Change(**problem.change(changes)._asdict(), spaces=solution.spaces)
+    return Change(**problem.change(changes), spaces=solution.spaces)

@@ -28,14 +28,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 
 MOST = 7
 """Largest number of τ that are tried."""
 ENOUGH = 0.98
 """A factor of 2 in τ that leaves more than this share of the interval is the last one."""
+UNBOUNDED = "this flux is unbounded on the energy space"
+"""What is said of a flux through parts that end where u is given, or held, on other parts."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,35 @@ class Quantity:
         """The length of the interval."""
         return self.upper - self.lower
 
+    def divided(self, total: float) -> Quantity:
+        """The mean, from an integral and that of its weight.
+
+        Raises:
+            InputError: If the weight has no integral other than 0.
+        """
+        if not abs(total) > 0:
+            raise InputError("weight: its integral is 0, so there is no mean with it")
+        lower, upper = sorted((self.lower / total, self.upper / total))
+        return replace(self, value=self.value / total, lower=lower, upper=upper)
+
     def summary(self) -> dict[str, float | bool | str]:
         """All of it, ready for JSON."""
         return {key: value for key, value in vars(self).items() if key != "shares"}
+
+
+@dataclass(frozen=True)
+class Half:
+    """A quarter of the squares, and the sups at the sites, for the v and the y' of two solutions.
+
+    Attributes:
+        value: Their sum.
+        reason: Why it is not guaranteed; empty if it is.
+        of_cells: What each owned cell adds.
+    """
+
+    value: float
+    reason: str
+    of_cells: Array
 
 
 @dataclass(frozen=True)

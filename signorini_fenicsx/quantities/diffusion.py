@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from petsc4py import PETSc
@@ -22,14 +22,12 @@ from signorini_fenicsx.discrete.points import Points, facet_quadrature, in_cells
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
-from signorini_fenicsx.quantities.bracket import Ends, Quantity, bracket
+from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind, Mean
 from signorini_fenicsx.quantities.shifts import Posed, with_flux, with_load, with_trace
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 
-UNBOUNDED = "this flux is unbounded on the energy space"
-"""What is said of a flux through parts that end where u is given, or held, on other parts."""
 type Values = Callable[[Points, bool], Array]
 """Values in points of cells, or of facets, and whether these may be near data of v."""
 
@@ -81,21 +79,6 @@ def _moved(domain: Domain, posed: Posed, kind: Flux | Integral, tau: float) -> P
     if kind.parts:
         return with_flux(domain, posed, kind.weight, kind.parts, tau)
     return with_load(domain, posed, kind.weight, kind.region, tau)
-
-
-@dataclass(frozen=True)
-class Half:
-    """A quarter of the squares, and the sups at the sites, for the v and the y' of two solutions.
-
-    Attributes:
-        value: Their sum.
-        reason: Why it is not guaranteed; empty if it is.
-        of_cells: What each owned cell adds.
-    """
-
-    value: float
-    reason: str
-    of_cells: Array
 
 
 def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> Half:
@@ -226,19 +209,9 @@ class _Integrals(_Shifted):
             square *= length
         own = Admissible.of(self.solution, Goal.of(self.solution, for_signorini=True))
         found = bracket(self.ends, self.first(math.sqrt(square / kappa) * length / 4), self._of(own.trace))
-        return self._mean_of(found) if isinstance(self.kind, Mean) else found
-
-    def _mean_of(self, found: Quantity) -> Quantity:
-        """The mean from the integral (collective).
-
-        Raises:
-            InputError: If the weight has no integral other than 0.
-        """
-        total = self._integral(lambda points, near: np.ones(points.shape))
-        if not abs(total) > 0:
-            raise InputError("weight: its integral is 0, so there is no mean with it")
-        lower, upper = sorted((found.lower / total, found.upper / total))
-        return replace(found, value=found.value / total, lower=lower, upper=upper)
+        if isinstance(self.kind, Mean):
+            return found.divided(self._integral(lambda points, near: np.ones(points.shape)))
+        return found
 
     def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, Half]]:
         """The bounds."""

@@ -30,8 +30,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.quantities.bracket import Ends, Quantity, bracket
-from signorini_fenicsx.quantities.diffusion import UNBOUNDED, Half
+from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
 from signorini_fenicsx.quantities.kinds import Force, Integral, Kind, Mean, Moment
 from signorini_fenicsx.quantities.shifts import added
 from signorini_fenicsx.solving.options import Options
@@ -165,11 +164,7 @@ class _Shifted:
         if not math.isfinite(found.width) and isinstance(self.kind, Force):
             return replace(found, reason=f"{UNBOUNDED}: {found.reason}")
         if isinstance(self.kind, Mean):
-            total = self._integral(None)
-            if not abs(total) > 0:
-                raise InputError("weight: its integral is 0, so there is no mean with it")
-            lower, upper = sorted((found.lower / total, found.upper / total))
-            return replace(found, value=found.value / total, lower=lower, upper=upper)
+            return found.divided(self._integral(None))
         return found
 
     def _of_discrete(self) -> float:

@@ -18,7 +18,6 @@ with λ̂ the trace of λ_u on a facet. In a cell that a law holds the factor of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
 
 import dolfinx.mesh
 import numpy as np
@@ -44,20 +43,6 @@ from signorini_fenicsx.physics.diffusion.law_lines import Lines, rays
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.tangent import Tangent
-
-
-class State(NamedTuple):
-    """A change of a solution.
-
-    Attributes:
-        sigma: That of σ.
-        u: That of u.
-        p: That of p.
-    """
-
-    sigma: fem.Function
-    u: fem.Function
-    p: fem.Function
 
 
 class Linearised:
@@ -138,8 +123,8 @@ class Linearised:
             values[sites] += np.where(kept, value - np.where(line.steep, 0.0, slope * at[rows]), 0.0)
         return slopes, values
 
-    def change(self, changes: Mapping[str, Array]) -> State:
-        """The change of the solution with these numbers (collective).
+    def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function]:
+        """The changes of σ, u and p with these numbers (collective).
 
         A biactive site moves along one of the two rays of the moved corner.
 
@@ -167,7 +152,8 @@ class Linearised:
             if not outcome.converged:
                 raise NumericalFailure(f"derivative: {outcome.reason}")
             iterate = outcome.iterate
-        return State(iterate.sigma, iterate.u, self._spaces.multiplier(iterate.p[: len(self._spaces.facets)]))
+        p = self._spaces.multiplier(iterate.p[: len(self._spaces.facets)])
+        return {"sigma": iterate.sigma, "u": iterate.u, "p": p}
 
     def _loads(self, changes: Mapping[str, Array]) -> Loads:
         """The right side of the change, without what the laws add (collective)."""

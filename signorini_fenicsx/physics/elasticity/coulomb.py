@@ -160,8 +160,7 @@ def newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
     assert friction is not None
     directions = friction.directions(friction.chains.segments(conditions.take(slice(normal, None))))
     each = backend.spaces.dim - 1
-    pressed = pressure_of(backend.spaces, outcome.iterate.flux) > 0
-    slope = np.where(friction.coulomb[:, None] & pressed, friction.mu, 0.0)
+    slope = friction.slope(pressure_of(backend.spaces, outcome.iterate.flux))
 
     def without_response(values: Array) -> Array:
         forces = np.concatenate([np.zeros(normal), directions * np.repeat(values, each)])

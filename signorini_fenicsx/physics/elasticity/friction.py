@@ -139,6 +139,10 @@ class FrictionBounds:
         """The bounds by Coulomb's law under this pressure at the vertices, shape (facets, d)."""
         return self.with_bounds(self.mu * np.maximum(pressure, 0.0))
 
+    def slope(self, pressure: Array) -> Array:
+        """The derivatives of the bounds by the pressure, shape (facets, d): μ where they depend on it, else 0."""
+        return np.where(self.coulomb[:, None] & (pressure > 0), self.mu, 0.0)
+
     def with_bounds(self, bound: Array) -> FrictionBounds:
         """The friction with new bounds where they are by the pressure, shape (facets, d)."""
         return replace(self, bound=np.where(self.coulomb[:, None], bound, self.bound))

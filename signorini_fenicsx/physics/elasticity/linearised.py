@@ -17,7 +17,6 @@ the reactions, so wμ/|e| with its sign is what λ_û is at the sites in contact
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
 
 import basix
 import basix.ufl
@@ -41,20 +40,6 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.moments import on_boundary
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-
-
-class State(NamedTuple):
-    """A change of a solution.
-
-    Attributes:
-        sigma: That of σ.
-        u: That of u.
-        p: None.
-    """
-
-    sigma: fem.Function
-    u: fem.Function
-    p: None = None
 
 
 class Linearised:
@@ -82,7 +67,7 @@ class Linearised:
         self._signs: Array = np.zeros(len(spaces.slip_sites))  # of the bound, in σ_t
         if data.friction is not None:
             segments = data.friction.chains.segments(self._conditions.take(slice(normal, None)))
-            self._signs = 1.0 - segments.astype(np.float64)
+            self._signs = data.friction.directions(segments)
         shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
         weights = np.broadcast_to(data.quadrature.weights, (spaces.dim + 1, len(data.quadrature.weights)))
         self._weights = shares * weights  # of the points of the quadrature, shape (cells, d + 1, points)
@@ -117,8 +102,8 @@ class Linearised:
         vertices = [each.vertices.reshape(-1, dim) for each in (self._spaces.contact, self._spaces.rough)]
         return np.concatenate(vertices)[self.biactive]
 
-    def change(self, changes: Mapping[str, Array]) -> State:
-        """The change of the solution with what is seen (collective).
+    def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function | None]:
+        """The changes of σ and u with what is seen; there is no p (collective).
 
         Raises:
             InputError: If there are biactive sites.
@@ -153,7 +138,7 @@ class Linearised:
             left = numbers["mu"] * self._pressure + self._slope * moved
             of_pressure = newton(self._backend, self._solution.outcome, left.reshape(-1, 2)).ravel()
             stresses, u, _ = responded(numbers["bound"] + of_pressure)
-        return State(spaces.split.stress(stresses), spaces.displacement(u))
+        return {"sigma": spaces.split.stress(stresses), "u": spaces.displacement(u), "p": None}
 
     def _by_changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:
         """The functional of τ and the moments of f that the changes of data in cells give (collective)."""
@@ -265,11 +250,10 @@ class Linearised:
 
     @property
     def _slope(self) -> Array:
-        """Μ at the sites with Coulomb's friction that are pressed, 0 at others with friction."""
+        """The slope of the bounds by the pressure at the sites with friction."""
         friction = self._data.friction
         assert friction is not None
-        pressed = self._pressure.reshape(friction.mu.shape) > 0
-        return np.where(friction.coulomb[:, None] & pressed, friction.mu, 0.0).ravel()
+        return friction.slope(self._pressure.reshape(friction.mu.shape)).ravel()
 
     def _of_pressure(self, right: Array) -> Array:
         """W with w − T'ᵀw = ∂J/∂b (collective)."""
