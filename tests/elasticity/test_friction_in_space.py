@@ -188,3 +188,11 @@ def test_steps_are_refused():
     problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1*t"], laws=[Friction(["z0"], g=0.1)])
     with pytest.raises(InputError, match="in two dimensions only"):
         list(evolve(box(COMM, 1, [0.0] * 3, [1.0] * 3), (ElasticBoundary([]), problem), Evolution(end=1.0, steps=2)))
+
+
+def test_derivatives_are_refused():
+    """Where the direction of slip may turn, the linearised problem of the plane is not that of the solution."""
+    solution = oblique(COMM, Friction(["z0"], g=0.03), 0.03, 0.1)
+    work = ufl.inner(solution.sigma, solution.sigma) * ufl.dx(solution.sigma.function_space.mesh)
+    with pytest.raises(InputError, match="elastic solutions in space have no derivatives with friction"):
+        solution.gradient(work, ["problem.young"])

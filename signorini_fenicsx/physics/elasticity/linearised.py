@@ -55,12 +55,14 @@ class Linearised:
         """Take a solution and what solves under its conditions (collective).
 
         Raises:
-            InputError: If there are laws other than contact and friction, or a bound of friction is not linear.
+            InputError: If there are laws beside contact and friction, friction in space, or a bound that is not linear.
         """
         self._solution, self._backend = solution, backend
         self._spaces, self._data = spaces, data = solution.spaces, solution.data
         if data.laws.of_parts:
             raise InputError("elastic solutions have no derivatives with laws other than contact and friction")
+        if data.friction is not None and spaces.dim == 3:
+            raise InputError("elastic solutions in space have no derivatives with friction")  # slip may turn
         self._conditions = solution.outcome.conditions
         normal = len(spaces.sites)
         self._held = self._conditions.kind == Condition.ZERO_TRACE
@@ -271,7 +273,7 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
     Raises:
-        InputError: If there are laws other than contact and friction, or a bound of friction is not linear.
+        InputError: If there are laws beside contact and friction, friction in space, or a bound that is not linear.
     """
     system = None if solution.system is None else solution.system()
     backend = None if system is None else system.backend_of(solution.outcome)
