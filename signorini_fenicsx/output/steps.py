@@ -10,7 +10,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant
+from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
 CASE, ROW, MESH = "case.json", "row.json", "mesh-"
 type Row = Mapping[str, Any]
@@ -115,7 +116,8 @@ class StepFolder:
         part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
         tables = {f"table_{key}": rows for key, rows in vars(solution.table()).items()}
-        write_arrays(comm, part, instant.steps.kept(solution) | tables)
+        fields = {_key(name, field): field.values for name, all in solution.fields().items() for field in all}
+        write_arrays(comm, part, instant.steps.kept(solution) | tables | fields)
 
         def end() -> None:
             (part / ROW).write_text(json.dumps(dict(row)), encoding="utf-8")
@@ -139,6 +141,17 @@ class StepFolder:
             InputError: If it is not of the cells and facets of this mesh.
         """
         return self._fetch(spaces, step, key, "facets" if key.startswith("facet_") else "cells")
+
+    def fields(self, spaces: MeshSpaces, step: int, like: Fields) -> Fields:
+        """The fields of a step, which has as many as another one.
+
+        Raises:
+            InputError: If it is not of the cells and facets of this mesh.
+        """
+        return {
+            name: [replace(field, values=self.kept(spaces, step, _key(name, field))) for field in of_file]
+            for name, of_file in like.items()
+        }
 
     def table(self, step: int, kind: type[SiteTable]) -> SiteTable:
         """The table of Γ_S after a step (rank 0, not collective)."""
@@ -180,6 +193,11 @@ class StepFolder:
             delete(self._beside)
 
         on_root(self._comm, end)
+
+
+def _key(name: str, field: Field) -> str:
+    """The name of the array of a field."""
+    return f"field_{field.name}" if name == IN_CELLS else f"facet_field_{field.name}"
 
 
 def _same_steps(one: Row, other: Row) -> bool:
