@@ -6,6 +6,7 @@ of its own, at which linear fields are exact. The files of all names and `bounda
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,6 +18,7 @@ from signorini_fenicsx.base.array_files import Header, add_to_hdf5
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import first_row
+from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.discrete.cell_shapes import cell_nodes
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import Domain, membership
@@ -24,7 +26,7 @@ from signorini_fenicsx.output.sample import MeansAround
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
-BOUNDARY = "boundary"
+BOUNDARY, VIEW = "boundary", "show.py"
 KINDS = ("Scalar", "Vector", "Tensor")
 SHAPES = {2: "Polyline", 3: "Triangle", 4: "Tetrahedron"}
 """Names of the cells with so many vertices."""
@@ -45,6 +47,7 @@ class Xdmf:
         self._around = MeansAround(spaces.mesh, spaces.nodes)
         self._meshes: dict[str, list[Element]] = {}
         self._times: dict[str, list[tuple[float | None, list[Element]]]] = {}
+        self._names: dict[str, dict[str, list[str]]] = {}
 
     def write(self, t: float | None, fields: Fields) -> None:
         """Write the fields of a time.
@@ -70,13 +73,16 @@ class Xdmf:
             nodes.local_to_global(each.ravel()).reshape(each.shape) for each in (cell_nodes(mesh), local)
         )
         own = first_row(mesh.comm, corners[..., 0].size) + np.arange(corners[..., 0].size).reshape(-1, dim)
-        regions = [Field("region", _first_of(membership(domain)))] if domain.regions else []
+        regions = [Field("region", _first_of(membership(domain)), names=list(domain.regions))] if domain.regions else []
         self._mesh(IN_CELLS, points, cells, regions)
-        self._mesh(BOUNDARY, points, on_boundary, [Field("part", _parts(domain, facets))])
+        self._mesh(BOUNDARY, points, on_boundary, [Field("part", _parts(domain, facets), names=list(domain.parts))])
         self._times[BOUNDARY] = [(None, [])]
         for name in set(fields) - {IN_CELLS}:
-            part = np.array([list(domain.parts).index(part) for part in spaces.part_names])[spaces.part_of_facet]
-            self._mesh(name, corners.reshape(-1, dim), own, [Field("part", part)])
+            of_gamma = np.array([list(domain.parts).index(part) for part in spaces.part_names], dtype=np.int64)
+            part = Field("part", of_gamma[spaces.part_of_facet], names=list(domain.parts))
+            self._mesh(name, corners.reshape(-1, dim), own, [part])
+        for name, of_file in fields.items():
+            self._names[name] |= _names(of_file)
 
     def _mesh(self, name: str, points: Array, cells: Indices, fields: list[Field]) -> None:
         heads = add_to_hdf5(self._spaces.mesh.comm, self._path, {f"{name}/points": points, f"{name}/cells": cells})
@@ -89,6 +95,7 @@ class Xdmf:
         )
         for element, key, head in zip((geometry, topology), ("points", "cells"), heads, strict=True):
             element.append(_item(f"{name}/{key}", head))
+        self._names[name] = _names(fields)
         self._meshes[name] = [topology, geometry, *self._attributes(name, [(field, "Cell") for field in fields])]
 
     def _shown(self, name: str, field: Field) -> list[tuple[Field, str]]:
@@ -118,11 +125,13 @@ class Xdmf:
         return found
 
     def close(self) -> None:
-        """Write the texts."""
+        """Write the texts, and a script that shows them in ParaView."""
 
         def write() -> None:
             for name in self._meshes:
                 self._tree(name).write(self._folder / f"{name}.xdmf", encoding="utf-8", xml_declaration=True)
+            view = (data_folder("paraview") / VIEW).read_text(encoding="utf-8")
+            (self._folder / VIEW).write_text(view.replace("NAMES = {}", f"NAMES = {self._names!r}"), encoding="utf-8")
 
         on_root(self._spaces.mesh.comm, write)
 
@@ -142,6 +151,11 @@ class Xdmf:
                 ElementTree.SubElement(series, "Grid", mesh).extend([*self._meshes[name], time, *attributes])
         ElementTree.indent(root)
         return ElementTree.ElementTree(root)
+
+
+def _names(fields: Iterable[Field]) -> dict[str, list[str]]:
+    """What the numbers of states are called, by field."""
+    return {field.name: list(field.names) for field in fields if field.names}
 
 
 def _refer_to_time(grid: Element) -> None:

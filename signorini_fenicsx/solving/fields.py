@@ -27,12 +27,14 @@ class Field:
             and their vertices.
         order: Number of axes of a value: 0 of a number, 1 of a vector, 2 of a matrix in space.
         at_points: Whether XDMF has its means around the points of the mesh too, as warping needs them.
+        names: What its values 0, 1, … are called, if they are numbers of states.
     """
 
     name: str
     values: npt.NDArray
     order: int = 0
     at_points: bool = False
+    names: Sequence[str] = ()
 
     @property
     def nodes(self) -> int:

@@ -23,6 +23,9 @@ if TYPE_CHECKING:  # it shows this
     from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
+CONDITIONS = [condition.name.lower() for condition in Condition]
+
+
 def fields(solution: Solution) -> Fields:
     """The fields, see `Solved.fields`: u_h and σ_h as they are, on Γ_S p_h, σ_h·n and the state of the law."""
     spaces, u, laws = solution.spaces, solution.u.x.array, solution.data.laws
@@ -32,10 +35,10 @@ def fields(solution: Solution) -> Fields:
     on_facets = [
         Field("p", solution.p.x.array[: len(spaces.facets)]),
         Field("flux", spaces.normal_flux(solution.sigma)),
-        Field("condition", solution.outcome.conditions.kind),
+        Field("condition", solution.outcome.conditions.kind, names=CONDITIONS),
     ]
     if laws.listed:
-        on_facets.append(Field("segment", laws.labels(solution.segments().segment)))
+        on_facets.append(Field("segment", laws.labels(solution.segments().segment), names=laws.names()))
     return {IN_CELLS: [*on_cells, *_inside(solution)], "multiplier": on_facets}
 
 
@@ -46,7 +49,7 @@ def _inside(solution: Solution) -> list[Field]:
         return []
     force, contact = solution.force().x.array, solution.outcome.iterate.contact
     if laws.is_obstacle and contact is not None:
-        return [Field("contact", contact), Field("force", force)]
+        return [Field("contact", contact, names=("free", "contact")), Field("force", force)]
     segments = solution.segments().cells
     return [] if segments is None else [Field("segment", segments), Field("s", -force)]
 
@@ -81,7 +84,7 @@ def columns(solution: Solution, table: FacetTable) -> Columns:
         "part": np.array(solution.spaces.part_names)[table.part],
         **dict(zip("xyz", table.x.T, strict=True)),
         **{key: getattr(table, key) for key in ("measure", "p", "flux")},
-        "condition": np.array([condition.name.lower() for condition in Condition])[table.condition],
+        "condition": np.array(CONDITIONS)[table.condition],
         **({"segment": np.array(laws.names())[table.segment]} if laws.listed else {}),
     }
 

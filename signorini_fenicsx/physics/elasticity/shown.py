@@ -42,13 +42,14 @@ def fields(solution: ElasticSolution) -> Fields:
         Field("u", u[contact.cells[:, None], opposite(spaces.dim)[contact.local]], order=1),
         Field("pressure", solution.pressure),
         Field("gap", solution.linear_gap),
-        Field("contact", solution.touching),
+        Field("contact", solution.touching, names=("open", "contact")),
     ]
     if data.laws.of_parts:
-        on_facets.append(Field("segment", _labels(solution).reshape(solution.touching.shape)))
+        segment = _labels(solution).reshape(solution.touching.shape)
+        on_facets.append(Field("segment", segment, names=_segment_names(solution)))
     if data.friction is not None:
-        names = ("shear", "slip", "friction")
-        on_facets += [Field(name, each) for name, each in zip(names, solution.on_all_contact(), strict=True)]
+        shear, slip, state = solution.on_all_contact()
+        on_facets += [Field("shear", shear), Field("slip", slip), Field("friction", state, names=STATES)]
     return {IN_CELLS: on_cells, "contact": on_facets}
 
 
