@@ -1,7 +1,7 @@
 """Show this run in ParaView: u or the deformed body, the flux as arrows or the stress, and the state of the contact.
 
 Without a window: pvbatch --force-offscreen-rendering show.py PICTURE.png
-In a window: paraview --script=show.py, or File, Load State. It reads the XDMF files of its folder.
+In a window: paraview --script=show.py, started in this folder. It reads the XDMF files here.
 """
 
 import sys
@@ -15,7 +15,7 @@ RED, BLUE = (214, 39, 40), (90, 180, 230)
 OF_NAME = {"contact": RED, "zero_trace": RED, "stick": RED, "open": BLUE, "no_flux": BLUE, "free": BLUE}
 OTHERS = ((230, 159, 0), (0, 158, 115), (204, 121, 167), (0, 114, 178), (240, 228, 66), (127, 127, 127))
 """Colours of states by their names, and those of others in turn."""
-FOLDER = Path(globals().get("__file__", "show.py")).resolve().parent
+FOLDER = Path(globals().get("__file__") or "show.py").resolve().parent  # the window of ParaView 5.11 tells no file
 DEFORMED, HEIGHT, ARROW = 0.1, 0.4, 0.06
 """The largest displacement, difference of heights and arrow in the picture, as shares of the size of the body."""
 
@@ -81,6 +81,8 @@ def arrows(source, view, size):
 
 def show():
     """Build the pipeline in the active view."""
+    if not (FOLDER / "solution.xdmf").exists():
+        raise FileNotFoundError(f"{FOLDER} has no solution.xdmf; start ParaView in the folder of show.py")
     simple.LoadPalette("WhiteBackground")
     view = simple.GetActiveViewOrCreate("RenderView")
     body = opened("solution")
