@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
+from signorini_fenicsx.output.tables import write_columns
 from signorini_fenicsx.output.writing import write_summary
 from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.solved import Solved
@@ -123,13 +123,7 @@ def _write_sites(folder: Path, steps: StepFolder, rows: Sequence[Row], solution:
             for row in rows:
                 writer.write_table(pyarrow.table(columns(row), schema=first.schema))
         return
-    with (folder / f"{kind.name}.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        for row in rows:
-            found = columns(row)
-            if row is rows[0]:
-                writer.writerow(found)
-            writer.writerows(zip(*(column.tolist() for column in found.values()), strict=True))
+    write_columns(folder / f"{kind.name}.csv", map(columns, rows))
 
 
 def _draw(

@@ -33,6 +33,8 @@ from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
 CASE, ROW, MESH = "case.json", "row.json", "mesh-"
+FORMAT = 2
+"""Format of what is kept of a step; versions up to 0.4 kept no fields, and wrote no format."""
 type Row = Mapping[str, Any]
 """The numbers of a step."""
 
@@ -65,7 +67,7 @@ class StepFolder:
         Raises:
             InputError: If there are steps of another run, or there is nothing to go on with.
         """
-        about = case.model_dump(mode="json", exclude_unset=True)
+        about = {**case.model_dump(mode="json", exclude_unset=True), "format": FORMAT}
         if start is not None:
             about["start-from"] = os.path.realpath(start)
         return on_root(self._comm, lambda: self._begin(about, restart=restart))
@@ -87,6 +89,8 @@ class StepFolder:
         changed = [key for key in {**before, **about} if before.get(key) != about.get(key)]
         if changed == ["time"] and _same_steps(before["time"], about["time"]):
             changed = []
+        if "format" in changed:
+            raise InputError(f"--restart: {self.path} is of another version of the program; remove it")
         if "start-from" in changed:
             raise InputError(f"--restart: {self.path} is of a run with another --start-from; give the same")
         if changed:

@@ -89,7 +89,7 @@ def write_solution(
         if line is not None:
             others |= {"phreatic_line": dict(zip(("x", "y"), line.T, strict=True))}
         for name, columns in others.items():
-            on_root(comm, partial(write_columns, folder / f"{name}.csv", columns))
+            on_root(comm, partial(write_columns, folder / f"{name}.csv", [columns]))
         if plot or html:
             with doing("drawing"):
                 draw(folder, solution, certificate, line, plot=plot, html=html)
@@ -138,7 +138,7 @@ def write_sites(folder: Path, solution: Solved) -> None:
         write_by_rank(comm, folder / table.name, lambda: solution.columns(table.in_order()))
         return
     whole = table.gathered(comm)
-    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", solution.columns(whole)))
+    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", [solution.columns(whole)]))
 
 
 def draw(
