@@ -45,15 +45,15 @@ def differences(fine: ElasticSolution, coarse: ElasticSolution) -> ElasticDiffer
 
     (sigma,) = sampled([coarse.sigma], spaces.split.mesh, source, degree=on_subcells)
     (u,) = sampled([coarse.u], spaces.mesh, source, degree=inside)
-    on_contact = [coarse.on_contact(values) for values in (coarse.pressure, coarse.linear_gap)]
+    on_contact = [coarse.spaces.linear_multiplier(values) for values in (coarse.pressure, coarse.linear_gap)]
     pressure, gap = sampled(on_contact, gamma, source, degree=on_gamma)
     ds = measure(gamma, on_gamma)
     off = fine.sigma - sigma
     squares = [
         stress_product(off, off, *moduli, dx),
         l2(fine.u - u, measure(spaces.mesh, inside)),
-        l2(fine.on_contact(fine.pressure) - pressure, ds),
-        l2(fine.on_contact(fine.linear_gap) - gap, ds),
+        l2(fine.spaces.linear_multiplier(fine.pressure) - pressure, ds),
+        l2(fine.spaces.linear_multiplier(fine.linear_gap) - gap, ds),
     ]
     local = np.array([fem.assemble_scalar(fenicsx.form(square)) for square in squares])
     return ElasticDifferences(*np.sqrt(spaces.mesh.comm.allreduce(local)).tolist())

@@ -7,13 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
-import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
-from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
@@ -33,7 +29,7 @@ from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_sq
 from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import InContact, Series, Solved
+from signorini_fenicsx.solving.solved import InContact, Solved
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
@@ -216,24 +212,6 @@ class ElasticSolution(Solved):
         is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.bound == 0)
         return np.where(is_open, STATES.index("open"), self.states)
 
-    @collector_off()
-    def on_contact(self, values: npt.NDArray, name: str = "values") -> fem.Function:
-        """The function on the mesh of Γ_C that is linear on each facet, from values at its vertices (collective)."""
-        spaces = self.spaces
-        multipliers = spaces.Lambda
-        space = fenicsx.function_space(multipliers.mesh, ("DG", 1))
-        function = fem.Function(space, name=name)
-        size = multipliers.dofmap.index_map.size_local
-        facets = multipliers.dofmap.list[:size, 0]
-        cells = np.arange(size, dtype=np.int32)
-        nodes = dolfinx.mesh.entities_to_geometry(multipliers.mesh, spaces.dim - 1, cells)
-        here = multipliers.mesh.geometry.x[nodes, : spaces.dim]
-        distances = np.square(here[:, :, None] - spaces.contact.vertices[facets][:, None]).sum(axis=3)
-        found = np.take_along_axis(values[facets], distances.argmin(axis=2), axis=1)
-        function.x.array[space.dofmap.list[:size]] = found
-        function.x.scatter_forward()
-        return function
-
     def on_all_contact(self) -> tuple[Array, Array, Array]:
         """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
         found = np.full((3, *self.touching.shape), np.nan)
@@ -373,10 +351,6 @@ class ElasticSolution(Solved):
         behind = (chains.p < opening[:, None]).sum(axis=1)
         return FacetSet(spaces, np.take_along_axis(chains.slope, behind[:, None], axis=1)[:, 0] > 0)
 
-    def in_cells(self) -> dict[str, Array]:
-        """u_h at the vertices of the cells of this rank, and σ_h at those of their subcells."""
-        return {"u": self.spaces.displacement_values(self.u), "sigma": self.stresses}
-
     def of_step(self) -> dict[str, float]:
         """The contact force, and of each part the force on it and the mean of u, for `steps.csv` (collective)."""
         spaces, axes = self.spaces, AXES[: self.spaces.dim]
@@ -391,10 +365,6 @@ class ElasticSolution(Solved):
             found |= {f"{name}_force_{axis}": force for axis, force in zip(axes, forces[name], strict=False)}
             found |= {f"{name}_u_{axis}": x / measure for axis, x in zip(axes, moved, strict=True)}
         return found
-
-    def series(self) -> Series:
-        """σ_h and u_h over time (collective)."""
-        return shown.StressSeries(self.spaces, self.data)
 
     def sizes(self) -> dict[str, float]:
         """The energy norm of σ, and ‖u‖ (collective)."""

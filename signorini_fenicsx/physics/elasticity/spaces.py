@@ -106,11 +106,20 @@ class ElasticSpaces(MeshSpaces):
         """The dimension d."""
         return self.mesh.topology.dim
 
+    @property
+    def nodes(self) -> npt.NDArray[np.integer]:
+        """The nodes at the vertices of the owned cells in this order, shape (cells, d + 1)."""
+        return np.take_along_axis(super().nodes, self.order, axis=1)
+
+    @property
+    def corners(self) -> Array:
+        """The vertices of the facets of Γ_C in this order."""
+        return self.contact.vertices
+
     @cached_property
     def vertices(self) -> Array:
         """Vertices of the owned cells, shape (cells, d + 1, d)."""
-        nodes = np.take_along_axis(self.mesh.geometry.dofmaps[0][: len(self.order)], self.order, axis=1)
-        return self.mesh.geometry.x[nodes, : self.dim]
+        return self.mesh.geometry.x[self.nodes, : self.dim]
 
     def as_dolfinx(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Indices, Indices]:
         """Where subcell vertices in this order are in DOLFINx's order of the cell's vertices.
