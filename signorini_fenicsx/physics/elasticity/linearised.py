@@ -34,8 +34,9 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
+from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.coulomb import gmres, newton, pressure_of
+from signorini_fenicsx.physics.elasticity.coulomb import newton, pressure_of
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.moments import on_boundary
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
@@ -264,7 +265,7 @@ class Linearised:
         """W with w − T'ᵀw = ∂J/∂b (collective)."""
         shape = self._solution.stresses.shape
         none = np.zeros(shape), np.zeros((*shape[:2], shape[-1]))
-        return gmres(self._backend, lambda w: w - self._by_bound(self._responded(*none, w)[2]), right)
+        return gmres(self._backend.comm, lambda w: w - self._by_bound(self._responded(*none, w)[2]), right)
 
 
 def _in_points(datum: Datum) -> Callable[[Expr], Form]:
