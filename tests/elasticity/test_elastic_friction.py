@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import ufl
 from commands import signorini
-from elastic import box, complementary_energy
+from elastic import box, complementary_energy, stress
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity import coulomb
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem

@@ -15,7 +15,7 @@ from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable, along_parts
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite, to_entries
 from signorini_fenicsx.physics.elasticity.residuals import imbalance
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_from_means
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED, Drawn, whole_boundary
@@ -56,14 +56,15 @@ def fields(solution: ElasticSolution) -> Fields:
 def in_space(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
     """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
 
-    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
+    In plane strain σ_zz is that of `Material.out_of_plane`, with means over the cell.
     """
     missing = 3 - spaces.dim
     found = np.pad(stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
-    if missing and not data.in_space:
+    if data.material.in_strain:
         for cells in blocks_of_cells(spaces):
-            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
-            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", stresses[cells])
+            share, rest = (values.mean(axis=1) for values in data.material.out_of_plane(data.points(spaces, cells)))
+            found[cells, :, :, 2, 2] = np.einsum("ne,nsae->nsa", share, to_entries(stresses[cells]))
+            found[cells, :, :, 2, 2] += rest[:, None, None]
     return found
 
 

@@ -22,7 +22,7 @@ from signorini_fenicsx.physics.elasticity import shown
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, elastic_data, facet_moments
 from signorini_fenicsx.physics.elasticity.differences import differences
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, to_entries
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.quantities import quantities
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
@@ -322,10 +322,11 @@ class ElasticSolution(Solved):
             nodes = np.empty_like(u_h[cells])
             nodes[np.arange(len(cells))[:, None], spaces.order[cells]] = u_h[cells]
             shape = (len(cells), dim + 1, len(quadrature.weights))
-            inverse, theta = (values.reshape(shape) for values in self.data.moduli(points))
-            sigma = stress_of(exact.gradients(points).reshape(*shape, dim, dim), inverse, theta)
-            off = sigma - np.einsum("qa,nsaij->nsqij", quadrature.local, mine)
-            product = inverse * ((off**2).sum(axis=(3, 4)) - theta * np.einsum("nsqii->nsq", off) ** 2)
+            compliance = self.data.material.compliance(points)
+            strain = to_entries(exact.gradients(points)) - self.data.material.strain(points)
+            sigma = to_entries(np.einsum("qa,nsaij->nsqij", quadrature.local, mine)).reshape(strain.shape)
+            off = strain - np.einsum("nqef,nqf->nqe", compliance, sigma)
+            product = (off * np.linalg.solve(compliance, off[..., None])[..., 0]).sum(axis=2).reshape(shape)
             displaced = self.data.exact.values(points).reshape(*shape, dim) - np.einsum(
                 "sqv,nvi->nsqi", quadrature.hats, nodes
             )
@@ -400,13 +401,3 @@ class ElasticSolution(Solved):
         least = min(self.spaces.mesh.comm.allgather(float(own)))
         found = {"resultants": self.resultants(), "quantities": self.quantities()}
         return found | ({"least_gap": least} if least < 0 else {})
-
-
-def stress_of(gradient: Array, inverse: Array, theta: Array) -> Array:
-    """ℂε(u) from ∇u, shape (…, d, d), and 1/2μ and θ."""
-    dim = gradient.shape[-1]
-    strain = (gradient + gradient.swapaxes(-1, -2)) / 2
-    trace = np.einsum("...ii->...", strain)
-    pull = theta / (1 - dim * theta) * trace
-    stress: Array = (strain + pull[..., None, None] * np.eye(dim)) / inverse[..., None, None]
-    return stress

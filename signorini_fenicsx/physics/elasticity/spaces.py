@@ -224,6 +224,19 @@ class ElasticSpaces(MeshSpaces):
         """Tangents of the facets with friction, n turned to the left or two in space, shape (facets, d − 1, d)."""
         return _frames(self.rough.normals)[:, 1:]
 
+    @property
+    def places(self) -> Array:
+        """For each site the vertex, the sum of its facet's vertices, and whether it is one of friction."""
+        dim = self.dim
+        contact, rough = self.contact.vertices, self.rough.vertices
+        vertices = np.concatenate([contact, rough])
+        of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
+        places = np.concatenate([vertices, of_facet], axis=2).reshape(-1, 2 * dim)
+        number, normal = np.ones(len(places), dtype=int), len(self.sites)
+        number[normal:] = dim - 1
+        component = np.append(np.zeros(normal), np.tile(np.arange(1, dim), len(places) - normal))
+        return np.column_stack([np.repeat(places, number, axis=0), component])
+
     def along(self, values: Array) -> Array:
         """Tangential vectors from values at the sites with friction, shape (facets, d, d)."""
         return np.einsum("nak,nki->nai", values.reshape(-1, self.dim, self.dim - 1), self.tangents)
