@@ -109,13 +109,7 @@ def bounds_in_words(certificate: Certificate) -> str:
 
 
 def _reservation(certificate: Certificate) -> str:
-    if certificate.unresolved:
-        name, place = certificate.unresolved[0]
-        where = ", ".join(f"{x:.4g}" for x in place)
-        return f"; not guaranteed: {name} is not resolved near ({where})"
-    if certificate.by_quadrature:
-        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} {certificate.if_by_quadrature}"
-    return ""
+    return f"; not guaranteed: {certificate.reservation}" if certificate.reservation else ""
 
 
 def proved(bounds: Proven, seconds: float) -> str:

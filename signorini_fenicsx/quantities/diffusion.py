@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.admissible_flux import ROUNDING, distance
 from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.certify import QUADRATIC, Admissible, gap_parts
+from signorini_fenicsx.certificate.certify import QUADRATIC, Admissible, gap_parts, scaled
 from signorini_fenicsx.certificate.hidden import degree_near
 from signorini_fenicsx.certificate.laws import Goal, half_gap
 from signorini_fenicsx.certificate.local_fluxes import positive_quadrature
@@ -276,8 +276,11 @@ def _energy_of(solution: Solution, trace: Trace) -> float:
         for points in in_cells(mesh, cells, *rule):
             jet, kappa = trace.jet(points, near=close, gradient=True), data.kappa.values(points)
             v, slope = jet[:, :, 0], jet[:, :, 1:]
-            flux = kappa[:, :, None] * slope if kappa.ndim == 2 else np.einsum("nqij,nqj->nqi", kappa, slope)
-            density = (flux * slope).sum(axis=2) / 2 + data.c.values(points) * v**2 / 2 - data.f.values(points) * v
+            density = (
+                (scaled(kappa, slope) * slope).sum(axis=2) / 2
+                + data.c.values(points) * v**2 / 2
+                - data.f.values(points) * v
+            )
             total += points.integrals(density).sum()
     for datum, facets in ((data.g_N, spaces.neumann_facets), (data.q_S, spaces.facets)):
         on = facet_quadrature(mesh, facets, min(max(quadrature_degree(datum), degree_near(trace)), DEGREES[1]))
