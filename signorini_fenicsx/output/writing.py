@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
@@ -23,6 +24,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
@@ -53,6 +55,7 @@ def write_solution(
     certificate: Certificate | None = None,
     proof: Proof | None = None,
     quantities: Mapping[str, Quantity] | None = None,
+    of_field: FieldBound | None = None,
     plot: bool = False,
     html: bool = False,
     fields: bool = True,
@@ -67,6 +70,7 @@ def write_solution(
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         quantities: Intervals of quantities by their names, or None.
+        of_field: How wrong a function of the user is, or None.
         plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
         html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
         fields: Also write the fields for ParaView.
@@ -92,9 +96,11 @@ def write_solution(
         if plot or html:
             with doing("drawing"):
                 draw(folder, solution, certificate, line, plot=plot, html=html)
+        if plot and of_field is not None:
+            _draw_field(folder / "field.png", of_field)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
-            write_fields(solution, folder, certificate)
+            write_fields(solution, folder, *(each.indicator for each in (certificate, of_field) if each is not None))
         summary = solution.summary()
         if water is not None:
             summary["seepage"] = water.summary()
@@ -105,6 +111,8 @@ def write_solution(
             summary["certificate"] |= proof.summary()
         if quantities:
             summary["quantities"] = {name: found.summary() for name, found in quantities.items()}
+        if of_field is not None:
+            summary["field"] = of_field.summary()
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 
@@ -151,6 +159,20 @@ def draw(
                 pictures.draw_all(folder, scene)
             if html:
                 pictures.write_page(folder / "solution.html", scene)
+
+    on_root(solution.spaces.mesh.comm, write)
+
+
+def _draw_field(path: Path, of_field: FieldBound) -> None:
+    """Draw how wrong a function is in each cell, on rank 0 (collective)."""
+    from signorini_fenicsx.output import pictures  # takes a second to import
+
+    solution = of_field.solution
+    gathered = gather(solution, of_field.indicator)
+
+    def write() -> None:
+        if gathered is not None:
+            pictures.draw_field(path, pictures.scene_of(solution, gathered))
 
     on_root(solution.spaces.mesh.comm, write)
 
@@ -205,8 +227,8 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
 
 
-def write_fields(solution: Solved, folder: Path, certificate: Certificate | None) -> None:
-    """Write the files of `Solved.fields`, `solution.xdmf` with η_T of the bound (collective).
+def write_fields(solution: Solved, folder: Path, *indicators: fem.Function) -> None:
+    """Write the files of `Solved.fields`, `solution.xdmf` with these indicators (collective).
 
     Raises:
         OSError: On all ranks, if the disk is full.
@@ -214,6 +236,6 @@ def write_fields(solution: Solved, folder: Path, certificate: Certificate | None
     """
     for name, functions in solution.fields():
         if name.endswith(".xdmf"):
-            write_xdmf(folder / name, [*functions, *([] if certificate is None else [certificate.indicator])])
+            write_xdmf(folder / name, [*functions, *indicators])
         else:
             write_vtx(folder / name, functions)
