@@ -37,7 +37,7 @@ from signorini_fenicsx.solving.solved import Solved
 
 QUANTITIES: dict[str, Kind] = {
     "mean": Mean(),
-    "in a corner": Integral(weight="1 if x < -0.5 and y > 0.5 else 0"),
+    "far corner": Integral(weight="1 if x > 0.5 and y < 0.25 else 0"),
     "on bottom": Mean(parts="bottom"),
 }
 """Quantities of example 5."""
