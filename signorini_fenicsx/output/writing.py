@@ -23,6 +23,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
@@ -54,6 +55,7 @@ def write_solution(
     certificate: Certificate | None = None,
     proof: Proof | None = None,
     quantities: Mapping[str, Quantity] | None = None,
+    of_field: FieldBound | None = None,
     plot: bool = False,
     html: bool = False,
     fields: bool = True,
@@ -68,6 +70,7 @@ def write_solution(
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         quantities: Intervals of quantities by their names, or None.
+        of_field: How wrong a function of the user is, or None.
         plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
         html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
         fields: Also write the fields for ParaView.
@@ -93,12 +96,13 @@ def write_solution(
         if plot or html:
             with doing("drawing"):
                 draw(folder, solution, certificate, line, plot=plot, html=html)
+        if plot and of_field is not None:
+            _draw_field(folder / "field.png", of_field)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
-            of_files = dict(solution.fields())
-            if certificate is not None:
-                indicator = Field("indicator", certificate.indicator.x.array)
-                of_files[IN_CELLS] = [*of_files[IN_CELLS], indicator]
+            of_files, bounds = dict(solution.fields()), [each for each in (certificate, of_field) if each is not None]
+            indicators = [Field(each.indicator.name, each.indicator.x.array) for each in bounds]
+            of_files[IN_CELLS] = [*of_files[IN_CELLS], *indicators]
             write_fields(folder, solution.spaces, [(None, of_files)], 1)
         summary = solution.summary()
         if water is not None:
@@ -110,6 +114,8 @@ def write_solution(
             summary["certificate"] |= proof.summary()
         if quantities:
             summary["quantities"] = {name: found.summary() for name, found in quantities.items()}
+        if of_field is not None:
+            summary["field"] = of_field.summary()
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 
@@ -156,6 +162,20 @@ def draw(
                 pictures.draw_all(folder, scene)
             if html:
                 pictures.write_page(folder / "solution.html", scene)
+
+    on_root(solution.spaces.mesh.comm, write)
+
+
+def _draw_field(path: Path, of_field: FieldBound) -> None:
+    """Draw how wrong a function is in each cell, on rank 0 (collective)."""
+    from signorini_fenicsx.output import pictures  # takes a second to import
+
+    solution = of_field.solution
+    gathered = gather(solution, of_field.indicator)
+
+    def write() -> None:
+        if gathered is not None:
+            pictures.draw_field(path, pictures.scene_of(solution, gathered))
 
     on_root(solution.spaces.mesh.comm, write)
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
@@ -42,8 +43,10 @@ SAME = 1e-9
 """Relative distance of u from a corner of a law that is rounding."""
 
 
-def flux_through(spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str] | None) -> float:
-    """∫ σ·n over parts of the boundary, see `Solution.flux_through` (collective).
+def flux_through(
+    spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str] | None, weight: Expr | float = 1.0
+) -> float:
+    """∫ weight·σ·n over parts of the boundary, see `Solution.flux_through` (collective).
 
     Raises:
         InputError: If there is no such part, or it has facets inside the domain.
@@ -62,7 +65,7 @@ def flux_through(spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str]
         chosen = np.union1d(chosen, domain.facets[name]).astype(np.int32)
     entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
     ds = ufl.Measure("ds", domain=spaces.mesh, subdomain_data=[(1, entities)])
-    return spaces.integrate(ufl.dot(sigma, spaces.n) * ds(1))
+    return spaces.integrate(weight * ufl.dot(sigma, spaces.n) * ds(1))
 
 
 @dataclass(frozen=True, repr=False)

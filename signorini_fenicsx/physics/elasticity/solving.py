@@ -278,7 +278,7 @@ def _carried(start: ElasticSolution, backend: ElasticBackend) -> ElasticSegments
     """The sets and the bounds of a solution on another mesh, at the midpoints of the facets (collective)."""
     spaces, friction, chains = backend.spaces, backend.friction, backend.chains
     assert friction is not None
-    theirs = [start.on_contact(values) for values in (spread(start.spaces, start.slip), start.pressure)]
+    theirs = [start.spaces.linear_multiplier(values) for values in (spread(start.spaces, start.slip), start.pressure)]
     found = sampled(theirs, spaces.Lambda.mesh, start.spaces.domain, degree=0)
     slip, pressure = (each.x.array[: len(spaces.facets)][spaces.rough_rows] for each in found)
     touching = np.append(
