@@ -133,12 +133,12 @@ class _Shifted:
             with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
                 below, above = self._admissible(-tau), self._admissible(tau)
                 (lower, one), (upper, other) = self.sides(below, above, tau)
+                shares = (_half(below, below, below.goal).of_cells + _half(above, above, above.goal).of_cells) / tau
         except NumericalFailure as failure:
             return Ends(-math.inf, math.inf, 0.0, f"a problem beside it: {failure}")
         size, metric = above.size, above.metric
         moved = distance(above.solution.spaces, metric, above.solution.sigma, below.solution.sigma) / (2 * tau)
         PETSc.garbage_cleanup(self.comm)
-        shares = (one.of_cells + other.of_cells) / tau
         return Ends(lower, upper, size / moved if moved > 0 else 0.0, one.reason or other.reason, shares)
 
     def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, Half]]:
