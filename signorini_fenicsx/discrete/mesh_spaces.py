@@ -160,12 +160,18 @@ class MeshSpaces:
 
     @collector_off()
     def linear_multiplier(self, values: npt.NDArray, name: str = "values") -> fem.Function:
-        """A function that is linear on each Γ_S facet, from values at its `corners`, shape (facets, d, …) (collective).
+        """A function that is linear on each Γ_S facet, of values at `corners`, shape (facets, d, …) (collective)."""
+        space = fenicsx.function_space(self.Lambda.mesh, ("DG", 1, values.shape[2:]))
+        function = fem.Function(space, name=name)
+        self.set_linear(function, values)
+        return function
+
+    def set_linear(self, function: fem.Function, values: npt.NDArray) -> None:
+        """Set such a function by its values, ghosts updated (collective).
 
         Vertices are found by their places: the mesh of Γ_S may have those of a facet in another order.
         """
         gamma, dim = self.Lambda.mesh, self.mesh.topology.dim
-        function = fem.Function(fenicsx.function_space(gamma, ("DG", 1, values.shape[2:])), name=name)
         size = self.Lambda.dofmap.index_map.size_local
         facets = self.Lambda.dofmap.list[:size, 0]
         nodes = dolfinx.mesh.entities_to_geometry(gamma, dim - 1, np.arange(size, dtype=np.int32))
@@ -174,7 +180,6 @@ class MeshSpaces:
         by_node = function.x.array.reshape(-1, *values.shape[2:])
         by_node[function.function_space.dofmap.list[:size]] = values[facets[:, None], distances.argmin(axis=2)]
         function.x.scatter_forward()
-        return function
 
     @collector_off()
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:

@@ -88,7 +88,8 @@ class Vtx:
             times: How many times there will be.
             in_cells: Whether the fields are in the cells, not on the facets of Γ_S.
         """
-        self._path, self._spaces, self._times, self._in_cells = path, spaces, times, in_cells
+        self._path, self._times, self._in_cells = path, times, in_cells
+        self._spaces: Any = spaces  # those with linear fields on subcells have their mesh
         self._functions: list[fem.Function] = []
 
     def write(self, t: float, fields: Sequence[Field]) -> None:
@@ -98,14 +99,12 @@ class Vtx:
             OSError: On all ranks, if there is no room for the file with all times.
             WriteFailure: If the library cannot write, on this rank at least.
         """
-        nodes = max(field.nodes for field in fields)
-        functions = [self._function(field, nodes) for field in fields]
-        if self._functions:
-            for function, now in zip(self._functions, functions, strict=True):
-                function.x.array[:] = now.x.array
-        else:
-            self._functions = functions
+        if not self._functions:
+            self._nodes = max(field.nodes for field in fields)
+            self._functions = list(map(self._function, fields))
             self._open()
+        for function, field in zip(self._functions, fields, strict=True):
+            self._set(function, field)
         with _told():
             self._file.write(t)
 
@@ -126,33 +125,34 @@ class Vtx:
         with _told():
             self._file.close()
 
-    def _function(self, field: Field, nodes: int) -> fem.Function:
-        spaces, values = self._spaces, np.asarray(field.values, dtype=np.float64)
-        if nodes == 2:
-            return _on_subcells(spaces, field, values)
-        if field.nodes < nodes:
-            dim = spaces.mesh.topology.dim
+    def _function(self, field: Field) -> fem.Function:
+        mesh = self._spaces.mesh if self._in_cells else self._spaces.Lambda.mesh
+        if self._nodes == 2:
+            mesh = self._spaces.split.mesh
+        shape = field.values.shape[1 + field.nodes :]
+        return fem.Function(fenicsx.function_space(mesh, ("DG", min(self._nodes, 1), shape)), name=field.name)
+
+    def _set(self, function: fem.Function, field: Field) -> None:
+        spaces, nodes, values = self._spaces, self._nodes, np.asarray(field.values, dtype=np.float64)
+        dim, shape = spaces.mesh.topology.dim, values.shape[1 + field.nodes :]
+        if field.nodes == 0 < nodes:
             values = np.repeat(values[:, None], dim + 1 if self._in_cells else dim, axis=1)
-        if not self._in_cells:
-            return (spaces.linear_multiplier if nodes else spaces.multiplier)(values, field.name)
-        shape = values.shape[1 + nodes :]
-        function = fem.Function(fenicsx.function_space(spaces.mesh, ("DG", nodes, shape)), name=field.name)
-        rows = function.function_space.dofmap.list
-        function.x.array.reshape(-1, *shape)[rows if nodes else rows[:, 0]] = values
-        return function
+        if nodes == 2:
+            spaces.split.set_values(function, _on_subcells(values) if field.nodes < 2 else values)
+        elif nodes == 1 and not self._in_cells:
+            spaces.set_linear(function, values)
+        else:
+            rows = function.function_space.dofmap.list if nodes else slice(len(values))
+            function.x.array.reshape(-1, *shape)[rows] = values
+            function.x.scatter_forward()
 
 
-def _on_subcells(spaces: Any, field: Field, values: Array) -> fem.Function:
-    """A field as a function on the mesh of the subcells, of spaces that have one (collective)."""
-    split, size = spaces.split, spaces.mesh.topology.dim + 1
-    if field.nodes == 0:
-        values = np.broadcast_to(values[:, None, None], (len(values), size, size, *values.shape[1:]))
-    if field.nodes == 1:
-        corners = np.array([[k for k in range(size) if k != i] for i in range(size)])
-        centroids = np.broadcast_to(values.mean(axis=1)[:, None, None], (len(values), size, 1, *values.shape[2:]))
-        values = np.concatenate([values[:, corners], centroids], axis=2)
-    space = fenicsx.function_space(split.mesh, ("DG", 1, values.shape[3:]))
-    return split.function(space, values, field.name)
+def _on_subcells(values: Array) -> Array:
+    """Values at the vertices of the subcells of linear fields in cells, shape (cells, d + 1, d + 1, …)."""
+    size = values.shape[1]
+    corners = np.array([[k for k in range(size) if k != i] for i in range(size)])
+    centroids = np.broadcast_to(values.mean(axis=1)[:, None, None], (len(values), size, 1, *values.shape[2:]))
+    return np.concatenate([values[:, corners], centroids], axis=2)
 
 
 @contextmanager
