@@ -237,7 +237,7 @@ def test_case_file(folder: Path):
     assert found["left half"] == expected.summary()
     for change, words in (
         ('quantity.1.parts="nowhere"', "unknown part 'nowhere'"),
-        ("quantity.1.weight=2", "a quantity 'flux' has no weight"),
+        ("quantity.1.weight=2", "weight: must be 1 on the part 'bottom', which has a law"),
         ('quantity.1.kind="flow"', "unknown quantity 'flow'"),
         ('quantity.1.name="left half"', "name of two quantities"),
         ('quantity.0.weight="1 +"', "quantity.0.weight: "),
