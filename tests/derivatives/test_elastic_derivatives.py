@@ -1,6 +1,8 @@
 """Derivatives through elastic contact: Taylor remainders of all data, with friction by Tresca and Coulomb; ranks."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,20 @@ import ufl
 from mpi4py import MPI
 from test_derivatives import Controlled, constants, directions_of, function, move, pairing
 
-from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Solver, Tresca, solve
+from signorini_fenicsx import (
+    Contact,
+    Coulomb,
+    Dirichlet,
+    Elasticity,
+    Neumann,
+    Regulator,
+    Solver,
+    Tresca,
+    TwoSided,
+    Wall,
+    solve,
+)
+from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.discrete.seen import parts_of
 from signorini_fenicsx.meshes.meshing import build_domain
 
@@ -35,6 +50,48 @@ def block(comm: MPI.Comm, friction: str, plane: str = "strain") -> Controlled:
     return Controlled(domain, problem, [*given, stiffness] if friction else [*given[:-1], stiffness])
 
 
+def on_laws(comm: MPI.Comm, law: str) -> Controlled:
+    """A block that a sloping displacement presses onto something with a law, and tears off it."""
+    domain = build_domain(comm, "square", 0.36, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    E, a, b, c, gap, push = constants(domain, 1.5, 0.04, 0.1, 3.0, 0.02, 0.3)
+    level = function(domain, lambda x: 0.02 * x[0], ("P", 1))
+    wall = Wall("bottom", beta=c * (1 + x[0]), level=a + level)
+    joint = TwoSided("bottom", psi_upper=0.5 * a + 0.3 * level, psi=-b - level, q_S=0.5 * a)
+    regulator = Regulator("bottom", k=c, g_low=-a, g_high=4 * a * (1 + x[0]), a=0.1 * a + level)
+    layer = Corners("bottom", [(0, 5 * a), (b, a + level), (1.5 * b, 0)], before="vertical", beyond=c * a)
+    steps = Corners("bottom", [(-b, 4 * a), (-b, a), (-0.5 * b, level)])
+    own, given = {
+        "wall": (wall, [a, c]),
+        "joint": (joint, [a, b]),
+        "regulator": (regulator, [a, c]),
+        "layer": (layer, [a, b, c]),
+        "steps": (steps, [a, b]),
+    }[law]
+    conditions = [
+        own,
+        Dirichlet("top", [push * 0.2 * x[0], -push * (1 - 1.2 * x[0])]),
+        Neumann(["left", "right"]),
+    ]
+    problem = Elasticity(young=E, poisson=0.3, conditions=conditions)
+    boundary, posed = problem.on(domain)
+    return Controlled(domain, (boundary, replace(posed, gap=gap * (1 + x[0] ** 2))), [E, gap, push, *given, level])
+
+
+def in_space(comm: MPI.Comm, friction: str) -> Controlled:
+    """A cube that is pressed and turned on a foundation."""
+    domain = build_domain(comm, "cube", 0.9, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    E, nu, bound, push = given = constants(domain, 1.5, 0.3, 0.02, 0.1)
+    law: Any = Tresca(bound * (1 + x[0])) if friction == "tresca" else Coulomb(10 * bound * (1 + x[0]))
+    conditions = [
+        Contact("bottom", gap=0.1 * bound * (1 + x[0] ** 2), friction=law),
+        Dirichlet("top", [push * x[1], push * 0.3, -push * (1 + 0.2 * x[0])]),
+        Neumann(["left", "right", "front", "back"]),
+    ]
+    return Controlled(domain, Elasticity(young=E, poisson=nu, conditions=conditions), given)
+
+
 def functional(given: Controlled, solution: Any) -> Any:
     """Something of σ and u, and of a control."""
     x, y = ufl.SpatialCoordinate(given.domain.mesh), ufl.SpatialCoordinate(solution.sigma.function_space.mesh)
@@ -48,6 +105,9 @@ PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
     "stress": lambda comm: block(comm, "", "stress"),
     "tresca": lambda comm: block(comm, "tresca"),
     "coulomb": lambda comm: block(comm, "coulomb"),
+    **{law: partial(on_laws, law=law) for law in ("wall", "joint", "regulator", "layer", "steps")},
+    "tresca in space": lambda comm: in_space(comm, "tresca"),
+    "coulomb in space": lambda comm: in_space(comm, "coulomb"),
 }
 
 
@@ -84,11 +144,12 @@ def test_taylor(name: str):
 
 
 @pytest.mark.parallel(3)
-def test_ranks():
+@pytest.mark.parametrize("name", ["coulomb", "regulator"])
+def test_ranks(name: str):
     """Value and derivatives do not depend on the number of ranks."""
     found = []
     for comm in (COMM, MPI.COMM_SELF):
-        given = block(comm, "coulomb")
+        given = PROBLEMS[name](comm)
         solution = solve(given.domain, given.problem)
         value, gradients = solution.gradient(functional(given, solution), given.controls)
         numbers = [gradient for gradient in gradients if not isinstance(gradient, np.ndarray)]

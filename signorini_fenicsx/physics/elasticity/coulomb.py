@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.rows import in_digits
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
@@ -75,7 +75,8 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
             step = np.zeros_like(following.bound)
         elif left < least or share <= SHORTEST:
             accepted, least, share = present, left, 1.0
-            step = newton(backend, outcome, following.bound - present.bound)
+            slope = present.slope(pressure_of(spaces, outcome.iterate.flux))
+            step = newton(backend, outcome.conditions, slope, following.bound - present.bound)
             backend.friction = accepted.moved(step)
         else:
             assert accepted is not None
@@ -154,17 +155,23 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
     return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
 
 
-def newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
-    """(I − T')⁻¹ of what is left, shape (facets, d), under the sets of the outcome (collective)."""
-    friction, conditions, normal = backend.friction, outcome.conditions, len(backend.spaces.sites)
+def newton(backend: ElasticBackend, conditions: SiteConditions, slope: Array, left: Array) -> Array:
+    """(I − T')⁻¹ of what is left, shape (facets, d), under these sets (collective).
+
+    Args:
+        backend: The backend.
+        conditions: The sets.
+        slope: The derivatives of the bounds by the pressure, shape (facets, d).
+        left: What is left.
+    """
+    friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
     assert friction is not None
-    directions = friction.directions(friction.chains.segments(conditions.take(slice(normal, None))))
-    each = backend.spaces.dim - 1
-    slope = friction.slope(pressure_of(backend.spaces, outcome.iterate.flux))
+    directions = friction.directions(friction.chains.segments(conditions.take(slice(len(spaces.sites), None))))
 
     def without_response(values: Array) -> Array:
-        forces = np.concatenate([np.zeros(normal), directions * np.repeat(values, each)])
-        pressure = pressure_of(backend.spaces, backend.response(conditions, forces))
+        load = none.copy()
+        load[spaces.slip_sites] = directions * spaces.slip_measure * np.repeat(values, spaces.dim - 1)
+        pressure = pressure_of(spaces, backend.flux(backend.solve_homogeneous(conditions, load), none))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 
     return gmres(backend, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(left.shape)
