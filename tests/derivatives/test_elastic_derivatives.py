@@ -16,17 +16,22 @@ from signorini_fenicsx import (
     Coulomb,
     Dirichlet,
     Elasticity,
+    Evolution,
     Neumann,
     Regulator,
     Solver,
     Tresca,
     TwoSided,
     Wall,
+    evolve,
+    gradient_in_time,
     solve,
 )
 from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.derivatives.gradient import NotDifferentiable
 from signorini_fenicsx.discrete.seen import parts_of
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.solving.evolving import Instant
 
 COMM = MPI.COMM_WORLD
 
@@ -155,3 +160,64 @@ def test_ranks(name: str):
         numbers = [gradient for gradient in gradients if not isinstance(gradient, np.ndarray)]
         found.append([value, pairing(gradients, directions_of(given.controls)), *numbers])
     assert found[0] == pytest.approx(found[1], rel=1e-8, abs=1e-10)
+
+
+@pytest.mark.parametrize("friction", ["tresca", "coulomb"])
+def test_biactive(friction: str):
+    """At vertices that touch without pressure the derivative is one-sided and exact; no gradient is claimed."""
+    domain = build_domain(COMM, "square", 0.36, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    push, bound = given = constants(domain, 0.3, 0.05)
+    gap = function(domain, lambda x: 0 * x[0], ("DG", 1))
+    law: Any = Tresca(bound) if friction == "tresca" else Coulomb(8 * bound)
+    pulled = Dirichlet("top", [0.3 * push * (1 + x[0]), -push * (1 - 1.8 * x[0])])
+    conditions = [Contact("bottom", gap=gap, friction=law), pulled, Neumann(["left", "right"])]
+    problem = Elasticity(young=1.5, poisson=0.3, conditions=conditions)
+    free = solve(domain, problem)
+    places, contact = gap.function_space.tabulate_dof_coordinates()[:, :2], free.spaces.contact
+    for facet in np.flatnonzero((free.pressure < 1e-9).all(axis=1)):
+        for vertex, opening in zip(contact.vertices[facet], free.linear_gap[facet], strict=True):
+            dofs = gap.function_space.dofmap.list[contact.cells[facet]]
+            gap.x.array[dofs[np.square(places[dofs] - vertex).sum(axis=1).argmin()]] -= opening
+    solution, changes = solve(domain, problem), []
+    for control, sign in ((push, 0.3), (push, -0.3), (bound, 0.05)):
+        change = solution.derivative({control: sign})
+        control.value += 1e-5 * sign
+        there = solve(domain, problem)
+        control.value -= 1e-5 * sign
+        for after, before, its in ((there.u, solution.u, change.u), (there.sigma, solution.sigma, change.sigma)):
+            assert after.x.array == pytest.approx(before.x.array + 1e-5 * its.x.array, abs=1e-9)
+        changes.append(change.u.x.array)
+    assert np.abs(changes[0] + changes[1]).max() > 0.01
+    with pytest.warns(NotDifferentiable, match="4 sites"):
+        solution.gradient(functional(Controlled(domain, problem, given), solution), given)
+
+
+@pytest.mark.parametrize("friction", ["tresca", "coulomb"])
+def test_in_steps(friction: str):
+    """Loads in steps, with friction against the slip of the last one: backwards through all."""
+    domain = build_domain(COMM, "square", 0.36, mesh="structured")
+    E, bound, gap = given = constants(domain, 1.5, 0.05, 0.01)
+    law: Any = Tresca(bound) if friction == "tresca" else Coulomb(6 * bound)
+    pulled = Dirichlet("top", ["0.5*t*(1 - t)*(1 + x)", "-0.1*(1 + x)*(0.3 + t)"])
+    conditions = [Contact("bottom", gap=gap, friction=law), pulled, Neumann(["left", "right"])]
+    problem, evolution = Elasticity(young=E, poisson=0.3, conditions=conditions), Evolution(end=1.2, steps=4)
+
+    def J(instant: Instant) -> Any:
+        u, x = instant.solution.u, ufl.SpatialCoordinate(domain.mesh)
+        return instant.t * (u[0] ** 2 * (1 + x[1]) + u[0] * u[1]) * ufl.dx
+
+    def value() -> float:
+        return sum(each.solution.spaces.integrate(J(each)) for each in evolve(domain, problem, evolution))
+
+    instants = list(evolve(domain, problem, evolution))
+    states = {tuple(instant.solution.states.ravel()) for instant in instants}
+    assert len(states) > 1
+    at, gradients = gradient_in_time(instants, J, given)
+    remainders, directions = [], directions_of(given)
+    for step in (4e-3, 2e-3):
+        move(given, directions, step)
+        remainders.append(value() - at - step * pairing(gradients, directions))
+        move(given, directions, -step)
+    assert abs(remainders[1]) < 0.05 * 2e-3 * abs(pairing(gradients, directions))
+    assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)

@@ -75,8 +75,9 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
             step = np.zeros_like(following.bound)
         elif left < least or share <= SHORTEST:
             accepted, least, share = present, left, 1.0
-            slope = present.slope(pressure_of(spaces, outcome.iterate.flux))
-            step = newton(backend, outcome.conditions, slope, following.bound - present.bound)
+            segments = present.chains.segments(outcome.conditions.take(slice(len(spaces.sites), None)))
+            law = present.directions(segments), present.slope(pressure_of(spaces, outcome.iterate.flux))
+            step = newton(backend, outcome.conditions, law, following.bound - present.bound)
             backend.friction = accepted.moved(step)
         else:
             assert accepted is not None
@@ -155,18 +156,18 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
     return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
 
 
-def newton(backend: ElasticBackend, conditions: SiteConditions, slope: Array, left: Array) -> Array:
+def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
     """(I − T')⁻¹ of what is left, shape (facets, d), under these sets (collective).
 
     Args:
         backend: The backend.
         conditions: The sets.
-        slope: The derivatives of the bounds by the pressure, shape (facets, d).
+        law: The derivatives of σ_t by the bounds at the sites, and of the bounds by the pressure, shape (facets, d).
         left: What is left.
     """
     friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
     assert friction is not None
-    directions = friction.directions(friction.chains.segments(conditions.take(slice(len(spaces.sites), None))))
+    directions, slope = law
 
     def without_response(values: Array) -> Array:
         load = none.copy()

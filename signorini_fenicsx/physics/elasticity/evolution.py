@@ -47,15 +47,9 @@ class ElasticSteps:
         """The slip at the end of the last step."""
         return before[0]
 
-    def by_earlier(self, _step: int, _by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
-        """None: without friction steps do not depend on each other.
-
-        Raises:
-            InputError: With friction.
-        """
-        if self._problem.rough:
-            raise InputError("derivatives in time: there are none with friction")
-        return []
+    def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
+        """The derivatives by the slip of the last step, see `solving.evolution.Steps`."""
+        return [(step - 1, by["slipped"])] if step > 1 else []
 
     def left_by(self, solution: ElasticSolution) -> Array:
         """The slip at the end of this step."""

@@ -66,7 +66,7 @@ class Linearised:
         self._conditions = solution.outcome.conditions
         normal, friction = len(spaces.sites), backend.friction
         self._held = self._conditions.kind == Condition.ZERO_TRACE
-        self._segment = backend.chains.segments(self._conditions)
+        self._segment = backend.chains.segments(self._conditions, solution.outcome.iterate.p)
         self._signs: Array = np.zeros(len(spaces.slip_sites))  # of the bound, in σ_t
         if friction is not None:
             self._signs = friction.directions(self._segment[normal:])

@@ -98,7 +98,7 @@ class Tangent:
             slope = friction.slope(np.where(self._touching, 1.0, self._pressure))
             moved = pressure_of(spaces, backend.flux(x, self._load))
             left = self._numbers["mu"] * self._pressure.ravel() + (slope * moved).ravel()
-            more = newton(backend, actual, slope, left.reshape(slope.shape)).ravel()
+            more = newton(backend, actual, (sides, slope), left.reshape(slope.shape)).ravel()
             load = np.zeros_like(load)
             load[spaces.slip_sites] = self._shear(sides, more)
             x.axpy(1.0, backend.solve_homogeneous(actual, load))
