@@ -19,10 +19,17 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.derivatives.controls import Control, check_control, gradient_of, occurs, sum_of, varied
+from signorini_fenicsx.derivatives.controls import (
+    check_control,
+    check_unchanged,
+    gradient_of,
+    occurs,
+    sum_of,
+    varied,
+)
 from signorini_fenicsx.derivatives.paths import with_constants
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.discrete.seen import parts_of
+from signorini_fenicsx.discrete.seen import Control, parts_of
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.solving.evolving import Instant
 
@@ -104,7 +111,8 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control | str], toleranc
         tolerance: Which sites are biactive.
 
     Raises:
-        InputError: If a control is none, or in neither; if the solution has no derivatives, or is a step in time.
+        InputError: If a control is none, or in neither, or was changed since the solve; if the solution has no
+            derivatives, or is a step in time.
         LinearSolveFailure: If the linear solver does not converge.
     """
     _refuse_steps(solution)
@@ -157,10 +165,12 @@ def _of_step(
         tolerance: Which sites are biactive.
         by_u: The derivative of what comes later by u of each cell.
     """
+    solved = solution
     solution, constants = with_constants(solution, controls)
     for control in constants:
         check_control(control)
     problem, spaces = solution.linearised(tolerance), solution.spaces
+    check_unchanged(spaces, solved.data.given)
     comm = spaces.mesh.comm
     places = np.concatenate(comm.allgather(problem.places()))
     if len(places) > 0 and comm.rank == 0:
@@ -196,15 +206,18 @@ def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance:
         tolerance: Which sites are biactive.
 
     Raises:
-        InputError: If a control is none, or in no datum; if the solution has no derivatives, or is a step in time.
+        InputError: If a control is none, or in no datum, or was changed since the solve; if the solution has no
+            derivatives, or is a step in time.
         LinearSolveFailure: If the linear solver does not converge.
         NumericalFailure: If the sets of biactive sites do not settle.
     """
     _refuse_steps(solution)
+    solved = solution
     solution, controls = with_constants(solution, direction)
     for control in controls:
         check_control(control)
     problem = solution.linearised(tolerance)
+    check_unchanged(solution.spaces, solved.data.given)
     moved = list(zip(controls, direction.values(), strict=True))
     used: set[int] = set()
 

@@ -253,6 +253,11 @@ def test_refusals():
         solution.derivative({stranger: 1.0})
     with pytest.raises(InputError, match="must be a scalar"):
         solution.derivative({fem.Constant(given.domain.mesh, (1.0, 2.0)): 1.0})
+    load = given.controls[-2]
+    load.value *= 2
+    with pytest.raises(InputError, match="other values than when the problem was solved"):
+        solution.gradient(solution.u * ufl.dx, given.controls)
+    load.value /= 2
     other = solve(given.domain, given.problem, Options(algorithm="slimane", eps=1e-3))
     with pytest.raises(InputError, match="solves another discrete problem"):
         other.gradient(other.u * ufl.dx, given.controls)
