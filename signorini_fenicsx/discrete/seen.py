@@ -21,6 +21,7 @@ from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.expressions import TREES
 
@@ -62,6 +63,17 @@ class Seen:
         v.x.array[self.dofs] = by / self.scale
         v.x.scatter_forward()
         return self.form(v)
+
+
+def seen_in_cells(space: fem.FunctionSpace, datum: Datum, cells: npt.NDArray[np.int32], measures: Array) -> Seen:
+    """The means of a datum over some owned cells with these measures; of a matrix those of its entries.
+
+    The space is P0, that of a matrix for one.
+    """
+    size = int(np.prod(datum.shape, dtype=int))
+    dofs = (size * cells[:, None] + np.arange(size)).ravel().astype(np.int32)
+    dx = ufl.dx(degree=quadrature_degree(datum))
+    return Seen(lambda v: ufl.inner(datum.ufl, v) * dx, space, dofs, np.repeat(measures, size))
 
 
 def values_in(given: Any) -> Values:

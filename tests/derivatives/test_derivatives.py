@@ -17,10 +17,8 @@ from signorini_fenicsx import (
     Diffusion,
     Dirichlet,
     Domain,
-    Evolution,
     Friction,
     InputError,
-    Instant,
     Neumann,
     Obstacle,
     Options,
@@ -31,8 +29,6 @@ from signorini_fenicsx import (
     TwoSided,
     Wall,
     domain_of,
-    evolve,
-    gradient_in_time,
     load_case,
     solve,
     solve_case,
@@ -286,38 +282,6 @@ def test_paths():
             solution.gradient(solution.u * ufl.dx, [path])
 
 
-@pytest.mark.parametrize("scheme", ["implicit-euler", "bdf2"])
-def test_in_time(scheme: str):
-    """Backwards through the steps, with the sets of each; a step alone is refused."""
-    domain = build_domain(COMM, "square", 0.15, mesh="structured")
-    k, psi, u_D = given = constants(domain, 0.8, -0.4, 0.1)
-    m = function(domain, lambda x: -20 + 10 * x[0])
-    x = ufl.SpatialCoordinate(domain.mesh)
-    problem = Diffusion(f=m, kappa=k, u_D=u_D * x[0], conditions=[Signorini("bottom", psi=psi * (1 + x[0]))])
-    evolution = Evolution(end=0.2, steps=4, scheme=scheme, capacity="1 + y", initial="0.1*x")
-    controls = [*given, m]
-
-    def J(instant: Instant) -> Any:
-        solution = instant.solution
-        return instant.t * solution.u**2 * ufl.dx + k * solution.p**2 * solution.spaces.ds
-
-    def value() -> float:
-        return sum(each.solution.spaces.integrate(J(each)) for each in evolve(domain, problem, evolution))
-
-    instants = list(evolve(domain, problem, evolution))
-    assert len({instant.solution.contact.facets for instant in instants}) > 1
-    at, gradients = gradient_in_time(instants, J, controls)
-    assert at == pytest.approx(value(), rel=1e-12)
-    remainders, directions = [], directions_of(controls)
-    for step in (4e-3, 2e-3):
-        move(controls, directions, step)
-        remainders.append(value() - at - step * pairing(gradients, directions))
-        move(controls, directions, -step)
-    assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)
-    with pytest.raises(InputError, match="use gradient_in_time"):
-        instants[0].solution.gradient(J(instants[0]), [k])
-
-
 def test_kept_factors():
     """A solver that knows all traces on Γ_S from one factorisation gives the same gradient, and solves on after it."""
     domain = build_domain(COMM, "square", 0.15, mesh="structured")
@@ -372,7 +336,7 @@ def test_transition():
 
 
 def test_biactive_case():
-    """Where a third of Γ_S is biactive but for the error of the mesh, the tolerance decides which derivative is meant."""
+    """Where Γ_S is biactive but for the error of the mesh, the tolerance decides which derivative is meant."""
     domain = build_domain(COMM, "square", 0.1, mesh="structured")
     x, (t,) = ufl.SpatialCoordinate(domain.mesh), constants(domain, 0.0)
     right = ufl.max_value(x[0] - 1 / 3, 0)  # the data of the case `biactive`

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
+from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
@@ -49,6 +50,14 @@ class ElasticSteps:
     def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
         """The derivatives by the slip of the last step, see `solving.evolution.Steps`."""
         return [(step - 1, by["slipped"])] if step > 1 else []
+
+    def functional(self, _solution: ElasticSolution, by: Array) -> Array:
+        """The derivatives by û_t at the sites with friction."""
+        return by
+
+    def at_start(self, _by: Array) -> Form:
+        """Nothing: the slip before the first step is 0."""
+        return Form([])
 
     def left_by(self, solution: ElasticSolution) -> Array:
         """The slip at the end of this step."""

@@ -194,7 +194,7 @@ class Linearised:
         found[np.concatenate([self._spaces.sites, self._spaces.slip_sites])[self._held]] = True
         return found
 
-    def adjoint(self, J: Form, of_slip: Array | float = 0.0) -> dict[str, Array]:
+    def adjoint(self, J: Form, of_slip: Array | None = None) -> dict[str, Array]:
         """The derivatives of J by all that is seen, but for where the data stand in J itself (collective).
 
         Args:
@@ -205,6 +205,7 @@ class Linearised:
             The derivatives, with "slipped" that by û_t of the step before.
         """
         spaces, backend, w = self._spaces, self._backend, np.zeros(0)
+        of_slip = np.zeros(len(spaces.slip_sites)) if of_slip is None else of_slip
         friction = backend.friction
         by_sigma, by_u = (derivative_by(each, J, ()) for each in (self._solution.sigma, self._solution.u))
         stresses, moments = spaces.split.values(by_sigma), -spaces.displacement_values(by_u)
