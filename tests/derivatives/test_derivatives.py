@@ -1,4 +1,4 @@
-"""Derivatives through contact: Taylor remainders of all kinds of data, laws, methods and ranks; refusals."""
+"""Derivatives through contact: Taylor remainders of all data, corners, backends, ranks; an inverse problem; refusals."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

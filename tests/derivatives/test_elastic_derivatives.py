@@ -1,4 +1,4 @@
-"""Derivatives through elastic contact: Taylor remainders of all data, with friction by Tresca and Coulomb; ranks."""
+"""Derivatives through elastic contact: Taylor remainders of all data, laws and friction; corners, load steps, ranks."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -84,14 +84,16 @@ def on_laws(comm: MPI.Comm, law: str) -> Controlled:
 
 
 def in_space(comm: MPI.Comm, friction: str) -> Controlled:
-    """A cube that is pressed and turned on a foundation."""
+    """A cube that is pressed and turned on a foundation, or pressed and torn on springs."""
     domain = build_domain(comm, "cube", 0.9, mesh="structured")
     x = ufl.SpatialCoordinate(domain.mesh)
     E, nu, bound, push = given = constants(domain, 1.5, 0.3, 0.02, 0.1)
     law: Any = Tresca(bound * (1 + x[0])) if friction == "tresca" else Coulomb(10 * bound * (1 + x[0]))
+    touching = Contact("bottom", gap=0.1 * bound * (1 + x[0] ** 2), friction=law)
+    springs = Wall("bottom", beta=100 * bound, level=bound * (1 + x[1]))
     conditions = [
-        Contact("bottom", gap=0.1 * bound * (1 + x[0] ** 2), friction=law),
-        Dirichlet("top", [push * x[1], push * 0.3, -push * (1 + 0.2 * x[0])]),
+        touching if friction else springs,
+        Dirichlet("top", [push * x[1], push * 0.3, -push * (1 + (0.2 if friction else -1.9) * x[0])]),
         Neumann(["left", "right", "front", "back"]),
     ]
     return Controlled(domain, Elasticity(young=E, poisson=nu, conditions=conditions), given)
@@ -111,6 +113,7 @@ PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
     "tresca": lambda comm: block(comm, "tresca"),
     "coulomb": lambda comm: block(comm, "coulomb"),
     **{law: partial(on_laws, law=law) for law in ("wall", "joint", "regulator", "layer", "steps")},
+    "wall in space": lambda comm: in_space(comm, ""),
     "tresca in space": lambda comm: in_space(comm, "tresca"),
     "coulomb in space": lambda comm: in_space(comm, "coulomb"),
 }

@@ -311,5 +311,6 @@ def _shared(chains: Chains, dim: int) -> Array:
     sloped = (slope > 0) & np.isfinite(slope)
     beside = np.pad(slope, ((0, 0), (0, 0), (1, 1)))
     alone = sloped & (beside[:, :, :-2] == 0) & (beside[:, :, 2:] == 0)
-    stiffest = np.where(sloped, slope, 0.0).max(axis=1)
+    slope = np.where(sloped, slope, 0.0)
+    stiffest = np.take_along_axis(slope, slope.real.argmax(axis=1)[:, None], axis=1)[:, 0]
     return np.where(alone.all(axis=1), 1 / ((dim + 1) * np.where(stiffest > 0, stiffest, 1.0)), 0.0)
