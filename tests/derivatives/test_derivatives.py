@@ -1,4 +1,4 @@
-"""Derivatives through contact: Taylor remainders of all data, corners, backends, ranks; an inverse problem; refusals."""
+"""Derivatives through contact: Taylor remainders of all data, corners, backends, ranks; an inverse problem."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Derivatives through elastic contact: Taylor remainders of all data, laws and friction; corners, load steps, ranks."""
+"""Derivatives through elastic contact: Taylor remainders of all data and laws; corners, load steps, ranks."""
 
 from collections.abc import Callable
 from dataclasses import replace
