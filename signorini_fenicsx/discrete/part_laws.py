@@ -134,8 +134,8 @@ def chains_of(graph: Graph, number: int) -> Chains:
         np.stack([np.broadcast_to(corner[axis] - graph.reference[axis], number) for corner in graph.corners], axis=1)
         for axis in (0, 1)
     )
-    p = p + (np.maximum.accumulate(p.real, axis=1) - p.real)  # 0 but for rounding
-    flux = flux + (np.minimum.accumulate(flux.real, axis=1) - flux.real)
+    most, least = np.maximum.accumulate(p.real, axis=1), np.minimum.accumulate(flux.real, axis=1)
+    p, flux = np.where(most > p.real, most, p), np.where(least < flux.real, least, flux)  # but for rounding they are so
     before, beyond = (np.broadcast_to(slope, number) for slope in (graph.before, graph.beyond))
     chains = Chains.through(p, flux, before, beyond)
     return replace(chains, plain=len(graph.corners) == 1 and graph.corners[0] is graph.reference)
