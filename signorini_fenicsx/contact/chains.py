@@ -55,8 +55,8 @@ class Chains:
         there = np.isfinite(p)
         at, fallen = np.where(there, p, 0.0), np.where(there, flux, 0.0)
         run, fall = np.diff(at, axis=1), -np.diff(fallen, axis=1)
-        between = np.divide(fall, run, out=np.full_like(run, np.inf), where=run > 0)
-        slope = np.column_stack([before, np.where(there[:, 1:], between, 0.0), np.zeros(len(p))])
+        between = np.divide(fall, run, out=np.full_like(fall + run, np.inf), where=run.real > 0)
+        slope = np.column_stack([before, np.where(there[:, 1:], between, 0.0), np.zeros_like(beyond)])
         slope[np.arange(len(p)), there.sum(axis=1)] = beyond
         left = np.maximum(np.arange(slope.shape[1]) - 1, 0)
         vertical = np.isinf(slope)

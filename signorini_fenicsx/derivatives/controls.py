@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from ufl import Form
 from ufl.algorithms.map_integrands import map_integrands
 from ufl.core.expr import Expr
@@ -15,9 +16,10 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, assembled
-from signorini_fenicsx.discrete.seen import parts_of
+from signorini_fenicsx.discrete.seen import Control, Values, parts_of, values_of
 
-type Control = fem.Constant | fem.Function
+ROUNDING = 1e-10
+"""A share of the largest value of a control by which it may differ from what was solved with."""
 
 
 def check_control(control: Any) -> None:
@@ -30,6 +32,23 @@ def check_control(control: Any) -> None:
         raise InputError(f"controls: are Constants and Functions of DOLFINx, not {type(control).__name__}")
     if isinstance(control, fem.Constant) and control.ufl_shape:
         raise InputError(f"controls: a Constant must be a scalar, and one has the shape {control.ufl_shape}")
+
+
+def check_unchanged(spaces: MeshSpaces, given: Values) -> None:
+    """Refuse derivatives of a solution whose data have changed in place since it was solved (collective).
+
+    Raises:
+        InputError: On all ranks, if they have on one.
+    """
+    changed = any(
+        bool((np.abs(values_of(control) - before) > ROUNDING * np.abs(before).max(initial=0.0)).any())
+        for control, before in given
+    )
+    if spaces.mesh.comm.allreduce(changed, MPI.LOR):
+        raise InputError(
+            "a Constant or Function in the data has other values than when the problem was solved; solve again, or "
+            "ask for derivatives before you change it"
+        )
 
 
 def occurs(control: Control, form: Form) -> bool:

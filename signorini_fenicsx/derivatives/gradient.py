@@ -19,10 +19,17 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.derivatives.controls import Control, check_control, gradient_of, occurs, sum_of, varied
+from signorini_fenicsx.derivatives.controls import (
+    check_control,
+    check_unchanged,
+    gradient_of,
+    occurs,
+    sum_of,
+    varied,
+)
 from signorini_fenicsx.derivatives.paths import with_constants
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.discrete.seen import parts_of
+from signorini_fenicsx.discrete.seen import Control, parts_of
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.solving.evolving import Instant
 
@@ -104,11 +111,13 @@ def gradient(solution: Any, J: Form, controls: Sequence[Control | str], toleranc
         tolerance: Which sites are biactive.
 
     Raises:
-        InputError: If a control is none, or in neither; if the solution has no derivatives, or is a step in time.
+        InputError: If a control is none, or in neither, or was changed since the solve; if the solution has no
+            derivatives, or is a step in time.
         LinearSolveFailure: If the linear solver does not converge.
     """
     _refuse_steps(solution)
-    return _of_step(solution, J, controls, tolerance)[0]
+    value, gradients, _ = _of_step(solution, J, controls, tolerance)
+    return Gradient(value, _all_there(gradients))
 
 
 @collector_off()
@@ -125,53 +134,84 @@ def gradient_in_time(
     Args:
         instants: All steps from the first one, as `evolve` gives them.
         J: For each step integrals in its solution and in controls; J is their sum.
-        controls: As in `gradient`; they are the same at all times, and not in the initial values.
+        controls: As in `gradient`; they are the same at all times. They may be in the initial values, too.
         tolerance: Which sites are biactive.
 
     Raises:
-        InputError: If a control is none, or in no datum; if there are laws of storage, or friction of elastic bodies.
+        InputError: If a control is none, or in no datum, or was changed since the solve; if there are laws of storage
+            and controls in the initial values, or other laws in Ω.
         LinearSolveFailure: If the linear solver does not converge.
     """
     if [instant.step for instant in instants] != list(range(1, len(instants) + 1)):
         raise InputError("instants: must be all steps from the first one")
-    sums: list[float | Array] = [0.0 for _ in controls]
+    sums: list[float | Array | None] = [None for _ in controls]
     value, later = 0.0, dict[int, Any]()
     for instant in reversed(instants):
-        of_step, by_memory = _of_step(instant.solution, J(instant), controls, tolerance, later.pop(instant.step, 0.0))
-        value += of_step.value
-        sums = [whole + part for whole, part in zip(sums, of_step.gradients, strict=True)]
-        for step, by_u in instant.steps.by_earlier(instant.step, by_memory):
-            later[step] = later.get(step, 0.0) + by_u
-    return Gradient(value, sums)
+        left = later.pop(instant.step, None)
+        more = None if left is None else instant.steps.functional(instant.solution, left)
+        its_value, gradients, by = _of_step(instant.solution, J(instant), controls, tolerance, more)
+        value += its_value
+        sums = [_plus(whole, part) for whole, part in zip(sums, gradients, strict=True)]
+        for step, by_left in instant.steps.by_earlier(instant.step, by):
+            later[step] = later.get(step, 0.0) + by_left
+    if later:
+        steps = instants[0].steps
+        at_start, plain = steps.at_start(later.pop(0)), [None if isinstance(each, str) else each for each in controls]
+        parts = [None if each is None else _by_control(steps.spaces, at_start, each) for each in plain]
+        sums = [_plus(whole, part) for whole, part in zip(sums, parts, strict=True)]
+    return Gradient(value, _all_there(sums))
+
+
+def _plus(whole: float | Array | None, part: float | Array | None) -> float | Array | None:
+    """The sum of two derivatives, None for one by what is not there."""
+    return part if whole is None else whole if part is None else whole + part
+
+
+def _by_control(spaces: MeshSpaces, form: Form, control: Control) -> float | Array | None:
+    """The derivative of a form by a control; None if it is not there (collective)."""
+    return gradient_of(spaces, form, control) if occurs(control, form) else None
+
+
+def _all_there(gradients: Sequence[float | Array | None]) -> list[float | Array]:
+    """The derivatives by all controls.
+
+    Raises:
+        InputError: If one is by what is in no datum.
+    """
+    found = []
+    for number, each in enumerate(gradients):
+        if each is None:
+            raise InputError(f"controls: number {number + 1} is in no datum of the problem that was solved")
+        found.append(each)
+    return found
 
 
 def _of_step(
-    solution: Any, J: Form, controls: Sequence[Control | str], tolerance: float, by_u: Array | float = 0.0
-) -> tuple[Gradient, Mapping[str, Array]]:
-    """The gradient for given memory, and the derivatives by all that the discrete problem sees (collective).
+    solution: Any, J: Form, controls: Sequence[Control | str], tolerance: float, more: Any = None
+) -> tuple[float, list[float | Array | None], Mapping[str, Array]]:
+    """The value, the gradient for given memory, and the derivatives by what the discrete problem sees (collective).
 
     Args:
         solution: The solution.
         J: The functional.
         controls: The controls.
         tolerance: Which sites are biactive.
-        by_u: The derivative of what comes later by u of each cell.
+        more: The derivatives of what comes later by what this step leaves, see `solving.evolution.Steps.functional`.
     """
+    solved = solution
     solution, constants = with_constants(solution, controls)
     for control in constants:
         check_control(control)
     problem, spaces = solution.linearised(tolerance), solution.spaces
+    check_unchanged(spaces, solved.data.given)
     comm = spaces.mesh.comm
     places = np.concatenate(comm.allgather(problem.places()))
     if len(places) > 0 and comm.rank == 0:
         warnings.warn(NotDifferentiable(places, tolerance), stacklevel=4)
-    sensitivities = problem.adjoint(J, by_u)
-    of_data = sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
-    whole, value = J + of_data, sum(spaces.integrate(part) for part in parts_of(J))
-    for number, control in enumerate(constants):
-        if not occurs(control, whole):
-            raise InputError(f"controls: number {number + 1} is in no datum of the problem that was solved")
-    return Gradient(value, [gradient_of(spaces, whole, control) for control in constants]), sensitivities
+    sensitivities = problem.adjoint(J, more)
+    whole = J + sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
+    value = sum(spaces.integrate(part) for part in parts_of(J))
+    return value, [_by_control(spaces, whole, control) for control in constants], sensitivities
 
 
 def _refuse_steps(solution: Any) -> None:
@@ -196,15 +236,18 @@ def derivative(solution: Any, direction: Mapping[Control | str, Any], tolerance:
         tolerance: Which sites are biactive.
 
     Raises:
-        InputError: If a control is none, or in no datum; if the solution has no derivatives, or is a step in time.
+        InputError: If a control is none, or in no datum, or was changed since the solve; if the solution has no
+            derivatives, or is a step in time.
         LinearSolveFailure: If the linear solver does not converge.
         NumericalFailure: If the sets of biactive sites do not settle.
     """
     _refuse_steps(solution)
+    solved = solution
     solution, controls = with_constants(solution, direction)
     for control in controls:
         check_control(control)
     problem = solution.linearised(tolerance)
+    check_unchanged(solution.spaces, solved.data.given)
     moved = list(zip(controls, direction.values(), strict=True))
     used: set[int] = set()
 

@@ -29,6 +29,8 @@ from signorini_fenicsx.expressions.given import parsed
 
 ROUNDING = 1e-12
 """Relative size of what is rounding in the order of bounds."""
+COMPLEX_STEP = 1e-200
+"""Of a derivative by complex data, which has no error but rounding."""
 SHORT = "obstacle"
 """The name of the law that the key `obstacle` of a problem is a short form of."""
 
@@ -132,7 +134,8 @@ def chains_of(graph: Graph, number: int) -> Chains:
         np.stack([np.broadcast_to(corner[axis] - graph.reference[axis], number) for corner in graph.corners], axis=1)
         for axis in (0, 1)
     )
-    p, flux = np.maximum.accumulate(p, axis=1), np.minimum.accumulate(flux, axis=1)  # but for rounding they are so
+    most, least = np.maximum.accumulate(p.real, axis=1), np.minimum.accumulate(flux.real, axis=1)
+    p, flux = np.where(most > p.real, most, p), np.where(least < flux.real, least, flux)  # but for rounding they are so
     before, beyond = (np.broadcast_to(slope, number) for slope in (graph.before, graph.beyond))
     chains = Chains.through(p, flux, before, beyond)
     return replace(chains, plain=len(graph.corners) == 1 and graph.corners[0] is graph.reference)

@@ -7,8 +7,8 @@ by what is in d is that of the form with v = Σ (S/number) times a basis functio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import dolfinx.mesh
@@ -17,11 +17,17 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from ufl import Form
+from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.expressions import TREES
 
+type Control = fem.Constant | fem.Function
+type Values = Sequence[tuple[Control, Array]]
+"""Constants and functions with the values that they had on this rank."""
 type Vary = Callable[[Form], Form]
 """The derivative of a form in a direction, of the same rank."""
 
@@ -57,6 +63,37 @@ class Seen:
         v.x.array[self.dofs] = by / self.scale
         v.x.scatter_forward()
         return self.form(v)
+
+
+def seen_in_cells(space: fem.FunctionSpace, datum: Datum, cells: npt.NDArray[np.int32], measures: Array) -> Seen:
+    """The means of a datum over some owned cells with these measures; of a matrix those of its entries.
+
+    The space is P0, that of a matrix for one.
+    """
+    size = int(np.prod(datum.shape, dtype=int))
+    dofs = (size * cells[:, None] + np.arange(size)).ravel().astype(np.int32)
+    dx = ufl.dx(degree=quadrature_degree(datum))
+    return Seen(lambda v: ufl.inner(datum.ufl, v) * dx, space, dofs, np.repeat(measures, size))
+
+
+def values_in(given: Any) -> Values:
+    """The constants and functions in what was given, in dataclasses, mappings and sequences, with their values now."""
+    if isinstance(given, Expr):
+        found = [*extract_coefficients(given), *extract_constants(given)]
+        return [(each, values_of(each).copy()) for each in found if isinstance(each, fem.Constant | fem.Function)]
+    inner: Iterable[Any] = ()
+    if isinstance(given, Mapping):
+        inner = given.values()
+    elif isinstance(given, list | tuple):
+        inner = given
+    elif is_dataclass(given) and not isinstance(given, TREES):
+        inner = (getattr(given, each.name) for each in fields(given))
+    return [pair for each in inner for pair in values_in(each)]
+
+
+def values_of(control: Control) -> Array:
+    """Its values on this rank."""
+    return control.x.array if isinstance(control, fem.Function) else np.asarray(control.value)
 
 
 def parts_of(form: Form) -> list[Form]:

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from ufl import Form
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -114,12 +115,23 @@ class Steps(Protocol):
         """
 
     def by_earlier(self, step: int, by: Mapping[str, npt.NDArray]) -> Sequence[tuple[int, npt.NDArray]]:
-        """The derivatives by u of earlier steps, with their numbers, of what a step takes from them.
+        """The derivatives by what earlier steps have left, with their numbers, 0 for the start.
 
         Args:
             step: The step.
             by: The derivatives by what the problem of the step sees of its data.
+        """
+
+    def functional(self, solution: Any, by: npt.NDArray) -> Any:
+        """What the derivatives by what a step has left are for `adjoint` of its linearised problem.
 
         Raises:
-            InputError: If something else than u is taken from earlier steps.
+            InputError: If there are no derivatives of what is left.
+        """
+
+    def at_start(self, by: npt.NDArray) -> Form:
+        """The form whose derivative by a control is that of something by `start`, with these derivatives.
+
+        Raises:
+            InputError: If there are none.
         """

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from ufl import Form
 
     from signorini_fenicsx.certificate.certify import Certificate
-    from signorini_fenicsx.derivatives.controls import Control
     from signorini_fenicsx.derivatives.gradient import Change, Gradient
+    from signorini_fenicsx.discrete.seen import Control
     from signorini_fenicsx.quantities import Kind, Quantity
 
 type Columns = Mapping[str, npt.NDArray]

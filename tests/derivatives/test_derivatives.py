@@ -1,4 +1,4 @@
-"""Derivatives through contact: Taylor remainders of all kinds of data, laws, methods and ranks; refusals."""
+"""Derivatives through contact: Taylor remainders of all data, corners, backends, ranks; an inverse problem."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,16 +10,15 @@ import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from scipy.optimize import minimize
 
 from signorini_fenicsx import (
     Corners,
     Diffusion,
     Dirichlet,
     Domain,
-    Evolution,
     Friction,
     InputError,
-    Instant,
     Neumann,
     Obstacle,
     Options,
@@ -30,8 +29,6 @@ from signorini_fenicsx import (
     TwoSided,
     Wall,
     domain_of,
-    evolve,
-    gradient_in_time,
     load_case,
     solve,
     solve_case,
@@ -253,6 +250,11 @@ def test_refusals():
         solution.derivative({stranger: 1.0})
     with pytest.raises(InputError, match="must be a scalar"):
         solution.derivative({fem.Constant(given.domain.mesh, (1.0, 2.0)): 1.0})
+    load = given.controls[-2]
+    load.value *= 2
+    with pytest.raises(InputError, match="other values than when the problem was solved"):
+        solution.gradient(solution.u * ufl.dx, given.controls)
+    load.value /= 2
     other = solve(given.domain, given.problem, Options(algorithm="slimane", eps=1e-3))
     with pytest.raises(InputError, match="solves another discrete problem"):
         other.gradient(other.u * ufl.dx, given.controls)
@@ -280,38 +282,6 @@ def test_paths():
             solution.gradient(solution.u * ufl.dx, [path])
 
 
-@pytest.mark.parametrize("scheme", ["implicit-euler", "bdf2"])
-def test_in_time(scheme: str):
-    """Backwards through the steps, with the sets of each; a step alone is refused."""
-    domain = build_domain(COMM, "square", 0.15, mesh="structured")
-    k, psi, u_D = given = constants(domain, 0.8, -0.4, 0.1)
-    m = function(domain, lambda x: -20 + 10 * x[0])
-    x = ufl.SpatialCoordinate(domain.mesh)
-    problem = Diffusion(f=m, kappa=k, u_D=u_D * x[0], conditions=[Signorini("bottom", psi=psi * (1 + x[0]))])
-    evolution = Evolution(end=0.2, steps=4, scheme=scheme, capacity="1 + y", initial="0.1*x")
-    controls = [*given, m]
-
-    def J(instant: Instant) -> Any:
-        solution = instant.solution
-        return instant.t * solution.u**2 * ufl.dx + k * solution.p**2 * solution.spaces.ds
-
-    def value() -> float:
-        return sum(each.solution.spaces.integrate(J(each)) for each in evolve(domain, problem, evolution))
-
-    instants = list(evolve(domain, problem, evolution))
-    assert len({instant.solution.contact.facets for instant in instants}) > 1
-    at, gradients = gradient_in_time(instants, J, controls)
-    assert at == pytest.approx(value(), rel=1e-12)
-    remainders, directions = [], directions_of(controls)
-    for step in (4e-3, 2e-3):
-        move(controls, directions, step)
-        remainders.append(value() - at - step * pairing(gradients, directions))
-        move(controls, directions, -step)
-    assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)
-    with pytest.raises(InputError, match="use gradient_in_time"):
-        instants[0].solution.gradient(J(instants[0]), [k])
-
-
 def test_kept_factors():
     """A solver that knows all traces on Γ_S from one factorisation gives the same gradient, and solves on after it."""
     domain = build_domain(COMM, "square", 0.15, mesh="structured")
@@ -327,3 +297,97 @@ def test_kept_factors():
         assert found[0].gradients == pytest.approx(found[1].gradients, rel=1e-9)
         inverse.append(solver._system._backend._condensed is not None)
     assert inverse[-1]
+
+
+@pytest.mark.parametrize("name", ["all data", "laws"])
+def test_backends(name: str):
+    """The mixed and the hybrid backend have the same derivatives."""
+    found = []
+    for backend in ("mixed", "hybrid"):
+        given = PROBLEMS[name](COMM)
+        solution = solve(given.domain, given.problem, Options(backend=backend))
+        assert solution.outcome.backend == backend
+        value, gradients = solution.gradient(given.functional(solution), given.controls)
+        found.append([value, *(float(np.linalg.norm(each)) for each in gradients)])
+    assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+def test_transition():
+    """By the position of a transition: that of the exact solution, and differences of the program."""
+    errors = []
+    for h in (0.1, 0.0125):
+        domain = build_domain(COMM, "square", h, mesh="structured")
+        x, (a,) = ufl.SpatialCoordinate(domain.mesh), constants(domain, 0.413)
+        right, left = ufl.max_value(x[0] - a, 0), ufl.max_value(a - x[0], 0)  # the data of the case `transition`
+        u = right**3 - x[1] * left**3
+        problem = Diffusion(f=-6 * (right - x[1] * left), u_D=u, conditions=[Signorini("bottom")])
+        solver, sides = Solver(domain, problem), []
+        solution = solver.solve(problem)
+        _, (gradient,) = solution.gradient(solution.u**2 * x[0] * ufl.dx, [a])
+        moved = 2 * u * (-3 * right**2 - 3 * x[1] * left**2)
+        errors.append(gradient - solution.spaces.integrate(moved * x[0] * ufl.dx(degree=8)))
+        for step in (1e-4, -1e-4):
+            a.value = 0.413 + step
+            there = solver.solve(problem)
+            sides.append(there.spaces.integrate(there.u**2 * x[0] * ufl.dx))
+        a.value = 0.413
+        assert (sides[0] - sides[1]) / 2e-4 == pytest.approx(gradient, rel=1e-3)
+    assert abs(errors[1]) < abs(errors[0]) / 8
+
+
+def test_biactive_case():
+    """Where Γ_S is biactive but for the error of the mesh, the tolerance decides which derivative is meant."""
+    domain = build_domain(COMM, "square", 0.1, mesh="structured")
+    x, (t,) = ufl.SpatialCoordinate(domain.mesh), constants(domain, 0.0)
+    right = ufl.max_value(x[0] - 1 / 3, 0)  # the data of the case `biactive`
+    f = -12 * right**2 + t * ufl.sin(9 * x[0])
+    problem = Diffusion(f=f, u_D=right**4, conditions=[Signorini("bottom")])
+    solution = solve(domain, problem)
+
+    def J(of: Any) -> float:
+        return of.spaces.integrate(of.u**2 * ufl.dx + of.p * (1 + x[0]) * of.spaces.ds)
+
+    for sign in (1.0, -1.0):
+        t.value = 0.4 * sign
+        there = J(solve(domain, problem))
+        t.value, off = 0.0, []
+        for tolerance in (1e-2, 1e-8):
+            change = solution.derivative({t: sign}, tolerance=tolerance)
+            slope = 2 * solution.u * change.u * ufl.dx + change.p * (1 + x[0]) * solution.spaces.ds
+            off.append(abs(there - J(solution) - 0.4 * solution.spaces.integrate(slope)) / abs(there - J(solution)))
+        assert off[0] < 0.12
+        assert off[1] > 0.5
+    with pytest.warns(NotDifferentiable, match="8 sites"):
+        solution.gradient(solution.u * ufl.dx, [t], tolerance=1e-2)
+
+
+def test_inverse_problem():
+    """Conductivities from noisy values of u: as far from the truth as the noise says, by a few solves."""
+    domain = build_domain(COMM, "square", 0.12, mesh="structured")
+    x, (left, right) = ufl.SpatialCoordinate(domain.mesh), constants(domain, 2.0, 0.5)
+    kappa = ufl.conditional(ufl.lt(x[0], 0.5), left, right)
+    conditions = [Signorini("bottom", psi=-0.1), Neumann("right")]
+    problem = Diffusion(f=10 * (x[0] - 0.6), kappa=kappa, conditions=conditions)
+    solver = Solver(domain, problem)
+    truth, noise = solver.solve(problem), 1e-3
+    cells = np.arange(0, len(truth.u.x.array), 9)
+    measured = truth.u.x.array[cells] + noise * np.random.default_rng(1).standard_normal(len(cells))
+    weights = fem.Function(truth.spaces.Q)
+    volumes = truth.spaces.cell_measures[cells]
+
+    def misfit(logarithms: Any) -> tuple[float, Any]:
+        left.value, right.value = np.exp(logarithms)
+        solution = solver.solve(problem)
+        residuals = (solution.u.x.array[cells] - measured) / noise
+        weights.x.array[cells] = residuals / noise / volumes
+        _, gradients = solution.gradient(weights * solution.u * ufl.dx, [left, right])
+        return residuals @ residuals / 2, np.exp(logarithms) * gradients
+
+    found = minimize(misfit, [0.0, 0.0], jac=True, method="BFGS", options={"gtol": 1e-3})
+    solution = solver.solve(problem)
+    changes = [solution.derivative({k: float(k.value)}).u.x.array[cells] / noise for k in (left, right)]
+    deviations = np.sqrt(np.diag(np.linalg.inv(np.array(changes) @ np.array(changes).T)))
+    assert 2 * found.fun < 2 * len(cells)
+    assert found.nfev < 40
+    assert np.all(np.abs(found.x - np.log([2.0, 0.5])) < 3 * deviations)
+    assert deviations.max() < 0.1

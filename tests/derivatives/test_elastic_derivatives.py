@@ -1,6 +1,8 @@
-"""Derivatives through elastic contact: Taylor remainders of all data, with friction by Tresca and Coulomb; ranks."""
+"""Derivatives through elastic contact: Taylor remainders of all data and laws; corners, load steps, ranks."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,9 +11,27 @@ import ufl
 from mpi4py import MPI
 from test_derivatives import Controlled, constants, directions_of, function, move, pairing
 
-from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Solver, Tresca, solve
+from signorini_fenicsx import (
+    Contact,
+    Coulomb,
+    Dirichlet,
+    Elasticity,
+    Evolution,
+    Neumann,
+    Regulator,
+    Solver,
+    Tresca,
+    TwoSided,
+    Wall,
+    evolve,
+    gradient_in_time,
+    solve,
+)
+from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.derivatives.gradient import NotDifferentiable
 from signorini_fenicsx.discrete.seen import parts_of
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.solving.evolving import Instant
 
 COMM = MPI.COMM_WORLD
 
@@ -35,6 +55,50 @@ def block(comm: MPI.Comm, friction: str, plane: str = "strain") -> Controlled:
     return Controlled(domain, problem, [*given, stiffness] if friction else [*given[:-1], stiffness])
 
 
+def on_laws(comm: MPI.Comm, law: str) -> Controlled:
+    """A block that a sloping displacement presses onto something with a law, and tears off it."""
+    domain = build_domain(comm, "square", 0.36, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    E, a, b, c, gap, push = constants(domain, 1.5, 0.04, 0.1, 3.0, 0.02, 0.3)
+    level = function(domain, lambda x: 0.02 * x[0], ("P", 1))
+    wall = Wall("bottom", beta=c * (1 + x[0]), level=a + level)
+    joint = TwoSided("bottom", psi_upper=0.5 * a + 0.3 * level, psi=-b - level, q_S=0.5 * a)
+    regulator = Regulator("bottom", k=c, g_low=-a, g_high=4 * a * (1 + x[0]), a=0.1 * a + level)
+    layer = Corners("bottom", [(0, 5 * a), (b, a + level), (1.5 * b, 0)], before="vertical", beyond=c * a)
+    steps = Corners("bottom", [(-b, 4 * a), (-b, a), (-0.5 * b, level)])
+    own, given = {
+        "wall": (wall, [a, c]),
+        "joint": (joint, [a, b]),
+        "regulator": (regulator, [a, c]),
+        "layer": (layer, [a, b, c]),
+        "steps": (steps, [a, b]),
+    }[law]
+    conditions = [
+        own,
+        Dirichlet("top", [push * 0.2 * x[0], -push * (1 - 1.2 * x[0])]),
+        Neumann(["left", "right"]),
+    ]
+    problem = Elasticity(young=E, poisson=0.3, conditions=conditions)
+    boundary, posed = problem.on(domain)
+    return Controlled(domain, (boundary, replace(posed, gap=gap * (1 + x[0] ** 2))), [E, gap, push, *given, level])
+
+
+def in_space(comm: MPI.Comm, friction: str) -> Controlled:
+    """A cube that is pressed and turned on a foundation, or pressed and torn on springs."""
+    domain = build_domain(comm, "cube", 0.9, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    E, nu, bound, push = given = constants(domain, 1.5, 0.3, 0.02, 0.1)
+    law: Any = Tresca(bound * (1 + x[0])) if friction == "tresca" else Coulomb(10 * bound * (1 + x[0]))
+    touching = Contact("bottom", gap=0.1 * bound * (1 + x[0] ** 2), friction=law)
+    springs = Wall("bottom", beta=100 * bound, level=bound * (1 + x[1]))
+    conditions = [
+        touching if friction else springs,
+        Dirichlet("top", [push * x[1], push * 0.3, -push * (1 + (0.2 if friction else -1.9) * x[0])]),
+        Neumann(["left", "right", "front", "back"]),
+    ]
+    return Controlled(domain, Elasticity(young=E, poisson=nu, conditions=conditions), given)
+
+
 def functional(given: Controlled, solution: Any) -> Any:
     """Something of σ and u, and of a control."""
     x, y = ufl.SpatialCoordinate(given.domain.mesh), ufl.SpatialCoordinate(solution.sigma.function_space.mesh)
@@ -48,6 +112,10 @@ PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
     "stress": lambda comm: block(comm, "", "stress"),
     "tresca": lambda comm: block(comm, "tresca"),
     "coulomb": lambda comm: block(comm, "coulomb"),
+    **{law: partial(on_laws, law=law) for law in ("wall", "joint", "regulator", "layer", "steps")},
+    "wall in space": lambda comm: in_space(comm, ""),
+    "tresca in space": lambda comm: in_space(comm, "tresca"),
+    "coulomb in space": lambda comm: in_space(comm, "coulomb"),
 }
 
 
@@ -84,13 +152,75 @@ def test_taylor(name: str):
 
 
 @pytest.mark.parallel(3)
-def test_ranks():
+@pytest.mark.parametrize("name", ["coulomb", "regulator"])
+def test_ranks(name: str):
     """Value and derivatives do not depend on the number of ranks."""
     found = []
     for comm in (COMM, MPI.COMM_SELF):
-        given = block(comm, "coulomb")
+        given = PROBLEMS[name](comm)
         solution = solve(given.domain, given.problem)
         value, gradients = solution.gradient(functional(given, solution), given.controls)
         numbers = [gradient for gradient in gradients if not isinstance(gradient, np.ndarray)]
         found.append([value, pairing(gradients, directions_of(given.controls)), *numbers])
     assert found[0] == pytest.approx(found[1], rel=1e-8, abs=1e-10)
+
+
+@pytest.mark.parametrize("friction", ["tresca", "coulomb"])
+def test_biactive(friction: str):
+    """At vertices that touch without pressure the derivative is one-sided and exact; no gradient is claimed."""
+    domain = build_domain(COMM, "square", 0.36, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    push, bound = given = constants(domain, 0.3, 0.05)
+    gap = function(domain, lambda x: 0 * x[0], ("DG", 1))
+    law: Any = Tresca(bound) if friction == "tresca" else Coulomb(8 * bound)
+    pulled = Dirichlet("top", [0.3 * push * (1 + x[0]), -push * (1 - 1.8 * x[0])])
+    conditions = [Contact("bottom", gap=gap, friction=law), pulled, Neumann(["left", "right"])]
+    problem = Elasticity(young=1.5, poisson=0.3, conditions=conditions)
+    free = solve(domain, problem)
+    places, contact = gap.function_space.tabulate_dof_coordinates()[:, :2], free.spaces.contact
+    for facet in np.flatnonzero((free.pressure < 1e-9).all(axis=1)):
+        for vertex, opening in zip(contact.vertices[facet], free.linear_gap[facet], strict=True):
+            dofs = gap.function_space.dofmap.list[contact.cells[facet]]
+            gap.x.array[dofs[np.square(places[dofs] - vertex).sum(axis=1).argmin()]] -= opening
+    solution, changes = solve(domain, problem), []
+    for control, sign in ((push, 0.3), (push, -0.3), (bound, 0.05)):
+        change = solution.derivative({control: sign})
+        control.value += 1e-5 * sign
+        there = solve(domain, problem)
+        control.value -= 1e-5 * sign
+        for after, before, its in ((there.u, solution.u, change.u), (there.sigma, solution.sigma, change.sigma)):
+            assert after.x.array == pytest.approx(before.x.array + 1e-5 * its.x.array, abs=1e-9)
+        changes.append(change.u.x.array)
+    assert np.abs(changes[0] + changes[1]).max() > 0.01
+    with pytest.warns(NotDifferentiable, match="4 sites"):
+        solution.gradient(functional(Controlled(domain, problem, given), solution), given)
+
+
+@pytest.mark.parametrize("friction", ["tresca", "coulomb"])
+def test_in_steps(friction: str):
+    """Loads in steps, with friction against the slip of the last one: backwards through all."""
+    domain = build_domain(COMM, "square", 0.36, mesh="structured")
+    E, bound, gap = given = constants(domain, 1.5, 0.05, 0.01)
+    law: Any = Tresca(bound) if friction == "tresca" else Coulomb(6 * bound)
+    pulled = Dirichlet("top", ["0.5*t*(1 - t)*(1 + x)", "-0.1*(1 + x)*(0.3 + t)"])
+    conditions = [Contact("bottom", gap=gap, friction=law), pulled, Neumann(["left", "right"])]
+    problem, evolution = Elasticity(young=E, poisson=0.3, conditions=conditions), Evolution(end=1.2, steps=4)
+
+    def J(instant: Instant) -> Any:
+        u, x = instant.solution.u, ufl.SpatialCoordinate(domain.mesh)
+        return instant.t * (u[0] ** 2 * (1 + x[1]) + u[0] * u[1]) * ufl.dx
+
+    def value() -> float:
+        return sum(each.solution.spaces.integrate(J(each)) for each in evolve(domain, problem, evolution))
+
+    instants = list(evolve(domain, problem, evolution))
+    states = {tuple(instant.solution.states.ravel()) for instant in instants}
+    assert len(states) > 1
+    at, gradients = gradient_in_time(instants, J, given)
+    remainders, directions = [], directions_of(given)
+    for step in (4e-3, 2e-3):
+        move(given, directions, step)
+        remainders.append(value() - at - step * pairing(gradients, directions))
+        move(given, directions, -step)
+    assert abs(remainders[1]) < 0.05 * 2e-3 * abs(pairing(gradients, directions))
+    assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)

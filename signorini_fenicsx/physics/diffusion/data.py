@@ -28,6 +28,7 @@ from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, q
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
+from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.given import Given, Rows
 from signorini_fenicsx.physics.diffusion.boundary_laws import BoundaryLaws, boundary_laws
@@ -73,6 +74,7 @@ class Data:
         memory: What the step of a problem in time takes from those before, in P0; a part of f_h, but not of f.
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
             of regions has names such as "kappa.core".
+        given: The constants and functions in the data, with the values that they had.
     """
 
     f: Datum
@@ -96,6 +98,7 @@ class Data:
     exact: Datum | None
     trees: Mapping[str, Tree | Rows]
     memory: fem.Function | None = None
+    given: Values = ()
 
     @property
     def chains(self) -> Chains:
@@ -242,6 +245,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
         total_load=(lowest, highest),
         exact=known.get("exact", problem.exact, lambda: _exact(spaces, problem.exact)),
         trees=_trees(problem),
+        given=values_in(problem),
         **boundary,
     )
 

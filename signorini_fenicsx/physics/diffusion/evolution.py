@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
+from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -27,6 +28,7 @@ from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, regional_datum
 from signorini_fenicsx.discrete.part_laws import PartLaw
+from signorini_fenicsx.discrete.seen import seen_in_cells
 from signorini_fenicsx.expressions import TREES, Binary, exactly
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
 from signorini_fenicsx.physics.diffusion.cell_laws import chains_in, part_in, plus
@@ -169,15 +171,36 @@ class DiffusionSteps:
         return memory
 
     def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
-        """The derivatives by u of earlier steps, see `solving.evolution.Steps`.
+        """The derivatives by the contents that earlier steps have left, see `solving.evolution.Steps`."""
+        return [(step - back, weight * by["f"]) for back, weight in enumerate(self.weights(step), 1) if step >= back]
+
+    def functional(self, solution: Solution, by: Array) -> tuple[Array, Array]:
+        """The derivatives by u and by the s of laws in Ω of each cell, from those by the content w = Cu + θ, θ = s/a.
 
         Raises:
-            InputError: If there are laws of storage.
+            InputError: If there are other laws in Ω besides one of storage.
         """
+        by_s, laws, step = np.zeros_like(by), solution.data.inside, solution.step
+        if self.storage and laws is not None and step is not None:
+            if len(laws.of_regions) > 1:
+                raise InputError("derivatives in time: there are none with storage beside other laws in Ω")
+            rows = self.storage[0][0].rows
+            by_s[rows] = by[rows] / self.rate(step)
+        return self.capacity * by, by_s
+
+    def at_start(self, by: Array) -> Form:
+        """The form of u_0, see `solving.evolution.Steps` (collective).
+
+        Raises:
+            InputError: If u_0 is given in UFL, and there are laws of storage.
+        """
+        if self.initial.pieces is not None:
+            return Form([])
         if self.storage:
-            raise InputError("derivatives in time: there are none with laws of storage")
-        weights = enumerate(self.weights(step), 1)
-        return [(step - back, weight * self.capacity * by["f"]) for back, weight in weights if step > back]
+            raise InputError("derivatives in time: there are none with storage if the initial values are given in UFL")
+        cells = np.arange(len(by), dtype=np.int32)
+        means = seen_in_cells(self.spaces.Q, self.initial, cells, self.spaces.cell_measures)
+        return means.weighted(self.capacity * by)
 
     def _means(self, key: str, datum: Datum) -> Array:
         means = cell_means(self.spaces, datum)

@@ -11,11 +11,8 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Penalty
 from signorini_fenicsx.contact.law import Graph
-from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of, means_of
+from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw, chains_of, means_of
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-
-STEP = 1e-200
-"""Of a derivative by a complex step, which has no error but rounding."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +44,11 @@ class Lines:
         steep = np.isinf(slope[np.arange(number), segment])
         ends = None if kind is None else kind.slopes(eps)
         for name in means:
-            moved = part.law.falling(means | {name: means[name] + 1j * STEP})  # type: ignore[arg-type]
+            moved = part.law.falling(means | {name: means[name] + 1j * COMPLEX_STEP})  # type: ignore[arg-type]
             if ends is not None:
                 moved = replace(moved, before=ends[0], beyond=ends[1])
             slope, value = _line(moved, segment, steep)
-            slopes[part.key(name)], values[part.key(name)] = slope.imag / STEP, value.imag / STEP
+            slopes[part.key(name)], values[part.key(name)] = slope.imag / COMPLEX_STEP, value.imag / COMPLEX_STEP
         return cls(part, steep, slopes, values)
 
     def changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -35,7 +35,7 @@ from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.discrete.part_laws import PartLaw, means_of
-from signorini_fenicsx.discrete.seen import Seen, derivative_by
+from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_cells
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.physics.diffusion.facet_system import Loads
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
@@ -174,12 +174,12 @@ class Linearised:
         jumps = self._jumps(flux) + traces.x.array[space.dofmap.list]
         return Loads(jumps, source + np.zeros_like(u), np.zeros_like(u), forces)
 
-    def adjoint(self, J: Form, more: Array | float = 0.0) -> dict[str, Array]:
+    def adjoint(self, J: Form, more: tuple[Array, Array] | None = None) -> dict[str, Array]:
         """The derivatives by all numbers that are seen, but for where the data stand in J itself (collective).
 
         Args:
             J: What is differentiated,
-            more: and something whose derivative by u of each cell this is.
+            more: and something whose derivatives by u and by the s of laws in Ω of each cell these are.
         """
         spaces, data, u = self._spaces, self._data, self._solution.u.x.array
         p = self._solution.p.x.array[: len(spaces.facets)]
@@ -190,14 +190,23 @@ class Linearised:
         on_gamma, on_neumann = (
             cells_and_dofs(spaces.crouzeix_raviart, facets)[1] for facets in (spaces.facets, spaces.neumann_facets)
         )
-        on_p, on_u = by_p.x.array[: len(p)], by_u.x.array + more
+        on_p, on_u = by_p.x.array[: len(p)], by_u.x.array.copy()
+        of_s = np.zeros_like(u)  # in held cells, where s = ∇·σ + f − cu
+        if more is not None:
+            on_u += more[0]
+            if self._data.inside is not None:
+                slope = np.take_along_axis(self._law.slope, self._segment[:, None], axis=1)[len(p) :, 0]
+                on_u += np.where(self._held_cells, 0.0, slope) * more[1]
+                of_s = np.where(self._held_cells, more[1], 0.0)
         forces = np.zeros(spaces.crouzeix_raviart.dofmap.index_map.size_local)
         forces[on_gamma] = -on_p
         volumes, none = spaces.cell_measures, np.zeros_like(u)
-        loads = Loads(self._jumps(flux), -on_u / volumes, none, forces)
+        jumps = self._jumps(flux) + (of_s / volumes)[:, None]
+        loads = Loads(jumps, -on_u / volumes, none, forces)
         of_sigma, of_balance, traces = self._backend.respond(self._conditions, loads)
         through = spaces.outflow * of_sigma.x.array[spaces.V.dofmap.list]
-        found = {"f": -volumes * of_balance.x.array, "c": volumes * u * of_balance.x.array}
+        of_f = of_s - volumes * of_balance.x.array
+        found = {"f": of_f, "c": -u * of_f}
         if "kappa" in self.seen:
             form = spaces.kept(_by_kappa, data.kappa_h, self._solution.sigma, of_sigma)
             found["kappa"] = -assembled(form)
@@ -233,10 +242,8 @@ def _seen(spaces: Spaces, solution: Solution) -> Iterator[tuple[str, Seen]]:
     data = solution.data
     for name, datum in (("f", data.f), ("kappa", data.kappa), ("c", data.c)):
         if datum.pieces is None:
-            size = int(np.prod(datum.shape, dtype=int))
-            volumes = np.repeat(spaces.cell_measures, size)
-            space = spaces.Q_matrix if datum.shape else spaces.Q
-            yield name, Seen(_on_cells(datum), space, np.arange(len(volumes), dtype=np.int32), volumes)
+            space, cells = spaces.Q_matrix if datum.shape else spaces.Q, np.arange(len(spaces.cell_measures))
+            yield name, seen_in_cells(space, datum, cells.astype(np.int32), spaces.cell_measures)
     neumann = spaces.neumann_dofs, spaces.neumann_basis_flux
     dofs = cells_and_dofs(spaces.V, spaces.dirichlet_facets)[1]
     if data.u_D.pieces is None:
@@ -254,7 +261,7 @@ def _seen_by_law(spaces: Spaces, part: PartLaw, key: str) -> Seen:
     """What a law sees of one of its data (collective)."""
     datum, rows = part.data[key], part.rows
     if part.law.region:
-        return Seen(_on_cells(datum), spaces.Q, rows.astype(np.int32), spaces.cell_measures[rows])
+        return seen_in_cells(spaces.Q, datum, rows.astype(np.int32), spaces.cell_measures[rows])
     dofs, basis, means = spaces.flux_dofs[rows], spaces.basis_flux[rows], means_of(spaces, part)
     weight = part.data.get(part.law.weights.get(key, ""))
     if weight is None:
@@ -269,11 +276,6 @@ def _seen_by_law(spaces: Spaces, part: PartLaw, key: str) -> Seen:
         return (datum.ufl - ufl.dot(mean, spaces.n)) * weight.ufl * ufl.dot(v, spaces.n) * ds
 
     return Seen(form, spaces.V, dofs, np.where(sizes > 0, basis * sizes, 1.0))
-
-
-def _on_cells(datum: Datum) -> Callable[[Expr], Form]:
-    """∫ datum · v."""
-    return lambda v: ufl.inner(datum.ufl, v) * ufl.dx(degree=quadrature_degree(datum))
 
 
 def _on_facets(spaces: Spaces, datum: Datum, ds: ufl.Measure) -> Callable[[Expr], Form]:

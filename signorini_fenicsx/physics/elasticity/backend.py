@@ -101,7 +101,8 @@ class ElasticBackend:
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
         self._applied: SiteConditions | None = None
-        self._imposed: Mask | None = None
+        self._plainly: Mask | None = None  # the sites held in the present matrix, if it has no springs
+        self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
         self._sprung = False
         self._weak = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
 
@@ -147,10 +148,19 @@ class ElasticBackend:
 
     def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
-        forces = x.duplicate()
-        self._operator.natural.mult(x, forces)
-        left = (forces.array_r - self.system.load)[self._unknowns] / self._measure
-        return self._cleaned(conditions, self._signs * x.array_r[self._unknowns], self._signs * left)
+        return self._cleaned(conditions, self._signs * x.array_r[self._unknowns], self.flux(x, self.system.load))
+
+    def flux(self, x: PETSc.Vec, load: Array) -> Array:
+        """The flux at the sites, as what is left of their rows with this right side (collective)."""
+        return np.asarray(self._signs * (self._image(x) - load)[self._unknowns] / self._measure)
+
+    def _image(self, x: PETSc.Vec) -> Array:
+        """Kx (collective)."""
+        image = x.duplicate()
+        self._operator.natural.mult(x, image)
+        found = np.array(image.array_r)
+        image.destroy()
+        return found
 
     def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
@@ -186,25 +196,30 @@ class ElasticBackend:
             return
         self._applied = None
         contact, free = (conditions.kind == kind for kind in (Condition.ZERO_TRACE, Condition.NO_FLUX))
-        self._springs = None
-        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
-            self._springs = self._data.laws.springs(conditions.take(slice(len(self.spaces.sites))))
+        self._take_springs(conditions)
         load = self.system.load.copy()
         load[self._unknowns] += self._given_forces(conditions)
         if conditions.has_values:
             self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
-            image = self._held.duplicate()
-            self._operator.natural.mult(self._held, image)
-            load -= image.array_r
+            load -= self._image(self._held)
         loose = self._loose(~free)
         if loose or self._sprung:
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
-        if loose or self._sprung or self._springs is not None or self._turns:
+        if loose or self._sprung:
             self._factors.forget()
         if not self._factors.solve(load, self._x, contact):
             self._solve_anew(load, self._x, contact, sprung=free & loose)
+        self._imposed = conditions
         self._x.axpy(1.0, self._held)
         self._applied, self._sprung = conditions, loose
+
+    def _take_springs(self, conditions: SiteConditions) -> None:
+        """Take the springs under these conditions; no factors of other ones serve with springs (collective)."""
+        self._springs = None
+        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
+            self._springs = self._data.laws.springs(conditions.take(slice(len(self.spaces.sites))))
+        if self._springs is not None or self._turns:
+            self._factors.forget()
 
     def _given_forces(self, conditions: SiteConditions, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of the opening."""
@@ -216,48 +231,58 @@ class ElasticBackend:
         if self._turns:
             normal = len(self.spaces.sites)
             flux[normal:] -= self._turned(np.broadcast_to(p, self.sites)[normal:])
-        forces: Array = self._signs * self._measure * flux
-        return forces
+        return np.asarray(self._signs * self._measure * flux)
 
-    def solve_homogeneous(self, conditions: SiteConditions, load: Array) -> Array:
-        """The unknowns of this rank, ghosts too, for a right side with 0 where û is given (collective).
+    def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
+        """Solve with any right side of the owned unknowns, and values where û is given, by default 0 (collective).
 
-        There must be no springs. The last solution stays.
+        The last solution stays. Springs pull with their stiffness alone.
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        contact, x = conditions.kind == Condition.ZERO_TRACE, self._x.duplicate()
+        contact, x, given = conditions.kind == Condition.ZERO_TRACE, self._x.duplicate(), self._x.duplicate()
         x.set(0.0)
-        if not self._factors.solve(load, x, contact):
-            self._solve_anew(load.copy(), x, contact, sprung=np.zeros_like(contact))
-        return self._everywhere(x.array_r)
-
-    def response(self, conditions: SiteConditions, forces: Array, share: Array | None = None) -> Array:
-        """How the flux at all sites changes under forces per area at those that are not held (collective).
-
-        With a share, by which σ_t at each site with friction also grows with the pressure of its vertex, the solution
-        moves by the response. That is for the plane, by CG, under the conditions of the last solve.
-        """
-        contact = conditions.kind == Condition.ZERO_TRACE
-        load, held = np.zeros(len(self.system.load)), np.concatenate([self._data.fixed, self._unknowns[contact]])
-        load[self._unknowns] = np.where(contact, 0.0, self._measure * forces)
-        x, image = self._x.duplicate(), self._x.duplicate()
-        x.set(0.0)
-        if share is not None:
-            beside = self.spaces.sites.reshape(-1, self.spaces.dim)[self.spaces.rough_rows].ravel()
-            rows = self.spaces.slip_sites, beside, share
-            x = coupled(self._operator.natural, self._solver.ksp.getPC(), load, held, rows)
-            self._x.axpy(1.0, x)
+        given.array_w[:] = lift
+        load = load - self._image(given)
+        present = conditions.same(self._imposed, self.comm)
+        if not present:
             self._applied = None
-        elif self._springs is not None or self._turns:
-            load[held] = 0.0
+            self._take_springs(conditions)
+        if present and (self._springs is not None or self._turns or self._solver.iterates):
+            load[np.concatenate([self._data.fixed, self._unknowns[contact]])] = 0.0
             self._b.array_w[:] = load
             self._solver.solve(self._b, x)
         elif not self._factors.solve(load, x, contact):
             self._solve_anew(load, x, contact, sprung=np.zeros_like(contact))
-        self._operator.natural.mult(x, image)
-        return self._signs * image.array_r[self._unknowns] / self._measure
+            self._imposed = conditions
+        x.axpy(1.0, given)
+        given.destroy()
+        return x
+
+    def follow_bounds(self, conditions: SiteConditions, forces: Array, share: Array) -> Array:
+        """Move the solution by the response to forces per area at sites with friction (collective).
+
+        It is for the plane, and under the conditions of the last solve, which was by CG. σ_t at each of these sites also
+        grows with the pressure of its vertex, by a share.
+
+        Returns:
+            The change of the flux at all sites.
+        """
+        spaces, contact = self.spaces, conditions.kind == Condition.ZERO_TRACE
+        load, held = np.zeros(len(self.system.load)), np.concatenate([self._data.fixed, self._unknowns[contact]])
+        load[spaces.slip_sites] = spaces.slip_measure * forces
+        rows = spaces.slip_sites, spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows].ravel(), share
+        x = coupled(self._operator.natural, self._solver.ksp.getPC(), load, held, rows)
+        self._x.axpy(1.0, x)
+        self._applied = None
+        return self.flux(x, np.zeros_like(load))
+
+    def turn(self, slip: Array) -> None:
+        """Take the linear law of friction in space at this u_t, shape (facets, 3, 2)."""
+        assert self.friction is not None
+        self.friction = self.friction.turned(slip)
+        self._applied = self._imposed = None
 
     def state(self) -> Array:
         """The unknowns of the last solve."""
@@ -265,15 +290,12 @@ class ElasticBackend:
 
     def energy_along(self, x: Array, step: Array) -> tuple[float, float]:
         """The first and the second derivative of the energy without friction at x along a step (collective)."""
-        moved, image = self._x.duplicate(), self._x.duplicate()
-        found = []
+        moved, found = self._x.duplicate(), []
         for direction in (x, step):
             moved.array_w[:] = direction
-            self._operator.natural.mult(moved, image)
-            found.append(np.array(image.array_r))
+            found.append(self._image(moved))
         first, second = self.comm.allreduce(np.array([(found[0] - self.system.load) @ step, found[1] @ step])).tolist()
-        for each in (moved, image):
-            each.destroy()
+        moved.destroy()
         return first, second
 
     @property
@@ -292,25 +314,22 @@ class ElasticBackend:
             The matrix, with the sites of all ranks one rank after another, and the force.
         """
         counts, held = self.comm.allgather(self.sites), np.ones(self.sites, dtype=bool)
-        x, image = self._x.duplicate(), self._x.duplicate()
+        x = self._x.duplicate()
         x.set(0.0)
         self._applied = None
         self._factors.forget()
         self._solve_anew(self.system.load.copy(), x, held, sprung=~held)
-        self._operator.natural.mult(x, image)
-        force = self._signs * (image.array_r - self.system.load)[self._unknowns] / self._measure
+        force = self.flux(x, self.system.load)
         columns = []
         for rank, count in enumerate(counts):
             for site in range(count):
                 own = slice(site, site + 1) if rank == self.comm.rank else slice(0)
-                moved = image.duplicate()
+                moved = x.duplicate()
                 moved.set(0.0)
                 moved.array_w[self._unknowns[own]] = self._signs[own]
-                self._operator.natural.mult(moved, image)
-                self._factors.solve(-image.array_r, x, held)
+                self._factors.solve(-self._image(moved), x, held)
                 x.axpy(1.0, moved)
-                self._operator.natural.mult(x, image)
-                columns.append(self._signs * image.array_r[self._unknowns] / self._measure)
+                columns.append(self.flux(x, np.zeros_like(self.system.load)))
                 moved.destroy()
         self._factors.forget()
         return np.column_stack([*columns, np.empty((self.sites, 0))]), force
@@ -341,9 +360,9 @@ class ElasticBackend:
         if self.friction is not None and self._turns:
             along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
             blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
-        same = not blocks and not sprung.any() and self._imposed is not None and (self._imposed == contact).all()
+        same = not blocks and not sprung.any() and self._plainly is not None and (self._plainly == contact).all()
         if not self.comm.allreduce(same, MPI.LAND):
-            self._imposed = None if blocks or sprung.any() else contact
+            self._plainly = None if blocks or sprung.any() else contact
             self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
             if self._solver.levels is not None:
                 with self._solver.options():
@@ -358,7 +377,7 @@ class ElasticBackend:
     def _recovered(self, conditions: SiteConditions) -> Iterate:
         spaces = self.spaces
         iterations = self._solver.ksp.getIterationNumber()
-        stresses, displacements = self.system.recover(self._everywhere(self._x.array_r) + self._data.lift)
+        stresses, displacements = self.system.recover(self.everywhere(self._x.array_r) + self._data.lift)
         if not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
         owned = self._x.array_r
@@ -375,7 +394,7 @@ class ElasticBackend:
             u=spaces.displacement(displacements),
         )
 
-    def _everywhere(self, owned: Array) -> Array:
+    def everywhere(self, owned: Array) -> Array:
         """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
         spaces = self.spaces
         x = la.vector(spaces.traces.dofmap.index_map, spaces.dim**2)
@@ -406,7 +425,7 @@ class ElasticBackend:
                 self._b.array_w[:] = left
                 self._solver.solve(self._b, correction)
             before = size
-            more, moved = self.system.recover(self._everywhere(correction.array_r), with_f=False)
+            more, moved = self.system.recover(self.everywhere(correction.array_r), with_f=False)
             stresses, displacements = stresses + more, displacements + moved
             self._x.axpy(1.0, correction)
         return stresses, displacements

@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.rows import in_digits
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
@@ -71,7 +71,9 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
             step = np.zeros_like(following.bound)
         elif left < least or share <= SHORTEST:
             accepted, least, share = present, left, 1.0
-            step = newton(backend, outcome, following.bound - present.bound)
+            segments = present.chains.segments(outcome.conditions.take(slice(len(spaces.sites), None)))
+            law = present.directions(segments), present.slope(pressure_of(spaces, outcome.iterate.flux))
+            step = _step(backend, outcome.conditions, law, following.bound - present.bound)
             backend.friction = accepted.moved(step)
         else:
             assert accepted is not None
@@ -150,22 +152,36 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
     return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
 
 
-def newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
-    """(I − T')⁻¹ of what is left, shape (facets, d), under the sets of the outcome (collective)."""
-    friction, conditions, normal = backend.friction, outcome.conditions, len(backend.spaces.sites)
+def _step(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
+    """The step of `newton`; one GMRES finds it where CG solves for contact in the plane, and the solution follows."""
+    friction, (directions, slope) = backend.friction, law
     assert friction is not None
-    directions = friction.directions(friction.chains.segments(conditions.take(slice(normal, None))))
-    each = backend.spaces.dim - 1
-    slope = friction.slope(pressure_of(backend.spaces, outcome.iterate.flux))
-    left = np.where(friction.coulomb[:, None], left, 0.0)
-    if backend.inexact is not None and backend.is_contact and friction.slipping is None:
-        forces = np.concatenate([np.zeros(normal), directions * left.ravel()])
-        flux = backend.response(conditions, forces, directions * slope.ravel())
-        return left + slope * pressure_of(backend.spaces, flux)
+    if backend.inexact is None or not backend.is_contact or friction.slipping is not None:
+        return newton(backend, conditions, law, left)
+    left = np.where(friction.coulomb[:, None], left, 0.0)  # other bounds are given
+    flux = backend.follow_bounds(conditions, directions * left.ravel(), directions * slope.ravel())
+    return left + slope * pressure_of(backend.spaces, flux)
+
+
+def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
+    """(I − T')⁻¹ of what is left, shape (facets, d), under these sets (collective).
+
+    Args:
+        backend: The backend.
+        conditions: The sets.
+        law: The derivatives of σ_t by the bounds at the sites, and of the bounds by the pressure, shape (facets, d).
+        left: What is left.
+    """
+    friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
+    assert friction is not None
+    directions, slope = law
 
     def without_response(values: Array) -> Array:
-        forces = np.concatenate([np.zeros(normal), directions * np.repeat(values, each)])
-        pressure = pressure_of(backend.spaces, backend.response(conditions, forces))
+        load = none.copy()
+        load[spaces.slip_sites] = directions * spaces.slip_measure * np.repeat(values, spaces.dim - 1)
+        pressure = pressure_of(spaces, backend.flux(backend.solve_homogeneous(conditions, load), none))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 
-    return gmres(backend.comm, without_response, left.ravel()).reshape(left.shape)
+    return gmres(backend.comm, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(
+        left.shape
+    )

@@ -20,6 +20,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, datum_on_parts
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, friction_bounds
@@ -62,6 +63,7 @@ class ElasticData:
         friction: Bounds of the shear; None without friction.
         slipped: u_t at the sites with friction at the end of the last step in time, 0 without one; the slip is what
             comes after it.
+        given: The constants and functions in the data, with the values that they had.
     """
 
     f: VectorDatum
@@ -78,6 +80,7 @@ class ElasticData:
     fixed: npt.NDArray[np.int32]
     friction: FrictionBounds | None
     slipped: Array
+    given: Values = ()
 
     def points(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> CellPoints:
         """The points of the quadrature."""
@@ -176,6 +179,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
         fixed=fixed,
         friction=friction_bounds(spaces, problem.laws),
         slipped=slipped,
+        given=values_in(problem),
     )
     _check_cells(spaces, data)
     return data

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
+from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -47,15 +47,17 @@ class ElasticSteps:
         """The slip at the end of the last step."""
         return before[0]
 
-    def by_earlier(self, _step: int, _by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
-        """None: without friction steps do not depend on each other.
+    def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
+        """The derivatives by the slip of the last step, see `solving.evolution.Steps`."""
+        return [(step - 1, by["slipped"])] if step > 1 else []
 
-        Raises:
-            InputError: With friction.
-        """
-        if self._problem.rough:
-            raise InputError("derivatives in time: there are none with friction")
-        return []
+    def functional(self, _solution: ElasticSolution, by: Array) -> Array:
+        """The derivatives by û_t at the sites with friction."""
+        return by
+
+    def at_start(self, _by: Array) -> Form:
+        """Nothing: the slip before the first step is 0."""
+        return Form([])
 
     def left_by(self, solution: ElasticSolution) -> Array:
         """The slip at the end of this step."""

@@ -143,6 +143,14 @@ class FrictionBounds:
         """The derivatives of the bounds by the pressure, shape (facets, d): μ where they depend on it, else 0."""
         return np.where(self.coulomb[:, None] & (pressure > 0), self.mu, 0.0)
 
+    def turned(self, slip: Array) -> FrictionBounds:
+        """The friction in space with Newton's linear law at this u_t, shape (facets, 3, 2), where vertices slip."""
+        assert self.slipping is not None
+        size = np.linalg.norm(slip, axis=2)
+        slips = self.slipping.direction.any(axis=2) & (size > 0)
+        size = np.where(slips, size, 1.0)
+        return replace(self, slipping=Slipping(np.where(slips[:, :, None], slip, 0.0) / size[:, :, None], size))
+
     def with_bounds(self, bound: Array) -> FrictionBounds:
         """The friction with new bounds where they are by the pressure, shape (facets, d)."""
         return replace(self, bound=np.where(self.coulomb[:, None], bound, self.bound))

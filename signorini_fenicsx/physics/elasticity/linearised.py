@@ -24,23 +24,27 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from petsc4py import PETSc
 from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.loop import Parameters, iterate_sets
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.coulomb import newton, pressure_of
+from signorini_fenicsx.physics.elasticity.coulomb import pressure_of
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
-from signorini_fenicsx.physics.elasticity.moments import on_boundary
+from signorini_fenicsx.physics.elasticity.moments import Moments, of_laws, on_boundary
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.tangent import Tangent, stiffness_times
 
 
 class Linearised:
@@ -56,36 +60,53 @@ class Linearised:
         """Take a solution and what solves under its conditions (collective).
 
         Raises:
-            InputError: If there are laws beside contact and friction, friction in space, or a bound that is not linear.
+            InputError: If a bound of friction or a datum of a law is not linear.
         """
         self._solution, self._backend = solution, backend
         self._spaces, self._data = spaces, data = solution.spaces, solution.data
-        if data.laws.of_parts:
-            raise InputError("elastic solutions have no derivatives with laws other than contact and friction")
         if not data.material.plain:
             raise InputError("elastic solutions have derivatives only if they are isotropic, without stress at rest")
-        if data.friction is not None and spaces.dim == 3:
-            raise InputError("elastic solutions in space have no derivatives with friction")  # slip may turn
         self._conditions = solution.outcome.conditions
-        normal = len(spaces.sites)
+        normal, friction = len(spaces.sites), backend.friction
         self._held = self._conditions.kind == Condition.ZERO_TRACE
+        self._segment = backend.chains.segments(self._conditions, solution.outcome.iterate.p)
         self._signs: Array = np.zeros(len(spaces.slip_sites))  # of the bound, in σ_t
-        if data.friction is not None:
-            segments = data.friction.chains.segments(self._conditions.take(slice(normal, None)))
-            self._signs = data.friction.directions(segments)
+        if friction is not None:
+            self._signs = friction.directions(self._segment[normal:])
         shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
         weights = np.broadcast_to(data.quadrature.weights, (spaces.dim + 1, len(data.quadrature.weights)))
         self._weights = shares * weights  # of the points of the quadrature, shape (cells, d + 1, points)
         self._in_cells = dict(self._points())
         self._moments = {name: (kind, moments) for kind, name, moments in on_boundary(spaces, data, solution.problem)}
+        self._moments |= self._of_laws(self._segment)
         self.seen = self._in_cells | {name: moments.seen for name, (_, moments) in self._moments.items()}
-        sizes = [float(np.abs(each).max(initial=0.0)) for each in (solution.u.x.array, solution.stresses)]
-        largest = np.array(sizes)
-        spaces.mesh.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-        law, iterate = backend.chains, solution.outcome.iterate
-        of_p, of_flux = (np.full(backend.sites, size if size > 0 else 1.0) for size in largest)
-        present = law.segments(self._conditions)
-        self.biactive = law.beside(present, iterate.p, iterate.flux, (of_p, of_flux), tolerance) != 0
+        self._beside = self._segments_beside(tolerance)
+        self.biactive = self._beside != 0
+
+    def _of_laws(self, segment: Indices) -> dict[str, tuple[str, Moments]]:
+        """The moments of the data of laws, if sites are on these segments (collective)."""
+        solution, opening = self._solution, self._solution.gap.ravel()
+        moments = of_laws(self._spaces, solution.data.laws, segment[: len(self._spaces.sites)], opening)
+        return {name: (kind, each) for kind, name, each in moments}
+
+    def _segments_beside(self, tolerance: float) -> Indices:
+        """Which way the other segment is of each site that is on a corner; 0 at other sites (collective).
+
+        In space a vertex with friction is on one if it slips by little, or sticks with a shear near its bound.
+        """
+        solution, backend, friction = self._solution, self._backend, self._backend.friction
+        sizes = np.array([np.abs(each).max(initial=0.0) for each in (solution.u.x.array, solution.stresses)])
+        self._spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
+        u, stress = np.where(sizes > 0, sizes, 1.0)
+        p, flux, normal = solution.outcome.iterate.p, solution.outcome.iterate.flux, len(self._spaces.sites)
+        scales = np.full(backend.sites, u), np.full(backend.sites, stress)
+        found = backend.chains.beside(self._segment, p, flux, scales, tolerance)
+        if friction is not None and friction.slipping is not None:
+            slip, shear = (np.linalg.norm(each[normal:].reshape(-1, 2), axis=1) for each in (p, flux))
+            bound, sticks = friction.bound.ravel(), friction.sticks.ravel()
+            near = np.where(sticks, bound - shear <= tolerance * stress, slip <= tolerance * u)
+            found[normal:] = np.repeat(near & (bound > 0), 2)
+        return found
 
     def _points(self) -> Iterator[tuple[str, Seen]]:
         """The data that are seen by their values in the points of the quadrature (collective)."""
@@ -103,46 +124,51 @@ class Linearised:
 
     def places(self) -> Array:
         """The vertices of the biactive sites of this rank, shape (sites, dim)."""
-        dim = self._spaces.dim
-        vertices = [each.vertices.reshape(-1, dim) for each in (self._spaces.contact, self._spaces.rough)]
-        return np.concatenate(vertices)[self.biactive]
+        return self._backend.places()[self.biactive, : self._spaces.dim]
 
     def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function | None]:
         """The changes of σ and u with what is seen; there is no p (collective).
 
+        A biactive site moves along one of the two segments that meet there.
+
         Raises:
-            InputError: If there are biactive sites.
+            InputError: If vertices may begin or cease to slip in space, or leave the end of a slope.
+            NumericalFailure: If the sets of biactive sites do not settle.
         """
-        spaces, data, size = self._spaces, self._data, len(self._backend.system.load)
-        number = spaces.mesh.comm.allreduce(int(np.count_nonzero(self.biactive)))
-        if number > 0:
-            sites = counted(number, "site")
-            raise InputError(f"derivative: {sites} may leave a corner of contact or friction, so there is none")
-        numbers = {"lift": np.zeros_like(data.lift), "load": np.zeros_like(data.lift)}
-        numbers |= {kind: np.zeros(len(spaces.slip_sites)) for kind in ("bound", "mu")}
+        spaces, backend, normal = self._spaces, self._backend, len(self._spaces.sites)
+        comm, size = spaces.mesh.comm, len(backend.system.load)
+        numbers = {kind: np.zeros(size) for kind in ("lift", "load")}
+        numbers |= {kind: np.zeros(spaces.dim * len(spaces.rough_rows)) for kind in ("bound", "mu")}
+        numbers |= {kind: np.zeros(normal) for kind in ("law", "beside")}
         for name, (kind, moments) in self._moments.items():
             moments.add(numbers[kind], changes[name])
-        lift = fem.Function(spaces.traces).x
-        lift.array[:size][self._given] = numbers["lift"][:size][self._given]
-        lift.scatter_forward()
+        for name, (_, moments) in self._of_laws(self._segment + self._beside).items():
+            moments.add(numbers["beside"], changes[name])
+        below = self._beside < 0
+        pair = self._segment + np.minimum(self._beside, 0), self._segment + np.maximum(self._beside, 0)
+        laws = np.where(below[:normal], numbers["beside"], numbers["law"])
+        of_laws = laws, np.where(below[:normal], numbers["law"], numbers["beside"])
 
-        given = *self._by_changes(changes), lift.array.astype(np.float64)
+        def solve(load: Array) -> Array:
+            load = load + numbers["load"]
+            tangent = Tangent(backend, self._data, pair, numbers, of_laws, self._pressure, load)
+            turning = self.biactive & (np.arange(backend.sites) >= normal) & (spaces.dim == 3)
+            number, refused = comm.allreduce(
+                np.array([np.count_nonzero(self.biactive), np.count_nonzero(turning | tangent.sloped)])
+            ).tolist()
+            if refused > 0:
+                sites = counted(refused, "site")
+                raise InputError(f"derivative: {sites} may begin to turn in space, or leave a spring, so there is none")
+            start = tangent.chains.conditions(below.astype(np.int64))
+            if number == 0:
+                tangent.solve(start)
+            else:
+                outcome = iterate_sets(tangent, ALGORITHM_1, Parameters(), start=start)
+                if not outcome.converged:
+                    raise NumericalFailure(f"derivative: {outcome.reason}")
+            return backend.everywhere(tangent.x)
 
-        def responded(bound: Array) -> tuple[Array, Array, Array]:
-            forces = numbers["load"][:size].copy()
-            forces[spaces.slip_sites] += self._signs * spaces.slip_measure * bound
-
-            def solve(load: Array) -> Array:
-                return self._backend.solve_homogeneous(self._conditions, load + forces)
-
-            return self._backend.system.respond(*given, solve)
-
-        stresses, u, _ = responded(numbers["bound"])
-        if data.friction is not None and data.friction.by_pressure:
-            moved = pressure_of(spaces, -spaces.normal_stress(stresses)).ravel()
-            left = numbers["mu"] * self._pressure + self._slope * moved
-            of_pressure = newton(self._backend, self._solution.outcome, left.reshape(-1, 2)).ravel()
-            stresses, u, _ = responded(numbers["bound"] + of_pressure)
+        stresses, u, _ = backend.system.respond(*self._by_changes(changes), solve)
         return {"sigma": spaces.split.stress(stresses), "u": spaces.displacement(u), "p": None}
 
     def _by_changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:
@@ -167,30 +193,58 @@ class Linearised:
     def _given(self) -> Mask:
         """Where û is given, of the owned unknowns."""
         found = np.zeros(len(self._backend.system.load), dtype=bool)
-        found[self._data.fixed] = found[self._sites[self._held]] = True
+        found[self._data.fixed] = True
+        found[np.concatenate([self._spaces.sites, self._spaces.slip_sites])[self._held]] = True
         return found
 
-    def adjoint(self, J: Form, _more: float = 0.0) -> dict[str, Array]:
-        """The derivatives of J by all that is seen, but for where the data stand in J itself (collective)."""
-        spaces, data, size = self._spaces, self._data, len(self._backend.system.load)
+    def adjoint(self, J: Form, of_slip: Array | None = None) -> dict[str, Array]:
+        """The derivatives of J by all that is seen, but for where the data stand in J itself (collective).
+
+        Args:
+            J: What is differentiated,
+            of_slip: and something whose derivative by û_t at the sites with friction this is.
+
+        Returns:
+            The derivatives, with "slipped" that by û_t of the step before.
+        """
+        spaces, backend, w = self._spaces, self._backend, np.zeros(0)
+        of_slip = np.zeros(len(spaces.slip_sites)) if of_slip is None else of_slip
+        friction = backend.friction
         by_sigma, by_u = (derivative_by(each, J, ()) for each in (self._solution.sigma, self._solution.u))
         stresses, moments = spaces.split.values(by_sigma), -spaces.displacement_values(by_u)
-        state = self._responded(stresses, moments)
-        w = np.zeros(0)
-        if data.friction is not None and data.friction.by_pressure:
-            w = self._of_pressure(self._by_bound(state[2]))
-            state = self._responded(stresses, moments, w)
-        adjoint, of_u, x = state
-        forces = self._backend.system.forces(adjoint)
+
+        def solve(load: Array) -> Array:
+            nonlocal w
+            load = load.copy()
+            load[spaces.slip_sites] -= of_slip
+            x = backend.solve_homogeneous(self._conditions, load)
+            if friction is not None and friction.by_pressure:
+                # w − T'ᵀw = ∂J/∂b
+                w = gmres(
+                    backend, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
+                )
+                x.axpy(1.0, self._of_pressure(w))
+            return backend.everywhere(x.array_r)
+
+        adjoint, of_u, x = backend.system.respond(stresses, moments, solve)
+        forces = backend.system.forces(adjoint)
+        sites, held = spaces.sites, self._held[: len(spaces.sites)]
+        pull = spaces.site_measure * x[sites]
+        lift = np.where(self._given, forces, 0.0)
+        lift[sites] -= stiffness_times(self._data, self._conditions, pull)
+        of_stick = forces[spaces.slip_sites] + of_slip
         by = {
-            "lift": np.where(self._given, forces, 0.0),
-            "load": -x[:size],
+            "lift": lift,
+            "load": -x[: len(lift)],
             "bound": self._by_bound(x),
-            "mu": w * self._pressure if len(w) else np.zeros(len(spaces.slip_sites)),
+            "mu": w * self._pressure.ravel() if len(w) else np.zeros(spaces.dim * len(spaces.rough_rows)),
+            "law": np.where(held, -forces[sites], pull),
         }
-        return self._by_points(adjoint, of_u) | {
-            name: moments.sensitivities(by[kind]) for name, (kind, moments) in self._moments.items()
-        }
+        return (
+            self._by_points(adjoint, of_u)
+            | {name: moments.sensitivities(by[kind]) for name, (kind, moments) in self._moments.items()}
+            | {"slipped": np.where(self._held[len(sites) :], of_stick, 0.0)}
+        )
 
     def _by_points(self, adjoint: Array, of_u: Array) -> dict[str, Array]:
         """The derivatives by the data in the points of the quadrature (collective)."""
@@ -227,45 +281,24 @@ class Linearised:
         return np.einsum("qa,nsaij->nsqij", self._data.quadrature.local, there)
 
     @property
-    def _sites(self) -> Array:
-        """The unknown of each site."""
-        return np.concatenate([self._spaces.sites, self._spaces.slip_sites])
-
-    @property
     def _pressure(self) -> Array:
-        """The pressure at the sites with friction, 0 where there is none."""
-        return np.maximum(pressure_of(self._spaces, self._solution.outcome.iterate.flux).ravel(), 0.0)
+        """The pressure at the vertices with friction, 0 where there is none, shape (facets, d)."""
+        return np.maximum(pressure_of(self._spaces, self._solution.outcome.iterate.flux), 0.0)
 
     def _by_bound(self, x: Array) -> Array:
-        """The derivatives by the bounds at the sites with friction, from λ_û."""
-        return -self._signs * self._spaces.slip_measure * x[self._spaces.slip_sites]
+        """The derivatives by the bounds at the vertices with friction, from λ_û."""
+        spaces = self._spaces
+        shear = self._signs * spaces.slip_measure * x[spaces.slip_sites]
+        return -np.asarray(shear.reshape(-1, spaces.dim - 1).sum(axis=1))
 
-    def _responded(self, stresses: Array, moments: Array, w: Array | None = None) -> tuple[Array, Array, Array]:
-        """Σ, u and x for a functional of σ, moments of f and a functional of the pressure (collective)."""
-        spaces, x = self._spaces, fem.Function(self._spaces.traces, dtype=np.float64).x
-        if w is not None and len(w):
-            rows = np.arange(len(spaces.sites)).reshape(-1, spaces.dim)[spaces.rough_rows].ravel()
-            x.array[spaces.sites[rows]] = -self._slope * w / spaces.site_measure[rows]
-        x.scatter_forward()
-        return self._backend.system.respond(
-            stresses,
-            moments,
-            x.array.astype(np.float64),
-            lambda load: self._backend.solve_homogeneous(self._conditions, load),
-        )
-
-    @property
-    def _slope(self) -> Array:
-        """The slope of the bounds by the pressure at the sites with friction."""
-        friction = self._data.friction
+    def _of_pressure(self, w: Array) -> PETSc.Vec:
+        """λ_û for the functional Σ wμP of the pressure (collective)."""
+        spaces, friction = self._spaces, self._backend.friction
         assert friction is not None
-        return friction.slope(self._pressure.reshape(friction.mu.shape)).ravel()
-
-    def _of_pressure(self, right: Array) -> Array:
-        """W with w − T'ᵀw = ∂J/∂b (collective)."""
-        shape = self._solution.stresses.shape
-        none = np.zeros(shape), np.zeros((*shape[:2], shape[-1]))
-        return gmres(self._backend.comm, lambda w: w - self._by_bound(self._responded(*none, w)[2]), right)
+        lift = np.zeros(len(self._backend.system.load))
+        rows = np.arange(len(spaces.sites)).reshape(-1, spaces.dim)[spaces.rough_rows].ravel()
+        lift[spaces.sites[rows]] = -friction.slope(self._pressure).ravel() * w / spaces.site_measure[rows]
+        return self._backend.solve_homogeneous(self._conditions, np.zeros_like(lift), lift)
 
 
 def _in_points(datum: Datum) -> Callable[[Expr], Form]:
@@ -277,11 +310,13 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
     Raises:
-        InputError: If there are laws beside contact and friction, friction in space, or a bound that is not linear.
+        InputError: If a bound of friction or a datum of a law is not linear.
     """
     system = None if solution.system is None else solution.system()
     backend = None if system is None else system.backend_of(solution.outcome)
     if backend is None:
         motions = check_rigid_motions(solution.spaces, solution.data)
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning, motions)
+    if backend.friction is not None and backend.friction.slipping is not None:
+        backend.turn(solution.outcome.iterate.p[len(solution.spaces.sites) :].reshape(-1, 3, 2))
     return Linearised(solution, backend, tolerance)

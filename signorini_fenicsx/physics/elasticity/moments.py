@@ -19,6 +19,7 @@ from signorini_fenicsx.discrete.seen import Seen
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.data import DEGREE, ElasticData
+from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaws, lines_by_data
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw, ElasticProblem, is_normal
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum
@@ -115,15 +116,51 @@ def _friction(spaces: ElasticSpaces, problem: ElasticProblem) -> Iterator[tuple[
             continue
         name = "mu" if isinstance(law, CoulombLaw) else "g"
         key = f"law.{index}.{name}"
-        datum = datum_of(spaces, key, parsed(getattr(law, name), "xy", key))
-        if datum.pieces is None and datum.degree > 1:
-            raise InputError(f"{key}: there are derivatives only if it is linear in x and y")
+        datum = datum_of(spaces, key, parsed(getattr(law, name), "xyz"[: spaces.dim], key))
+        _check_linear(key, datum)
         for part in law.parts:
             facets = spaces.part(part)
             rows = order[np.searchsorted(rough, facets.facets, sorter=order)]
-            places = 2 * rows[:, None] + np.arange(2)
+            places = spaces.dim * rows[:, None] + np.arange(spaces.dim)
             for _, moments in _of_datum(spaces, datum, facets, places, _to_values(facets)):
                 yield "mu" if name == "mu" else "bound", f"{key}.{part}", moments
+
+
+def of_laws(
+    spaces: ElasticSpaces, laws: NormalLaws, segment: Indices, opening: Array
+) -> Iterator[tuple[str, str, Moments]]:
+    """The moments of the data of laws that are given in UFL, which move the lines of these segments (collective).
+
+    They make what `lines_by_data` says, at the sites ("law").
+
+    Args:
+        spaces: The spaces.
+        laws: The laws.
+        segment: The segment of each facet vertex of Γ_C.
+        opening: The opening there, in means.
+
+    Raises:
+        InputError: If a datum is not linear in x.
+    """
+    for part in laws.of_parts:
+        moving = [name for name, datum in part.data.items() if datum.pieces is None]
+        facets = spaces.contact.take(part.rows)
+        places = spaces.dim * part.rows[:, None] + np.arange(spaces.dim)
+        for name, lines in lines_by_data(spaces, part, moving, segment, opening):
+            key, datum = part.key(name), part.data[name]
+            _check_linear(key, datum)
+            for number, moments in _of_datum(spaces, datum, facets, places, lines @ _to_values(facets)):
+                yield "law", f"{key}.{number}", moments
+
+
+def _check_linear(key: str, datum: Datum) -> None:
+    """Refuse a datum in UFL that is not linear.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if datum.pieces is None and datum.degree > 1:
+        raise InputError(f"{key}: there are derivatives only if it is linear in x and y")
 
 
 def _to_values(facets: BoundaryFacets) -> Array:

@@ -16,7 +16,7 @@ has a slope or a vertical segment for neighbour, the function would not be conve
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,14 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.law import Graph, Law
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of, data_of_law, parts_of_laws, refuse_data
+from signorini_fenicsx.discrete.part_laws import (
+    COMPLEX_STEP,
+    PartLaw,
+    chains_of,
+    data_of_law,
+    parts_of_laws,
+    refuse_data,
+)
 from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 
@@ -218,20 +225,33 @@ def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[int, Law]]) -> Norma
 def _at_vertices(spaces: ElasticSpaces, part: NormalLaw) -> tuple[Chains, Array, Array]:
     """The graphs at the facet vertices, and the opening and the pressure at their references (collective)."""
     facets = spaces.contact.take(part.rows)
-    points = facet_quadrature(spaces.mesh, facets.facets, quadrature_degree(*part.data.values(), power=2))
+    points = _points(spaces, part)
     for name, datum in part.data.items():
         check_means(part.key(name), "on its parts", datum.values(points), spaces)
-    graph = part.graph(points)
+    return _graphs(facets, points, part.graph(points))
+
+
+def _points(spaces: ElasticSpaces, part: NormalLaw) -> FacetPoints:
+    """The points in which a law is taken (collective)."""
+    facets = spaces.contact.facets[part.rows]
+    return facet_quadrature(spaces.mesh, facets, quadrature_degree(*part.data.values(), power=2))
+
+
+def _graphs(facets: BoundaryFacets, points: FacetPoints, graph: Graph) -> tuple[Chains, Array, Array]:
+    """The graphs at the vertices of facets, and the opening and the pressure at their references, from one in points.
+
+    Complex values give derivatives.
+    """
 
     def opening(values: Array | float) -> Array:
-        return (_moments(facets, points, values) * spaces.dim / facets.measure[:, None]).ravel()
+        return (_moments(facets, points, values) * facets.vertices.shape[1] / facets.measure[:, None]).ravel()
 
     def pressure(values: Array | float) -> Array:
         return linear_values(_moments(facets, points, values), facets.measure).ravel()
 
     def slope(values: Array | float) -> Array:
-        with np.errstate(divide="ignore"):
-            return 1 / opening(1 / np.asarray(values, dtype=np.float64))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return 1 / opening(1 / np.asarray(values))
 
     corners = [(opening(p), pressure(flux)) for p, flux in graph.corners]
     reference = opening(graph.reference[0]), pressure(graph.reference[1])
@@ -239,6 +259,44 @@ def _at_vertices(spaces: ElasticSpaces, part: NormalLaw) -> tuple[Chains, Array,
         corners = [reference]
     found = Graph(reference, corners, slope(graph.before), slope(graph.beyond))
     return replace(chains_of(found, len(reference[0])), plain=False), *reference
+
+
+def lines_by_data(
+    spaces: ElasticSpaces, part: NormalLaw, names: Sequence[str], segment: Indices, opening: Array
+) -> Iterator[tuple[str, Array]]:
+    """How the lines of a law move with its data, if these are linear on facets (collective).
+
+    On a vertical segment it is the opening, on another the pressure under the present means of the opening; by a
+    complex step, which has no error but rounding.
+
+    Args:
+        spaces: The spaces.
+        part: A law.
+        names: Some of its data.
+        segment: The segment of each facet vertex of Γ_C.
+        opening: The opening there, in means.
+
+    Yields:
+        A name, and the derivatives by the values of this datum at the vertices, shape (facets, d, d).
+    """
+    dim, facets, points = spaces.dim, spaces.contact.take(part.rows), _points(spaces, part)
+    sites = (dim * part.rows[:, None] + np.arange(dim)).ravel()
+    values = {name: datum.values(points).ravel() for name, datum in part.data.items()}
+    hats = np.column_stack([1 - points.points.sum(axis=1), points.points])
+    for name in names:
+        found = np.empty((len(part.rows), dim, dim))
+        for vertex in range(dim):
+            step = 1j * COMPLEX_STEP * hats[:, facets.ranking[:, vertex]].T.ravel()
+            graph = part.law.graph(values | {name: values[name] + step})  # type: ignore[arg-type]
+            chains, of_opening, of_pressure = _graphs(facets, points, graph)
+            moved = NormalLaws((), chains, of_opening, of_pressure, _shared(chains, dim), dim)
+            conditions = chains.conditions(segment[sites])
+            kind = conditions.kind
+            line = np.where(kind == Condition.ZERO_TRACE, of_opening, of_pressure) + conditions.value
+            sprung = of_pressure + moved.springs(conditions).pressure(opening[sites] - of_opening)
+            line = np.where(kind == Condition.ROBIN, sprung, line)
+            found[:, :, vertex] = line.imag.reshape(-1, dim) / COMPLEX_STEP
+        yield name, found
 
 
 def _moments(facets: BoundaryFacets, points: FacetPoints, values: Array | float) -> Array:
@@ -253,5 +311,6 @@ def _shared(chains: Chains, dim: int) -> Array:
     sloped = (slope > 0) & np.isfinite(slope)
     beside = np.pad(slope, ((0, 0), (0, 0), (1, 1)))
     alone = sloped & (beside[:, :, :-2] == 0) & (beside[:, :, 2:] == 0)
-    stiffest = slope.max(axis=1)
+    slope = np.where(sloped, slope, 0.0)
+    stiffest = np.take_along_axis(slope, slope.real.argmax(axis=1)[:, None], axis=1)[:, 0]
     return np.where(alone.all(axis=1), 1 / ((dim + 1) * np.where(stiffest > 0, stiffest, 1.0)), 0.0)

@@ -105,7 +105,7 @@ class ElasticSolution(Solved):
         """The problem linearised at this solution, see `linearised.Linearised` (collective).
 
         Raises:
-            InputError: If there are laws other than contact and friction, or a bound of friction is not linear.
+            InputError: If a bound of friction or a datum of a law is in UFL and not linear.
         """
         from signorini_fenicsx.physics.elasticity.linearised import linearised  # which knows solutions
 

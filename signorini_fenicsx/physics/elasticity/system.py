@@ -129,23 +129,20 @@ class ElasticSystem:
         load.scatter_reverse(la.InsertMode.add)
         return self._of_jumps(load.array[: size * index_map.size_local])
 
-    def respond(
-        self, stresses: Array, moments: Array, lift: Array, solve: Callable[[Array], Array]
-    ) -> tuple[Array, Array, Array]:
+    def respond(self, stresses: Array, moments: Array, solve: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
         """Solve with any right side (collective).
 
         Args:
             stresses: A functional of the stress: its values for unit entries of the stress at each vertex of each
                 subcell, shape (cells, d + 1, d + 1, d, d).
             moments: (f, φ_v) of each cell, shape (cells, d + 1, d).
-            lift: Where û is given its values, else 0: unknowns of this rank, ghosts too.
-            solve: Gives x − lift, ghosts too, from the right side without given tractions.
+            solve: Gives x, ghosts too, from the right side for the owned unknowns, without given tractions.
 
         Returns:
             σ and u as `recover` gives them, and x.
         """
         blocks = list(self._eliminated(stresses, moments))
-        x = solve(self._load_of(blocks, lift)) + lift
+        x = solve(self._load_of(blocks, np.zeros_like(self._data.lift)))
         return *self.recover(x, blocks=blocks), x
 
     def _eliminated(self, stresses: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
