@@ -261,13 +261,10 @@ class ElasticBackend:
         return x
 
     def follow_bounds(self, conditions: SiteConditions, forces: Array, share: Array) -> Array:
-        """Move the solution by the response to forces per area at sites with friction (collective).
+        """Move the solution by the response to forces per area at the sites with friction (collective).
 
-        It is for the plane, and under the conditions of the last solve, which was by CG. σ_t at each of these sites also
-        grows with the pressure of its vertex, by a share.
-
-        Returns:
-            The change of the flux at all sites.
+        σ_t also grows with the pressure of its vertex, by a share. It is for the plane, after a solve by CG under the
+        same conditions. The result is the change of the flux at all sites.
         """
         spaces, contact = self.spaces, conditions.kind == Condition.ZERO_TRACE
         load, held = np.zeros(len(self.system.load)), np.concatenate([self._data.fixed, self._unknowns[contact]])
@@ -335,11 +332,6 @@ class ElasticBackend:
         return np.column_stack([*columns, np.empty((self.sites, 0))]), force
 
     @property
-    def factorises(self) -> bool:
-        """Whether linear solves are by a factorisation."""
-        return not self._solver.iterates
-
-    @property
     def is_contact(self) -> bool:
         """Whether there is no other law in the normal direction than contact."""
         return not self._data.laws.of_parts
@@ -396,12 +388,10 @@ class ElasticBackend:
 
     def everywhere(self, owned: Array) -> Array:
         """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
-        spaces = self.spaces
-        x = la.vector(spaces.traces.dofmap.index_map, spaces.dim**2)
+        x = la.vector(self.spaces.traces.dofmap.index_map, self.spaces.dim**2)
         x.array[: len(owned)] = owned
         x.scatter_forward()
-        found: Array = x.array
-        return found
+        return np.asarray(x.array)
 
     def _refined(self, conditions: SiteConditions, stresses: Array, displacements: Array) -> tuple[Array, Array]:
         """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
@@ -440,8 +430,7 @@ class ElasticBackend:
 
     def scales(self, iterate: Iterate) -> tuple[Array, Array]:
         """The largest |u| and the largest |σ|, see `Backend.scales`."""
-        u, sigma = self._largest
-        return np.full(self.sites, u), np.full(self.sites, sigma)
+        return np.full(self.sites, self._largest[0]), np.full(self.sites, self._largest[1])
 
     @cached_property
     def change(self) -> FieldChange:
@@ -457,7 +446,5 @@ class ElasticBackend:
         return iterate, conditions
 
     def _extent(self, *values: Array) -> tuple[float, float]:
-        largest = np.array([one.max(initial=0.0) for one in values])
-        self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-        u, sigma = largest.tolist()
+        u, sigma = (float(self.comm.allreduce(one.max(initial=0.0), MPI.MAX)) for one in values)
         return u, sigma

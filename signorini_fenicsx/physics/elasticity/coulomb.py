@@ -89,7 +89,7 @@ def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
     outcome = tresca(None)
     if (
         not outcome.converged
-        or not backend.factorises
+        or backend.inexact is not None
         or not backend.is_contact
         or backend.spaces.dim == 3
         or comm.allreduce(backend.sites) > MOST_SITES
@@ -158,7 +158,7 @@ def _step(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array,
     assert friction is not None
     if backend.inexact is None or not backend.is_contact or friction.slipping is not None:
         return newton(backend, conditions, law, left)
-    left = np.where(friction.coulomb[:, None], left, 0.0)  # other bounds are given
+    left = np.where(friction.coulomb[:, None], left, 0.0)
     flux = backend.follow_bounds(conditions, directions * left.ravel(), directions * slope.ravel())
     return left + slope * pressure_of(backend.spaces, flux)
 

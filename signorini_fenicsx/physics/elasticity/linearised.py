@@ -221,7 +221,7 @@ class Linearised:
             if friction is not None and friction.by_pressure:
                 # w − T'ᵀw = ∂J/∂b
                 w = gmres(
-                    backend, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
+                    backend.comm, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
                 )
                 x.axpy(1.0, self._of_pressure(w))
             return backend.everywhere(x.array_r)
