@@ -43,7 +43,7 @@ from signorini_fenicsx.certificate.laws import Goal
 from signorini_fenicsx.certificate.relaxation import all_edges
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solved import Solved
@@ -170,22 +170,19 @@ def _of_displacement(solution: ElasticSolution, v: fem.Function) -> FieldBound:
     """The bounds of a displacement (collective).
 
     Raises:
-        InputError: If E or ν vary within cells: ℂε(v) is then not linear on each cell.
+        InputError: If the material varies within cells: ℂ(ε(v) − ε₀) is then not linear on each cell.
     """
     spaces, data = solution.spaces, solution.data
-    if not data.uniform:
-        raise InputError("v: with E or ν that vary within regions there is no bound of displacements")
+    material = data.material
+    if not material.uniform or material.degree is None or material.degree > 1:
+        raise InputError("v: with elastic data that vary within regions there is no bound of displacements")
     mesh, dim = spaces.mesh, spaces.dim
     certificate = certify_elastic(solution)
     cells = np.arange(len(spaces.order), dtype=np.int32)
     corners = np.vstack([np.zeros(dim), np.eye(dim), np.full(dim, 1 / (dim + 1))])
     points = CellPoints(mesh, cells, corners, np.empty(0))
-    slope = points.of_ufl(ufl.grad(v))
-    strain = (slope + slope.swapaxes(2, 3)) / 2
-    inverse, theta = data.moduli(points)
-    factor = theta / (1 - dim * theta)
-    stress = strain + factor[..., None, None] * np.trace(strain, axis1=2, axis2=3)[..., None, None] * np.eye(dim)
-    stress /= inverse[..., None, None]
+    strain = to_entries(points.of_ufl(ufl.grad(v))) - material.strain(points)
+    stress = to_matrices(np.linalg.solve(material.compliance(points), strain[..., None])[..., 0])
     in_order = np.take_along_axis(stress, spaces.order[:, :, None, None], axis=1)
     at_subcells = np.empty((len(cells), dim + 1, dim + 1, dim, dim))
     at_subcells[:, :, :dim] = in_order[:, opposite(dim)]

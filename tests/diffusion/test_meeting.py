@@ -157,7 +157,6 @@ u = "EXACT"
 """
 
 
-@pytest.mark.parallel([1, 3])
 def test_refined_in_space(folder: Path):
     """Both sides of a fault are refined alike where the error is, on any ranks."""
     exact = "(z - 1/2)^2 + (76.8*x^2*(1 - x)^2*y^2*(1 - y)^2 if z > 1/2 else 0)"

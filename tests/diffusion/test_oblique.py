@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 import ufl
 from mpi4py import MPI
 
@@ -44,7 +43,6 @@ EXACT = f"{FLUX} if {ACROSS} > 0 else {FLUX}/5"
 """Open behind (0, 0) and closed before it; κu has the same form on both sides."""
 
 
-@pytest.mark.parallel([1, 3])
 def test_jump_on_the_wall(folder: Path):
     """Order 1, and a sharp bound; u_D jumps in the ends of the fault, where rounding decides what its text says."""
     if COMM.rank == 0:

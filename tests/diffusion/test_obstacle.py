@@ -70,7 +70,6 @@ def test_best_approximation():
         assert solution.errors()["sigma_L2"] < factor * least
 
 
-@pytest.mark.parallel([1, 3])
 def test_few_set_updates_whatever_h():
     for n, tuning in ((2, Tuning()), (3, Tuning()), (3, ITERATIVE)):
         outcome = solve_case(load_case("sphere").with_values({"solve.h": 2.0**-n}), COMM, tuning=tuning).outcome

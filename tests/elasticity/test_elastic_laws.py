@@ -1,5 +1,6 @@
 """Laws between the opening and the pressure of elastic bodies: springs, walls, two-sided joints, graphs."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import dolfinx.mesh
@@ -24,8 +25,9 @@ from signorini_fenicsx import (
 )
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.law import Law, Values
 from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.extend import Graph
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -73,7 +75,6 @@ def on(law: Law, n: int, comm: MPI.Comm = COMM, tuning: Tuning | None = None) ->
     return solve(box(comm, 2, n), problem, Options(tuning=tuning or Tuning()))
 
 
-@pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize(
     ("law", "load", "opening", "state"),
     [
@@ -135,7 +136,7 @@ LAWS = {
 @pytest.mark.parametrize("law", LAWS)
 def test_bound(law: str):
     """With several states along the part the bound is above the distance to a finer solution, and near it."""
-    coarse, fine = (on(LAWS[law], n, MPI.COMM_SELF) for n in (4, 16))
+    coarse, fine = (on(LAWS[law], n, MPI.COMM_SELF) for n in (4, 12))
     certificate, distance = coarse.certify(), fine.differences(coarse).energy
     assert len(np.unique(coarse.segment)) > 1
     assert certificate.guaranteed == (law != "varying wall")
@@ -155,6 +156,27 @@ def test_ranks_and_multigrid():
             == (alone.segments_of_parts()["low y"]["regulated"]["vertices"])
         )
         assert solution.certify().bound == pytest.approx(alone.certify().bound, rel=1e-5)
+
+
+@dataclass(frozen=True)
+class Foundation(Law):
+    """A law of one's own: pressure = −stiffness × opening, pushed or pulled."""
+
+    stiffness: float | str = 1.0
+    segments = ("spring",)
+
+    def graph(self, values: Values) -> Graph:
+        """A line through 0."""
+        return Graph((0.0, 0.0), [(0.0, 0.0)], values["stiffness"], values["stiffness"])
+
+
+def test_a_law_of_ones_own():
+    """It needs its class alone: the solution, its bound and its states are those of the graph with the same line."""
+    own = on(Foundation("low y", stiffness="2"), 4, MPI.COMM_SELF)
+    line = on(Corners("low y", corners=[(0, 0)], before=2, beyond=2), 4, MPI.COMM_SELF)
+    np.testing.assert_allclose(own.stresses, line.stresses, atol=1e-12)
+    assert own.certify().bound == pytest.approx(line.certify().bound, rel=1e-6)
+    assert list(own.segments_of_parts()["low y"]) == ["spring"]
 
 
 def test_a_body_that_only_laws_hold(folder: Path):

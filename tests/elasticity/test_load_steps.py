@@ -36,7 +36,6 @@ def block(friction: Tresca | Coulomb) -> Elasticity:
 
 
 @pytest.mark.parametrize("friction", [Tresca(0.05), Coulomb(0.5)])
-@pytest.mark.parallel([1, 3])
 def test_exact_history(friction: Tresca | Coulomb):
     """Stick, slip, stick at the slip that was reached, slip back: exact in each step, and so is its bound."""
     domain, bounds, states = build_domain(COMM, "square", 0.5, mesh="structured"), StepBounds(), []

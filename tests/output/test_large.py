@@ -26,7 +26,7 @@ COMM = MPI.COMM_WORLD
 @pytest.mark.parametrize(("name", "table", "column"), [("example1", "facets", "p"), ("hertz", "contact", "gap")])
 def test_tables_of_the_ranks_are_the_table(folder: Path, name: str, table: str, column: str):
     """With a table per rank they have together the rows of the one table."""
-    case = load_case(name).with_values({"solve.h": {"facets": 0.1, "contact": 0.125}[table]})
+    case = load_case(name).with_values({"solve.h": {"facets": 0.2, "contact": 0.25}[table]})
     write_solution(solve_case(case, COMM), folder, fields=False)
     (folder / "by_rank").mkdir(exist_ok=True)
     small = solve_case(case, COMM, tuning=Tuning(one_table_up_to=3))

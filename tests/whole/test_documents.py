@@ -93,3 +93,14 @@ def test_each_file_of_tests_has_its_line():
     lines = dict(re.findall(r"^\| `(\w+/test_\w+\.py)` \| (.*) \|$", page, flags=re.MULTILINE))
     files = {path: path.read_text(encoding="utf-8").splitlines()[0] for path in (ROOT / "tests").glob("*/test_*.py")}
     assert lines == {f"{path.parent.name}/{path.name}": first.strip('"') for path, first in files.items()}
+
+
+def test_files_of_the_layout_exist():
+    """Names alone belong to the folder named before them, so for these any folder will do."""
+    roots = [ROOT / "signorini_fenicsx", ROOT]
+    text = (ROOT / "docs" / "code" / "layout.md").read_text(encoding="utf-8")
+    named = re.findall(r"`([\w*/]+(?:\.py|/))`", text)
+    assert len(named) > 100
+    names = {path.name for root in ("signorini_fenicsx", "forms") for path in (ROOT / root).rglob("*.py")}
+    lost = [each for each in named if each not in names and not any(list(root.glob(each)) for root in roots)]
+    assert lost == []

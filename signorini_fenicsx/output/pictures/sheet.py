@@ -97,7 +97,9 @@ class Sheet(Figure):
         left, top, width, height = self._places[axes]
         beside = self.add_axes((0, 0, 1, 1))
         self._places[beside] = (left + width + 0.12, top + 0.06 * height, min(0.13, 0.1 * height), 0.88 * height)
-        return self.colorbar(image, cax=beside, label=label, extend=extend)
+        bar = self.colorbar(image, cax=beside, label=label, extend=extend)
+        beside.yaxis.set_offset_position("left")  # a power of ten starts above the bar, not above the map
+        return bar
 
     def legend_below(self, handles: list) -> None:
         """Place all panels, and a legend below them, where it hides nothing."""

@@ -24,6 +24,7 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.gmres import coupled
 from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
@@ -100,6 +101,7 @@ class ElasticBackend:
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
         self._applied: SiteConditions | None = None
+        self._imposed: Mask | None = None
         self._sprung = False
         self._weak = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
 
@@ -231,15 +233,25 @@ class ElasticBackend:
             self._solve_anew(load.copy(), x, contact, sprung=np.zeros_like(contact))
         return self._everywhere(x.array_r)
 
-    def response(self, conditions: SiteConditions, forces: Array) -> Array:
-        """How the flux at all sites changes under forces per area at those that are not held (collective)."""
+    def response(self, conditions: SiteConditions, forces: Array, share: Array | None = None) -> Array:
+        """How the flux at all sites changes under forces per area at those that are not held (collective).
+
+        With a share, by which σ_t at each site with friction also grows with the pressure of its vertex, the solution
+        moves by the response. That is for the plane, by CG, under the conditions of the last solve.
+        """
         contact = conditions.kind == Condition.ZERO_TRACE
-        load = np.zeros(len(self.system.load))
+        load, held = np.zeros(len(self.system.load)), np.concatenate([self._data.fixed, self._unknowns[contact]])
         load[self._unknowns] = np.where(contact, 0.0, self._measure * forces)
         x, image = self._x.duplicate(), self._x.duplicate()
         x.set(0.0)
-        if self._springs is not None or self._turns:
-            load[np.concatenate([self._data.fixed, self._unknowns[contact]])] = 0.0
+        if share is not None:
+            beside = self.spaces.sites.reshape(-1, self.spaces.dim)[self.spaces.rough_rows].ravel()
+            rows = self.spaces.slip_sites, beside, share
+            x = coupled(self._operator.natural, self._solver.ksp.getPC(), load, held, rows)
+            self._x.axpy(1.0, x)
+            self._applied = None
+        elif self._springs is not None or self._turns:
+            load[held] = 0.0
             self._b.array_w[:] = load
             self._solver.solve(self._b, x)
         elif not self._factors.solve(load, x, contact):
@@ -329,13 +341,16 @@ class ElasticBackend:
         if self.friction is not None and self._turns:
             along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
             blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
-        self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
+        same = not blocks and not sprung.any() and self._imposed is not None and (self._imposed == contact).all()
+        if not self.comm.allreduce(same, MPI.LAND):
+            self._imposed = None if blocks or sprung.any() else contact
+            self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
+            if self._solver.levels is not None:
+                with self._solver.options():
+                    self._solver.levels.update(self._data.fixed, essential)
         self._b.array_w[:] = load
         for vector in (self._b, x):
             vector.array_w[essential] = 0.0
-        if self._solver.levels is not None:
-            with self._solver.options():
-                self._solver.levels.update(self._data.fixed, essential)
         self._solver.solve(self._b, x)
         if not blocks:
             self._factors.keep(essential, contact)
@@ -415,16 +430,8 @@ class ElasticBackend:
         return FieldChange(self.spaces.split.stresses, self.spaces.displacements)
 
     def places(self) -> Array:
-        """The vertex, the sum of its facet's vertices, and whether the site is one of friction."""
-        dim = self.spaces.dim
-        contact, rough = self.spaces.contact.vertices, self.spaces.rough.vertices
-        vertices = np.concatenate([contact, rough])
-        of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
-        places = np.concatenate([vertices, of_facet], axis=2).reshape(-1, 2 * dim)
-        number, normal = np.ones(len(places), dtype=int), len(self.spaces.sites)
-        number[normal:] = dim - 1
-        component = np.append(np.zeros(normal), np.tile(np.arange(1, dim), len(places) - normal))
-        return np.column_stack([np.repeat(places, number, axis=0), component])
+        """The places of the sites, see `ElasticSpaces.places`."""
+        return self.spaces.places
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """The iterate and its conditions: σ is in the Johnson-Mercier space and u linear on each cell already."""

@@ -15,12 +15,12 @@ from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
 from signorini_fenicsx.physics.elasticity.friction import STICKS
@@ -37,10 +37,6 @@ MOST_SITES = 2000
 SHORTEST = 1 / 64
 """Share of Newton's step below which a step is taken as it is."""
 GOLDEN = (np.sqrt(5) - 1) / 2
-EXACT = 1e-8
-"""GMRES stops at this share of what was left."""
-DIRECTIONS = 200
-"""Steps of GMRES at most."""
 
 
 type Tresca = Callable[[Indices | None], Outcome]
@@ -161,40 +157,15 @@ def newton(backend: ElasticBackend, outcome: Outcome, left: Array) -> Array:
     directions = friction.directions(friction.chains.segments(conditions.take(slice(normal, None))))
     each = backend.spaces.dim - 1
     slope = friction.slope(pressure_of(backend.spaces, outcome.iterate.flux))
+    left = np.where(friction.coulomb[:, None], left, 0.0)
+    if backend.inexact is not None and backend.is_contact and friction.slipping is None:
+        forces = np.concatenate([np.zeros(normal), directions * left.ravel()])
+        flux = backend.response(conditions, forces, directions * slope.ravel())
+        return left + slope * pressure_of(backend.spaces, flux)
 
     def without_response(values: Array) -> Array:
         forces = np.concatenate([np.zeros(normal), directions * np.repeat(values, each)])
         pressure = pressure_of(backend.spaces, backend.response(conditions, forces))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 
-    return gmres(backend, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(left.shape)
-
-
-class _Product:
-    """What PETSc asks of a matrix."""
-
-    def __init__(self, product: Callable[[Array], Array]):
-        self._product = product
-
-    def mult(self, _matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        y.array_w[:] = self._product(np.array(x.array_r))
-
-
-def gmres(backend: ElasticBackend, product: Callable[[Array], Array], right: Array) -> Array:
-    """Solve with a matrix that is known by its products (collective)."""
-    b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=backend.comm)
-    b.array_w[:] = right
-    x = b.duplicate()
-    matrix = PETSc.Mat().createPython((b.getSizes(), b.getSizes()), _Product(product), comm=backend.comm)
-    matrix.setUp()
-    solver = PETSc.KSP().create(backend.comm)
-    solver.setOperators(matrix)
-    solver.setType("gmres")
-    solver.setGMRESRestart(DIRECTIONS)
-    solver.getPC().setType("none")
-    solver.setTolerances(rtol=EXACT, max_it=DIRECTIONS)
-    solver.solve(b, x)
-    found = np.array(x.array_r)
-    for each in (solver, matrix, b, x):
-        each.destroy()
-    return found
+    return gmres(backend.comm, without_response, left.ravel()).reshape(left.shape)

@@ -34,8 +34,9 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
+from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.coulomb import gmres, newton, pressure_of
+from signorini_fenicsx.physics.elasticity.coulomb import newton, pressure_of
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.moments import on_boundary
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
@@ -61,6 +62,8 @@ class Linearised:
         self._spaces, self._data = spaces, data = solution.spaces, solution.data
         if data.laws.of_parts:
             raise InputError("elastic solutions have no derivatives with laws other than contact and friction")
+        if not data.material.plain:
+            raise InputError("elastic solutions have derivatives only if they are isotropic, without stress at rest")
         if data.friction is not None and spaces.dim == 3:
             raise InputError("elastic solutions in space have no derivatives with friction")  # slip may turn
         self._conditions = solution.outcome.conditions
@@ -88,7 +91,7 @@ class Linearised:
         """The data that are seen by their values in the points of the quadrature (collective)."""
         mesh, rule = self._spaces.mesh, self._data.quadrature
         forces = {f"f.{r}": component for r, component in enumerate(self._data.f.components)}
-        given = {"young": self._data.young, "poisson": self._data.poisson, **forces}
+        given = {"young": self._data.material.young[0], "poisson": self._data.material.poisson[0], **forces}
         if any(datum.pieces is None for datum in given.values()):
             whole = basix.make_quadrature(mesh.basix_cell(), 0)[1].sum()  # the measure of the reference cell
             weights = np.tile(rule.weights, self._spaces.dim + 1) * whole / (self._spaces.dim + 1)
@@ -211,10 +214,11 @@ class Linearised:
         """The derivatives of 1/2μ and θ/2μ by E and by ν in the points, shape (cells, points) (collective)."""
         cells = np.arange(len(self._spaces.order), dtype=np.int32)
         points = self._data.points(self._spaces, cells)
-        young, poisson = self._data.young.values(points), self._data.poisson.values(points)
-        inverse, theta = self._data.moduli(points)
-        of_poisson = 1 / young if self._data.in_space else (1 + 2 * poisson) / young
-        return [(-inverse / young, -inverse * theta / young), (1 / young, of_poisson)]
+        material = self._data.material
+        young, poisson = material.young[0].values(points), material.poisson[0].values(points)
+        share = poisson if material.in_strain else np.zeros_like(poisson)  # θ/2μ = ν(1 + share)/E
+        of_young = [-(1 + poisson) / young**2, -poisson * (1 + share) / young**2]
+        return [(of_young[0], of_young[1]), (1 / young, (1 + 2 * share) / young)]
 
     def _at_points(self, values: Array) -> Array:
         """A stress in the points of the quadrature, shape (cells, d + 1, points, d, d), from its values at vertices."""
@@ -261,7 +265,7 @@ class Linearised:
         """W with w − T'ᵀw = ∂J/∂b (collective)."""
         shape = self._solution.stresses.shape
         none = np.zeros(shape), np.zeros((*shape[:2], shape[-1]))
-        return gmres(self._backend, lambda w: w - self._by_bound(self._responded(*none, w)[2]), right)
+        return gmres(self._backend.comm, lambda w: w - self._by_bound(self._responded(*none, w)[2]), right)
 
 
 def _in_points(datum: Datum) -> Callable[[Expr], Form]:
