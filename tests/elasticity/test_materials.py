@@ -52,9 +52,7 @@ def linear(matrix: np.ndarray) -> list[str]:
     return ["+".join(f"({float(c)!r})*{x}" for c, x in zip(row, "xyz", strict=False)) for row in matrix]
 
 
-@pytest.mark.parallel([1, 3])
-@pytest.mark.parametrize(("dim", "plane"), [(2, "strain"), (2, "stress"), (3, "")])
-def test_patch(dim: int, plane: str):
+def check_patch(dim: int, plane: str):
     """A constant stress in an orthotropic body with ε₀ and σ₀ is found exactly, and so is its bound."""
     stress = np.diag([3.0, -2.0, 1.0 if dim == 3 else 0.0])
     own, at_rest = np.diag([0.2, -0.1, 0.3 if dim == 3 else 0.0]), np.diag([0.5, 0.4, 0.0])
@@ -82,6 +80,18 @@ def test_patch(dim: int, plane: str):
     assert certificate.guaranteed
     assert certificate.bound < 1e-6 * solution.norms()["energy"]
     assert solution.errors()["energy"] < 1e-11
+
+
+@pytest.mark.parametrize(("dim", "plane"), [(2, "strain"), (2, "stress"), (3, "")])
+def test_patch(dim: int, plane: str):
+    """In both kinds of planes and in space."""
+    check_patch(dim, plane)
+
+
+@pytest.mark.parallel(3)
+def test_patch_on_ranks():
+    """On three ranks."""
+    check_patch(2, "strain")
 
 
 @pytest.mark.parametrize("plane", ["strain", "stress"])
