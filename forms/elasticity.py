@@ -1,13 +1,14 @@
 """Elastic contact: the Hellinger-Reissner problem, its hybrid form, and the gap identity.
 
-Strong form: σ = ℂε(u) = 2μ ε(u) + λ tr ε(u) I, ∇·σ + f = 0 in Ω, u = u_D on Γ_D, σn = g_N on Γ_N, and without friction
-on Γ_C, where u_n = u·n, σ_nn = n·σn and g is the gap along n,
+Strong form: σ = ℂ(ε(u) − ε₀), ∇·σ + f = 0 in Ω, u = u_D on Γ_D, σn = g_N on Γ_N, and without friction on Γ_C, where
+u_n = u·n, σ_nn = n·σn and g is the gap along n,
 
     u_n ≤ g,   σ_nn ≤ 0,   (u_n − g) σ_nn = 0,   σn − σ_nn n = 0.
 
-With p = g − u_n and the pressure −σ_nn in the place of σ·n this is the Signorini condition of the scalar problem. The
-compliance 𝔸 = ℂ⁻¹ is 𝔸σ = (σ − θ tr σ I)/2μ, θ = λ/(2μ + dλ). By Young's modulus E and Poisson's ratio ν it is 2μ =
-E/(1 + ν), and θ = ν for plane strain, ν/(1 + ν) for plane stress and in space.
+With p = g − u_n and the pressure −σ_nn in the place of σ·n this is the Signorini condition of the scalar problem. ε₀ is
+the strain without stress, by heat say. ℂ and the compliance 𝔸 = ℂ⁻¹ are symmetric matrices that act on the entries of
+symmetric matrices; those off the diagonal are weighted by √2, so that inner products of matrices are those of their
+entries. `physics/elasticity/material.py` makes them.
 
 *The element* (Johnson and Mercier 1978; Křížek 1982). A simplex T is split at its centroid into d + 1 subcells. The
 stresses are symmetric and linear on each subcell, and σn is continuous in T. The displacements are linear on all of T.
@@ -17,7 +18,7 @@ So f_h is the field of this kind with the moments of f, and −∇·σ_h = f_h h
 *The hybrid form.* The traces û are linear on each facet and not continuous. On each T, for all stresses τ and
 displacements v of it,
 
-    (𝔸σ, τ)_T + (u, ∇·τ)_T = ⟨û, τn⟩_∂T,   (∇·σ, v)_T = −(f, v)_T,
+    (𝔸σ, τ)_T + (u, ∇·τ)_T = ⟨û, τn⟩_∂T − (ε₀, τ)_T,   (∇·σ, v)_T = −(f, v)_T,
 
 and for all traces q that vanish where û is given, Σ_T ⟨σn, q⟩_∂T = ⟨g_N, q⟩. The last equation says that σn is the same
 from both sides of a facet, since σn is linear there.
@@ -26,18 +27,19 @@ from both sides of a facet, since σn is linear there.
 symmetric, τn dS = F τ̂n̂ dŜ and (v, ∇·τ)_T = (Fᵀv, ∇·τ̂)_T̂. So the split, the continuity of σn and zero divergence carry
 over, and one basis on T̂ serves all cells: Z of the self-balanced stresses, whose number is that of all facet tractions
 less the rigid motions, and one stress for each moment of the divergence. On T, σ = Z a + (what balances f), and a
-minimises ½(𝔸σ, σ) − ⟨û, σn⟩: one small SPD system for each T. What remains is one SPD system for û, whose matrix is on
-each T the G_Z A_ZZ⁻¹ G_Zᵀ of the tractions G_Z of Z.
+minimises ½(𝔸σ, σ) + (ε₀, σ) − ⟨û, σn⟩: one small SPD system for each T. What remains is one SPD system for û, whose
+matrix is on each T the G_Z A_ZZ⁻¹ G_Zᵀ of the tractions G_Z of Z.
 
 *The gap identity.* For v with v = u_D on Γ_D and v_n ≤ g on Γ_C, and symmetric y with −∇·y = f, yn = g_N on Γ_N, and
 y_nn ≤ 0, yn = y_nn n on Γ_C,
 
-    ½|v − u|² + ½‖y − σ‖² + ⟨−σ_nn, g − v_n⟩ + ⟨−y_nn, g − u_n⟩ = ½‖ℂε(v) − y‖² + ⟨−y_nn, g − v_n⟩ =: gap(v, y)
+    ½|v − u|² + ½‖y − σ‖² + ⟨−σ_nn, g − v_n⟩ + ⟨−y_nn, g − u_n⟩ = ½‖s − y‖² + ⟨−y_nn, g − v_n⟩ =: gap(v, y)
 
-with |w|² = (ℂε(w), ε(w)), ‖τ‖² = (𝔸τ, τ), and ⟨·,·⟩ on Γ_C. No constant of Korn is in it.
+with s = ℂ(ε(v) − ε₀), |w|² = (ℂε(w), ε(w)), ‖τ‖² = (𝔸τ, τ), and ⟨·,·⟩ on Γ_C. No constant of Korn is in it.
 
-Proof: ½‖ℂε(v) − y‖² = ½|v − u|² + ½‖σ − y‖² + (ε(v − u), σ − y). As ∇·(σ − y) = 0 and σ − y is symmetric, the last term
-is ⟨v − u, (σ − y)n⟩, which is on Γ_C alone and there ⟨v_n − u_n, σ_nn − y_nn⟩ = ⟨−σ_nn, g − v_n⟩ − ⟨−y_nn, g − v_n⟩ +
+Proof: s − y = ℂε(v − u) + σ − y, so ½‖s − y‖² = ½|v − u|² + ½‖σ − y‖² + (ε(v − u), σ − y). As ∇·(σ − y) = 0 and
+σ − y is symmetric, the last term is ⟨v − u, (σ − y)n⟩, which is on Γ_C alone and there ⟨v_n − u_n, σ_nn − y_nn⟩ =
+⟨−σ_nn, g − v_n⟩ − ⟨−y_nn, g − v_n⟩ +
 ⟨−y_nn, g − u_n⟩, because (g − u_n)σ_nn = 0. All terms on the left are ≥ 0.
 
 *Friction* (Tresca). In the place of σ_t = 0 it is |σ_t| ≤ k and k|u_t| + σ_t u_t = 0 on Γ_C. For y with |y_t| ≤ k
@@ -47,8 +49,20 @@ is ⟨v − u, (σ − y)n⟩, which is on Γ_C alone and there ⟨v_n − u_n, 
 since the last term of the proof has ⟨v_t − u_t, σ_t − y_t⟩ as well, and −⟨u_t, σ_t⟩ = ⟨k, |u_t|⟩. All terms are ≥ 0.
 """
 
-from ufl import Form, Identity, Measure, div, grad, inner, sym, tr
+from itertools import combinations
+
+from ufl import Form, Measure, as_vector, div, dot, grad, inner, sqrt, sym
 from ufl.core.expr import Expr
+
+
+def pairs(dim: int) -> list[tuple[int, int]]:
+    """Row and column of the entries of a symmetric matrix: the diagonal, then above it."""
+    return [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
+
+
+def vector(matrix: Expr) -> Expr:
+    """The entries of a symmetric matrix, those off the diagonal weighted by √2."""
+    return as_vector([matrix[i, j] if i == j else sqrt(2) * matrix[i, j] for i, j in pairs(matrix.ufl_shape[0])])
 
 
 def strain(u: Expr) -> Expr:
@@ -56,33 +70,21 @@ def strain(u: Expr) -> Expr:
     return sym(grad(u))
 
 
-def stress(strain: Expr, mu2: Expr, theta: Expr) -> Expr:
-    """ℂε = 2μ (ε + θ/(1 − dθ) tr ε I); `mu2` is 2μ."""
-    dim = strain.ufl_shape[0]
-    return mu2 * (strain + theta / (1 - dim * theta) * tr(strain) * Identity(dim))
+def product(tensor: Expr, one: Expr, other: Expr, dx: Measure) -> Form:
+    """(𝔸σ, τ) or (ℂε, ε')."""
+    return inner(dot(tensor, vector(one)), vector(other)) * dx
 
 
-def compliance(sigma: Expr, mu2: Expr, theta: Expr) -> Expr:
-    """𝔸σ = (σ − θ tr σ I)/2μ; `mu2` is 2μ."""
-    return (sigma - theta * tr(sigma) * Identity(sigma.ufl_shape[0])) / mu2
-
-
-def stress_product(sigma: Expr, tau: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:
-    """(𝔸σ, τ)."""
-    return inner(compliance(sigma, mu2, theta), tau) * dx
-
-
-def hellinger_reissner(sigma: Expr, u: Expr, tau: Expr, v: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:
+def hellinger_reissner(sigma: Expr, u: Expr, tau: Expr, v: Expr, compliance: Expr, dx: Measure) -> Form:
     """(𝔸σ, τ) + (u, ∇·τ) + (∇·σ, v): on a cell the left sides of the hybrid form."""
-    return stress_product(sigma, tau, mu2, theta, dx) + inner(u, div(tau)) * dx + inner(div(sigma), v) * dx
+    return product(compliance, sigma, tau, dx) + inner(u, div(tau)) * dx + inner(div(sigma), v) * dx
 
 
-def strain_energy(u: Expr, v: Expr, mu2: Expr, theta: Expr, dx: Measure) -> Form:
-    """(ℂε(u), ε(v)), for conforming displacements."""
-    return inner(stress(strain(u), mu2, theta), strain(v)) * dx
+def off_law(v: Expr, y: Expr, compliance: Expr, eigenstrain: Expr) -> Expr:
+    """The entries of ε(v) − ε₀ − 𝔸y."""
+    return vector(strain(v)) - eigenstrain - dot(compliance, vector(y))
 
 
-def stress_gap(v: Expr, y: Expr, mu2: Expr, theta: Expr, q: Expr, dx: Measure) -> Form:
-    """‖ℂε(v) − y‖² in the norm of 𝔸, weighted by q: with the indicator of T what T contributes to 2 gap(v, y)."""
-    difference = strain(v) - compliance(y, mu2, theta)
-    return q * inner(stress(difference, mu2, theta), difference) * dx
+def square(stiffness: Expr, strain: Expr, q: Expr | float, dx: Measure) -> Form:
+    """(ℂε, ε) from the entries of ε, weighted by q: with `off_law` what it contributes to 2 gap(v, y)."""
+    return q * inner(dot(stiffness, strain), strain) * dx

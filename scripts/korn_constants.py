@@ -135,8 +135,9 @@ def _products(cells: Cells) -> Array:
     dim = cells.dim
     hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
     share = cells.measure[:, None, None, None] / (dim + 1)
-    masses = share * np.broadcast_to(hats, (len(cells.measure), *[dim + 1] * 3))
-    return compliance_product(cells.stresses(reference(dim).stresses), masses, 0 * masses)
+    masses = share * np.kron(hats, np.eye(dim * (dim + 1) // 2))
+    masses = np.broadcast_to(masses, (len(masses), dim + 1, *masses.shape[2:]))
+    return compliance_product(cells.stresses(reference(dim).stresses), masses)
 
 
 def _system_of_traces(

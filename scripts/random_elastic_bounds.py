@@ -31,7 +31,13 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, opposite, split_vertices
+from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+    Cells,
+    SplitQuadrature,
+    opposite,
+    split_vertices,
+    to_entries,
+)
 from signorini_fenicsx.physics.elasticity.problem import (
     Contact,
     Dirichlet,
@@ -130,14 +136,15 @@ def problem_of_bodies(rng: np.random.Generator, dim: int) -> Elasticity:
 def energy_difference(coarse: ElasticSolution, fine: ElasticSolution) -> float:
     """‖σ − σ'‖ in the energy norm, by quadrature on the finer mesh, each point searched in all cells."""
     dim, cells = fine.spaces.dim, np.arange(len(fine.spaces.vertices), dtype=np.int32)
-    softness, theta = (modulus[:, 0] for modulus in fine.data.moduli(fine.data.points(fine.spaces, cells)))
+    compliance = fine.data.material.compliance(fine.data.points(fine.spaces, cells))[:, 0]
     rule = SplitQuadrature.of_degree(dim, 2)
     corners = split_vertices(fine.spaces.vertices)
     points = np.einsum("qa,nsai->nsqi", rule.local, corners)
     off = np.einsum("qa,nsaij->nsqij", rule.local, fine.stresses)
     off -= stress_at(coarse, points.reshape(-1, dim)).reshape(off.shape)
-    product = (off**2).sum(axis=(3, 4)) - theta[:, None, None] * np.einsum("nsqii->nsq", off) ** 2
-    weights = (softness * Cells(fine.spaces.vertices).measure)[:, None, None] / (dim + 1) * rule.weights
+    off = to_entries(off)
+    product = np.einsum("nsqe,nef,nsqf->nsq", off, compliance, off)
+    weights = Cells(fine.spaces.vertices).measure[:, None, None] / (dim + 1) * rule.weights
     return float(np.sqrt((weights * product).sum()))
 
 

@@ -8,7 +8,7 @@ from dolfinx.mesh import GhostMode
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, compliance_product, reference, to_matrices
@@ -43,6 +43,12 @@ def half_plane_contact(nu: float, x0: float = 0.07) -> list[str]:
     return [ux, uy]
 
 
+def stress(strain: Expr, mu2: Expr, theta: Expr) -> Expr:
+    """ℂε = 2μ (ε + θ/(1 − dθ) tr ε I) of an isotropic material; `mu2` is 2μ."""
+    dim = strain.ufl_shape[0]
+    return mu2 * (strain + theta / (1 - dim * theta) * ufl.tr(strain) * ufl.Identity(dim))
+
+
 def smooth(domain: Domain, nu: float) -> tuple[Expr, Expr, Expr]:
     """E that varies, u and f; u presses onto the plane where the last coordinate is 0: u_n = 0, σ_t = 0, σ_nn < 0."""
     x = ufl.SpatialCoordinate(domain.mesh)
@@ -64,7 +70,7 @@ def complementary_energy(solution: ElasticSolution) -> np.ndarray:
     element, cells = reference(dim), Cells(spaces.vertices)
     numbers = np.arange(len(spaces.order), dtype=np.int32)
     number, basis = len(numbers), element.stresses.shape[2]
-    product = compliance_product(cells.stresses(element.stresses), *data.masses(spaces, numbers, cells.measure))
+    product = compliance_product(cells.stresses(element.stresses), data.masses(spaces, numbers, cells.measure))
     tractions = cells.tractions(element.tractions).reshape(number, dim + 1, dim, dim, basis)
     hessian = np.zeros((number * basis, number * basis))
     facets = np.zeros((spaces.traces.dofmap.index_map.size_local, dim, dim, number * basis))

@@ -1,4 +1,4 @@
-"""NumPy's `.npy` files whose rows come from all ranks: written and read by MPI-IO, each rank its own rows."""
+"""Arrays whose rows come from all ranks, in NumPy's `.npy` files or HDF5: by MPI-IO, each rank its own rows."""
 
 import errno
 import io
@@ -48,9 +48,8 @@ def write_arrays(comm: MPI.Comm, folder: Path, arrays: Mapping[str, npt.NDArray]
     Raises:
         OSError: On all ranks, if the disk is full, or a rank cannot write.
     """
-    lengths = np.array(comm.allgather([len(rows) for rows in arrays.values()]))  # by rank and array
-    firsts = lengths[: comm.rank].sum(axis=0).tolist()
-    heads = [_head(rows, total) for rows, total in zip(arrays.values(), lengths.sum(axis=0).tolist(), strict=True)]
+    firsts, totals = _shares(comm, arrays)
+    heads = [_head(rows, total) for rows, total in zip(arrays.values(), totals, strict=True)]
     paths = [folder / f"{name}.npy" for name in arrays]
 
     def allocate() -> None:
@@ -62,6 +61,52 @@ def write_arrays(comm: MPI.Comm, folder: Path, arrays: Mapping[str, npt.NDArray]
     on_root(comm, allocate)
     for path, (_, header), first, rows in zip(paths, heads, firsts, arrays.values(), strict=True):
         _together(comm, path, MPI.MODE_WRONLY, header.place(first), np.ascontiguousarray(rows))
+
+
+def add_to_hdf5(comm: MPI.Comm, path: Path, arrays: Mapping[str, npt.NDArray]) -> list[Header]:
+    """Add arrays to an HDF5 file, which is made if there is none (collective).
+
+    Rank 0 makes the datasets and allocates their space, by an HDF5 that needs to know nothing of MPI.
+
+    Args:
+        comm: Communicator.
+        path: The file.
+        arrays: The rows of this rank by the name of the dataset; rows continue from rank to rank.
+
+    Returns:
+        Shape, type and place of each, on all ranks.
+
+    Raises:
+        OSError: On all ranks, if the disk is full, or a rank cannot write.
+    """
+    firsts, totals = _shares(comm, arrays)
+
+    def allocate() -> list[Header]:
+        import h5py  # takes a quarter of a second to import
+
+        early = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        early.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+        early.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+        heads = []
+        with h5py.File(path, "a") as file:
+            for (name, rows), total in zip(arrays.items(), totals, strict=True):
+                shape = (total, *rows.shape[1:])
+                place = file.create_dataset(name, shape, rows.dtype, dcpl=early).id.get_offset()
+                heads.append(Header(shape, rows.dtype, place or 0))  # empty ones are nowhere
+        with path.open("r+b") as opened:
+            os.posix_fallocate(opened.fileno(), 0, path.stat().st_size)
+        return heads
+
+    heads: list[Header] = on_root(comm, allocate)
+    for header, first, rows in zip(heads, firsts, arrays.values(), strict=True):
+        _together(comm, path, MPI.MODE_WRONLY, header.place(first), np.ascontiguousarray(rows))
+    return heads
+
+
+def _shares(comm: MPI.Comm, arrays: Mapping[str, npt.NDArray]) -> tuple[list[int], list[int]]:
+    """The first row of this rank in each array, and the number of rows of all ranks (collective)."""
+    lengths = np.array(comm.allgather([len(rows) for rows in arrays.values()]))  # by rank and array
+    return lengths[: comm.rank].sum(axis=0, dtype=np.int64).tolist(), lengths.sum(axis=0).tolist()
 
 
 def _head(rows: npt.NDArray, total: int) -> tuple[bytes, Header]:

@@ -13,9 +13,11 @@ from signorini_fenicsx.cases.costs import Cost
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import PartsInside, Section
 from signorini_fenicsx.cases.values import (
+    Conductivity,
+    Directions,
     Expression,
     ExpressionByPart,
-    ExpressionByRegion,
+    Moduli,
     Vector,
     VectorByPart,
     choice,
@@ -123,21 +125,32 @@ class ContactTexts(Section):
         return None if self.mu is None else CoulombLaw(self.parts, self.mu)
 
 
-class ElasticTexts(Section):
-    """`[problem]`: the data of an `ElasticProblem` as text in x, y, z; E and ν may have one for each region."""
+MATERIAL = "young", "poisson", "shear", "axes", "eigenstrain", "initial_stress"
 
-    young: ExpressionByRegion
-    poisson: ExpressionByRegion
+
+def _is_none(given: object) -> bool:
+    return given is None
+
+
+class ElasticTexts(Section):
+    """`[problem]`: the data of an `ElasticProblem` as text in x, y, z; the material may have one for each region."""
+
+    young: Moduli
+    poisson: Moduli
     f: Vector | None = None
     u_D: VectorByPart | None = None
     g_N: VectorByPart | None = None
     pressure: Annotated[ExpressionByPart, Field(default={}, exclude_if=lambda given: not given)]
     gap: Expression = "0"
     plane: Annotated[str, choice("plane", tuple(Plane))] = Plane.STRAIN
+    shear: Annotated[Moduli | None, Field(default=None, exclude_if=_is_none)]
+    axes: Annotated[Directions | None, Field(default=None, exclude_if=_is_none)]
+    eigenstrain: Annotated[Conductivity | None, Field(default=None, exclude_if=_is_none)]
+    initial_stress: Annotated[Conductivity | None, Field(default=None, exclude_if=_is_none)]
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        names = "gap", "f", "u_D", "g_N", "pressure", "young", "poisson"
+        names = "gap", "f", "u_D", "g_N", "pressure", *MATERIAL
         given = [(name, getattr(self, name)) for name in names]
         return [entry for name, value in given if value is not None for entry in texts_of(name, value)]
 

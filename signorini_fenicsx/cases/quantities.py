@@ -12,7 +12,7 @@ from signorini_fenicsx.quantities import Energy, Flux, Force, Integral, Kind, Me
 KINDS: Mapping[str, tuple[Callable[..., Kind], tuple[str, ...]]] = {
     "integral": (Integral, ("weight", "region", "parts", "direction")),
     "mean": (Mean, ("weight", "region", "parts", "direction")),
-    "flux": (Flux, ("parts",)),
+    "flux": (Flux, ("parts", "weight")),
     "energy": (Energy, ()),
     "force": (Force, ("parts", "direction")),
     "moment": (Moment, ("parts", "direction")),
@@ -43,7 +43,7 @@ class QuantityTexts(Section):
                 raise ValueError(f"a quantity '{self.kind}' has no {key}; it has {', '.join(keys) or 'none'}")
         if self.region and self.parts:
             raise ValueError("region is in the place of parts; leave out one of them")
-        if "parts" in keys and "weight" not in keys and not self.parts:
+        if "parts" in keys and "region" not in keys and not self.parts:
             raise ValueError(f"a quantity '{self.kind}' needs parts, those where it is measured")
         return self
 

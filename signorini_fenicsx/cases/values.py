@@ -1,6 +1,6 @@
 """Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -90,13 +90,36 @@ def within(low: float, high: float) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _conductivity(value: object) -> object:
-    """A number or text, a square matrix of these, or a table with one of these per region."""
-    if isinstance(value, dict):
+def _in_regions(read: Callable[[object], object]) -> BeforeValidator:
+    """Accept what this reads, or a table with one per region."""
+
+    def check(value: object) -> object:
+        if not isinstance(value, dict):
+            return read(value)
         if not value:
             raise ValueError("the table of regions is empty")
-        return {region: _matrix_or_text(entry) for region, entry in value.items()}
-    return _matrix_or_text(value)
+        return {region: read(entry) for region, entry in value.items()}
+
+    return BeforeValidator(check)
+
+
+def _modulus(value: object) -> object:
+    """A number or text, or three along the axes of a material."""
+    if isinstance(text := text_of(value), str):
+        return text
+    if not isinstance(value, list):
+        raise ValueError("must be an expression, a list of three, or a table with one per region")
+    if len(value) != 3:
+        raise ValueError(f"must be an expression, or a list of three along axes of the material, not of {len(value)}")
+    return _vector(value)
+
+
+def _directions(value: object) -> object:
+    """A list with one direction in the plane, or two in space."""
+    given = value if isinstance(value, list) else []
+    if [len(entry) if isinstance(entry, list) else 0 for entry in given] not in ([2], [3, 3]):
+        raise ValueError(f"must list one direction in the plane, as [[1, 1]], or two in space, not {shown(value)}")
+    return [_vector(entry) for entry in given]
 
 
 def _matrix_or_text(value: object) -> object:
@@ -150,4 +173,6 @@ VectorByPart = Annotated[list[str] | dict[str, list[str]], BeforeValidator(_vect
 ShapeName = Annotated[str, BeforeValidator(_shape)]
 ExpressionByPart = Annotated[dict[str, str], BeforeValidator(_text_by_part)]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]
-Conductivity = Annotated[ConductivityText, BeforeValidator(_conductivity)]
+Conductivity = Annotated[ConductivityText, _in_regions(_matrix_or_text)]
+Moduli = Annotated[str | list[str] | dict[str, str | list[str]], _in_regions(_modulus)]
+Directions = Annotated[list[list[str]] | dict[str, list[list[str]]], _in_regions(_directions)]

@@ -77,11 +77,12 @@ def _energy(solution: ElasticSolution, stresses: Array) -> float:
 
 
 def _energy_of_residuals(solution: ElasticSolution) -> float:
-    """‖σ_h‖ in L² times the largest (2μ)^-½: the residuals times this are energies (collective)."""
+    """‖σ_h‖ in L² times the root of the largest eigenvalue of 𝔸: the residuals times this are energies (collective)."""
     spaces, data = solution.spaces, solution.data
     softest = 0.0
     for cells in blocks_of_cells(spaces):
-        softest = max(softest, float(data.moduli(data.points(spaces, cells))[0].max(initial=0.0)))
+        compliance = data.material.compliance(data.points(spaces, cells))
+        softest = max(softest, float(np.linalg.eigvalsh(compliance).max(initial=0.0)))
     softest = spaces.mesh.comm.allreduce(softest, MPI.MAX)
     return float(np.sqrt(softest) * solution.norms()["sigma_L2"])
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import basix
 import basix.ufl
+import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
@@ -66,6 +67,12 @@ class Trace:
         return points.quadratic(self.v, gradient=gradient)
 
 
+def bernstein(mesh: dolfinx.mesh.Mesh) -> fem.FunctionSpace:
+    """The space of continuous functions that are quadratic on each cell, by Bernstein coefficients (collective)."""
+    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein)
+    return fenicsx.function_space(mesh, element)
+
+
 def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     """The reconstruction, averaged over the cells around each node with weights κ_h (collective).
 
@@ -74,8 +81,7 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     u_h + κ_h⁻¹σ_h(x_T)·r + s(m − M)/2. The result has values in the nodes, not yet Bernstein coefficients.
     """
     mesh, flux = solution.spaces.mesh, solution.cell_flux
-    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein)
-    v = fem.Function(fenicsx.function_space(mesh, element), name="v")
+    v = fem.Function(bernstein(mesh), name="v")
     total = fem.Function(v.function_space)
     nodes = v.function_space.dofmap.list
     of_cells, values = _weights(solution.data), np.empty(nodes.shape, order="F")

@@ -18,6 +18,7 @@ from dolfinx import fem, la
 from dolfinx.fem.petsc import assemble_matrix
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
@@ -25,10 +26,10 @@ from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress
 from signorini_fenicsx.certificate.elastic_laws import LawOnFacets
 from signorini_fenicsx.certificate.interior_point import minimise
-from signorini_fenicsx.forms.elasticity import strain, strain_energy, stress_product
+from signorini_fenicsx.forms.elasticity import product, square, strain, vector
 from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
-from signorini_fenicsx.physics.elasticity.data import ElasticData, facet_rule, moduli_on_split
+from signorini_fenicsx.physics.elasticity.data import ElasticData, facet_rule, material_on_split
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
@@ -49,8 +50,7 @@ class BestDisplacement:
         contact: The facets of Γ_C on it.
         laws: The laws on them, but for contact.
         openings: The coefficients of g on them, less p at the references of the laws.
-        moduli: 2μ and θ on it.
-        dx: The measure that goes with them.
+        material: 𝔸, ℂ and ε₀ on it.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class BestDisplacement:
         self.laws = [
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
         ]
-        self.moduli, self.dx = moduli_on_split(spaces, data, split, 2 * degree - 2)
+        self.material = material_on_split(spaces, data, split, 2 * degree - 2)
         self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
         self._collect_terms()
         self._assemble()
@@ -103,6 +103,11 @@ class BestDisplacement:
         found.interpolate(v, self.spaces.split.cells.ravel()[self.split.subcells].astype(np.int32), cells)
         found.x.scatter_forward()
         return found
+
+    @property
+    def _without_v(self) -> Expr:
+        """The entries of −ε₀ − 𝔸y."""
+        return -self.material.eigenstrain - ufl.dot(self.material.compliance, vector(self.sigma))
 
     def _collect_terms(self) -> None:
         """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective)."""
@@ -131,7 +136,8 @@ class BestDisplacement:
         rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self._moments)
         self._forces = np.append(sides * forces[on, at], np.einsum("nki,nkmi->nkm", rubbing, tangents)[rubs])[free]
 
-        pull = fem.assemble_vector(fenicsx.form(ufl.inner(self.sigma, strain(ufl.TestFunction(self.space))) * self.dx))
+        pulling = vector(strain(ufl.TestFunction(self.space))), ufl.dot(self.material.stiffness, self._without_v)
+        pull = fem.assemble_vector(fenicsx.form(-ufl.inner(*pulling) * self.material.dx))
         on_facets = forces[:, :, None] * contact.facets.normals[:, None]
         on_facets[rough] += rubbing
         add_at(pull, contact.nodes, on_facets)
@@ -204,7 +210,8 @@ class BestDisplacement:
         """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
         dim, size = self.spaces.dim, self._numbers.size_local
         u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        natural = assemble_matrix(fenicsx.form(strain_energy(u, w, *self.moduli, self.dx)))
+        material = self.material
+        natural = assemble_matrix(fenicsx.form(product(material.stiffness, strain(u), strain(w), material.dx)))
         natural.assemble()
         if self.laws:
             natural.axpy(1.0, self._springs(natural), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -214,9 +221,8 @@ class BestDisplacement:
         self._lift = self._given.values[:size].ravel()
         load = np.einsum("nij,ni->nj", self._given.frames[:size], self._pull.array.reshape(-1, dim)[:size]).ravel()
         image = self.times(self._lift)
-        energy = fem.assemble_scalar(fenicsx.form(stress_product(self.sigma, self.sigma, *self.moduli, self.dx)))
-        sums = [energy / 2 + self._apart, self._lift @ (image / 2 - load)]
-        parts = self.comm.allreduce(np.array(sums))
+        energy = fem.assemble_scalar(fenicsx.form(square(material.stiffness, self._without_v, 1.0, material.dx)))
+        parts = self.comm.allreduce(np.array([energy / 2 + self._apart, self._lift @ (image / 2 - load)]))
         self.constant, self.scale = float(parts.sum()), float(np.abs(parts).sum())
         essential = np.flatnonzero(self._given.given[:size]).astype(np.int32)
         self.load = load - image

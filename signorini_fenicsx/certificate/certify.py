@@ -60,12 +60,10 @@ from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
 from signorini_fenicsx.certificate.oscillation import Memory, contact_excess, load_oscillation
 from signorini_fenicsx.certificate.reaction import reaction_terms
 from signorini_fenicsx.certificate.resolution import Resolution
-from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import facet_type, in_cells, owned_cells
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.points import Points, facet_type, in_cells, owned_cells
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 QUADRATIC = 2
 """Degree of |κ∇v − y|² where v is quadratic and κ a number."""
@@ -153,6 +151,14 @@ class Certificate:
         return " to the exact solution of the penalty problem" if self.of_penalty else ""
 
     @property
+    def reservation(self) -> str:
+        """Why it is not guaranteed, in words; empty if nothing is to be said."""
+        if self.unresolved:
+            name, place = self.unresolved[0]
+            return f"{name} is not resolved near ({', '.join(f'{x:.4g}' for x in place)})"
+        return f"{', '.join(self.by_quadrature)} {self.if_by_quadrature}" if self.by_quadrature else ""
+
+    @property
     def smaller_than_flux(self) -> bool:
         """Whether the bound is below ‖σ_h‖; otherwise its share of ‖σ_h‖ says nothing: σ may be 0."""
         return self.relative < 1
@@ -180,15 +186,15 @@ def certify(solution: Solution, *, for_signorini: bool = False, memory: Memory |
     check_kind("solution", solution, Solution)
     watch = Stopwatch()
     with watch.phase("certificate"), np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
-        certificate = _certificate(solution, Goal.of(solution, for_signorini=for_signorini), memory)
+        own = Admissible.of(solution, Goal.of(solution, for_signorini=for_signorini))
+        certificate = certificate_of(own, gap_parts(own, own, own.goal, memory))
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certificate:
-    own = Admissible.of(solution, goal)
-    spaces, resolution, trace, remainder = solution.spaces, own.resolution, own.trace, own.remainder
+def certificate_of(own: Admissible, parts: GapParts) -> Certificate:
+    """The bound that admissible fields of one solution give (collective)."""
+    spaces, resolution, trace, remainder = own.solution.spaces, own.resolution, own.trace, own.remainder
     comm, size = spaces.mesh.comm, own.size
-    parts = gap_parts(own, own, goal, memory)
     indicator = fem.Function(spaces.Q, name="indicator")
     squares = parts.mismatch + parts.contact + parts.oscillation**2
     indicator.x.array[:] = np.sqrt(np.maximum(squares, 0.0))  # no ghost cells; < 0: no bound
@@ -217,7 +223,7 @@ def _certificate(solution: Solution, goal: Goal, memory: Memory | None) -> Certi
         indicator=indicator,
         v=trace.v,
         of_laws=parts.of_laws,
-        of_penalty=goal.of_penalty,
+        of_penalty=own.goal.of_penalty,
         if_none="" if np.isfinite(bound) else _why_none(trace, remainder),
     )
 
@@ -257,8 +263,8 @@ class Admissible:
     trace: Trace
 
     @classmethod
-    def of(cls, solution: Solution, goal: Goal) -> Admissible:
-        """The admissible fields of a solution (collective)."""
+    def of(cls, solution: Solution, goal: Goal, field: fem.Function | None = None) -> Admissible:
+        """The admissible fields of a solution; v is near a field if there is one, see `law_trace` (collective)."""
         spaces, data = solution.spaces, solution.data
         comm = spaces.mesh.comm
         metric = cell_metric(spaces, data)
@@ -269,7 +275,7 @@ class Admissible:
         y, flux, level, remainder = admissible_flux(solution, metric, goal)
         inside = Inside.of(solution, y, level, resolution)
         on = OnGammaS.of(solution, goal, metric, y)
-        trace = law_trace(solution, metric, y, on, inside)
+        trace = law_trace(solution, metric, y, on, inside, field)
         return cls(solution, goal, metric, size, resolution, deviation, y, flux, level, remainder, inside, on, trace)
 
 
@@ -283,6 +289,7 @@ class GapParts:
         contact: Twice what laws and cu add to the gap.
         oscillation: osc_T, with its share of `left`.
         left: What the means of the loads may add.
+        hidden: What quadrature may miss of ‖κ^½∇v‖; it is in the mismatch.
         of_laws: The load s_T − η of laws in Ω; None without any.
     """
 
@@ -291,6 +298,7 @@ class GapParts:
     contact: Array
     oscillation: Array
     left: float
+    hidden: Array
     of_laws: Projection | None
 
 
@@ -319,7 +327,7 @@ def gap_parts(
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:
         contact = contact + reaction.gap
-    mismatch = _with_deviation(spaces, metric, flux, _mismatch(spaces, data, trace, flux), of_y.deviation)
+    mismatch = mismatches(of_y, trace, flux)
     known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
     hidden = hidden_parts(resolution, trace, of_v.solution.data.u_D, metric, pressure, inside, known)
     contact = contact + hidden.gap
@@ -327,7 +335,7 @@ def gap_parts(
     least = None if reaction is None else reaction.least
     left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * known))
     oscillation = _with_more(oscillation, left, metric, comm)
-    return GapParts(mismatch, of_reaction, contact, oscillation, left, of_laws)
+    return GapParts(mismatch, of_reaction, contact, oscillation, left, hidden.slope, of_laws)
 
 
 def _why_none(trace: Trace, remainder: float) -> str:
@@ -366,35 +374,56 @@ def _on_gamma_s(
     return found.per_cell(number), found.loads(spaces), None
 
 
-def _mismatch(spaces: Spaces, data: Data, trace: Trace, y: CellFlux) -> Array:
-    """‖κ∇v − y‖² per owned cell (collective)."""
-    mesh, kappa = spaces.mesh, data.kappa
-    far = np.delete(owned_cells(mesh), trace.cells)
+@dataclass(frozen=True)
+class FluxOf:
+    """κ∇v of a quadratic v, with κ itself: of ‖κ^½∇(w − v)‖² enclosures add to κ alone."""
+
+    v: fem.Function
+    kappa: Datum
+
+    def at(self, points: Points) -> Array:
+        """κ∇v in points, shape (n, points, dim)."""
+        return scaled(self.kappa.values(points), points.quadratic(self.v, gradient=True)[:, :, 1:])
+
+    def squares(self, _: float) -> Array:
+        """What changes with κ − κ̃: nothing."""
+        return np.zeros(1)
+
+
+def scaled(kappa: Array, slope: Array) -> Array:
+    """κ times vectors in points; κ is a number in each, or a matrix."""
+    return kappa[:, :, None] * slope if kappa.ndim == 2 else np.asarray((kappa @ slope[..., None])[..., 0])
+
+
+def mismatches(own: Admissible, trace: Trace, flux: CellFlux | FluxOf) -> Array:
+    """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective).
+
+    Args:
+        own: Has κ.
+        trace: Has v.
+        flux: y.
+    """
+    spaces, kappa = own.solution.spaces, own.solution.data.kappa
+    mesh, far = spaces.mesh, np.delete(owned_cells(spaces.mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    mismatch = np.zeros(spaces.Q.dofmap.index_map.size_local)
+    found = np.zeros(spaces.Q.dofmap.index_map.size_local)
     for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, degree_near(trace))):
         for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), max(degree, QUADRATIC))):
             slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
-            mismatch[points.rows] = points.integrals(_flux_gap(slope, y.at(points), kappa.values(points)))
-    return mismatch
+            found[points.rows] = points.integrals(_flux_gap(slope, flux.at(points), kappa.values(points)))
+    deviation, lowest = own.deviation, own.metric.kappa_min
+    if not mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
+        return found
+    root = np.sqrt((1 + deviation / lowest) * np.maximum(found, 0.0))
+    root += deviation * np.sqrt(flux.squares(1.0)) / lowest**1.5
+    return np.asarray(root**2, dtype=np.float64)
 
 
 def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:
     """κ⁻¹(κ∇v − y)·(κ∇v − y) in points; infinite where κ has no inverse."""
+    gap = scaled(kappa, slope) - y
     if kappa.ndim == 2:
-        gap = kappa[:, :, None] * slope - y
         return np.asarray(np.einsum("nqi,nqi->nq", gap, gap) / kappa)
-    gap = (kappa @ slope[..., None])[..., 0] - y
     regular = np.linalg.det(kappa) != 0
     inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
     return np.where(regular, np.einsum("nqi,nqij,nqj->nq", gap, inverse, gap), np.inf)
-
-
-def _with_deviation(spaces: Spaces, metric: CellMetric, y: CellFlux, mismatch: Array, deviation: Array) -> Array:
-    """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective)."""
-    if not spaces.mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
-        return mismatch
-    size = np.sqrt(y.squares(1.0))
-    lowest = metric.kappa_min
-    root = np.sqrt((1 + deviation / lowest) * np.maximum(mismatch, 0.0)) + deviation * size / lowest**1.5
-    return np.asarray(root**2, dtype=np.float64)

@@ -44,17 +44,24 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
     np.add.at(found, facets.cells, constants * rest)
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
-        inverse, theta = data.moduli(data.points(spaces, numbers))
+        compliance = above(data.material.compliance(data.points(spaces, numbers)))
         inside, missed = _force(spaces, data, stresses, numbers)
         here = np.flatnonzero(np.isin(facets.cells, numbers))
         on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))
         on_facets[facets.cells[here] - numbers[:1], facets.local[here]] = traction[here]
-        inverse, theta = inverse.max(axis=1), theta.min(axis=1)
-        soft = np.minimum(1.0, 1 / np.maximum(1 - dim * theta, 1e-300)) / inverse
         found[numbers] += korn_constants(cells.derivative) * missed
-        found[numbers] /= np.sqrt(soft)
+        found[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
-            found[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, inverse, theta)
+            found[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
+    return found
+
+
+def above(compliance: Array) -> Array:
+    """For each cell one compliance that is at least those in its points, and equal to them if they are equal."""
+    mean = compliance.mean(axis=1)
+    root = np.linalg.inv(np.linalg.cholesky(mean))[:, None]
+    largest = np.linalg.eigvalsh(root @ compliance @ root.swapaxes(-1, -2)).max(axis=(1, 2), initial=0.0)
+    found: Array = largest[:, None, None] * mean
     return found
 
 

@@ -28,6 +28,7 @@ from typing import Any
 import basix
 import numpy as np
 import numpy.typing as npt
+import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
@@ -38,7 +39,7 @@ from signorini_fenicsx.certificate.inside import Inside, Ray, add_load, coeffici
 from signorini_fenicsx.certificate.law_bounds import ROUNDING, Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
 from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
-from signorini_fenicsx.certificate.relaxation import Box, all_edges, relax
+from signorini_fenicsx.certificate.relaxation import TIE, Box, all_edges, relax
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
@@ -62,20 +63,32 @@ HINDRANCES = (
 OF_JUMPS = "a jump of u_D, or of u where parts inside the domain end or meet others, is beyond a bound"
 
 
-def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGammaS, inside: Inside | None) -> Trace:
-    """The reconstruction, made continuous and admissible under the laws, with a small gap to y (collective).
+def law_trace(
+    solution: Solution,
+    metric: CellMetric,
+    y: fem.Function,
+    on: OnGammaS,
+    inside: Inside | None,
+    field: fem.Function | None = None,
+) -> Trace:
+    """A continuous function that is admissible under the laws (collective).
 
-    `inside` has the laws in Ω, None without any.
+    Args:
+        solution: The solution.
+        metric: Metric of the owned cells.
+        y: The flux to which the function has a small gap.
+        on: Γ_S with the pieces of the laws.
+        inside: The laws in Ω; None without any.
+        field: A quadratic function to which an admissible one near in energy is wanted, by its values in the nodes of
+            `bernstein`; None for the reconstruction with a small gap to y.
     """
-    spaces, data, goal = solution.spaces, solution.data, on.goal
-    mesh = spaces.mesh
-    v = averaged(solution, metric)
+    spaces, data, goal, mesh = solution.spaces, solution.data, on.goal, solution.spaces.mesh
+    v, near = (averaged(solution, metric), y) if field is None else (field.copy(), field.copy())
     space = v.function_space
     edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), () if inside is None else inside.rays
     on_dirichlet = _given(space, spaces, data.u_D)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
-    values, fully, nearly = on.held(at_nodes)
     limits_inside = [ray.coefficients(space, edges) for ray in rays]
     u_D = quadratic_on_sides(data.u_D, space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
@@ -85,12 +98,11 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     at_meeting = on_cuts[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
     if jumps is not None:
         jumps.taken(v)
-    for facets, kept in ((on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed)):
-        before = v.x.array[kept]
-        for some in (nearly & facets, fully & facets):
-            set_means(v, nodes[some], values[some])
-        v.x.array[kept] = before
+    if field is None:
+        _hold(v, nodes, on.held(at_nodes), ((on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed)))
     ends = on.ends(at_nodes)
+    if field is not None:  # it need not be near a piece of the law
+        ends[2:] = ends[:2]
     limits = [end[spaces.inner.rows] for end in ends[:2]]
     bounds = _without([_coefficients(end, facet) for end in ends], at_meeting)
     ends = _without(ends, at_meeting)
@@ -100,30 +112,65 @@ def law_trace(solution: Solution, metric: CellMetric, y: fem.Function, on: OnGam
     )
     if jumps is not None:
         jumps.undone(v)
-    for function in (v, u_D):
+    for function in (v, u_D) if field is None else (v, u_D, near):
         edges.to_bernstein(function.x.array)
-    for ray, limit in zip(rays, limits_inside, strict=True):
+    for ray, limit in zip(rays, limits_inside, strict=True) if field is None else ():
         ray.touch(v, limit, on_dirichlet)
     if jumps is not None:
         jumps.taken(v)
     floor, ceiling = _ends_inside(rays, limits_inside, jumps, len(v.x.array))
     hard, soft = ((np.maximum(a, floor), np.minimum(b, ceiling)) for a, b in ((low, high), (soft_low, soft_high)))
     box = Box.of(hard, soft, fixed)
-    box.project(v.x.array)
+    box.project(v.x.array, TIE * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX))
     if jumps is not None:
         _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
-    at_points = goal.at(spaces, *basix.make_quadrature(facet, goal.degree()))
-    apart = ~at_meeting.any(axis=1)
-    load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, inside)
-    slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
     still = np.union1d(on_dirichlet, meets)
-    rubs = mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
-    relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
+    if field is None:
+        _lower_gap(v, y, data, on, inside, nodes, ~at_meeting.any(axis=1), still, box, jumps)
+    else:
+        relax(v, data.kappa_h * ufl.grad(near), data.kappa_h, np.zeros(len(v.x.array)), still, box, None, jumps)
     if jumps is not None:
         jumps.undone(v)
     for ray, limit in zip(rays, limits_inside, strict=True):
         ray.move_inside(v, limit, edges, on_dirichlet)
     return _with_exact_data(on, data, v, u_D, inside, hindrance=hindrance)
+
+
+def _hold(
+    v: fem.Function,
+    nodes: Indices,
+    held: tuple[Array, Mask, Mask],
+    groups: Sequence[tuple[Mask, npt.NDArray[Any]]],
+) -> None:
+    """Set v where laws hold it, but on each of some groups of facets not in the nodes that it keeps (collective)."""
+    values, fully, nearly = held
+    for facets, kept in groups:
+        before = v.x.array[kept]
+        for some in (nearly & facets, fully & facets):
+            set_means(v, nodes[some], values[some])
+        v.x.array[kept] = before
+
+
+def _lower_gap(
+    v: fem.Function,
+    y: fem.Function,
+    data: Data,
+    on: OnGammaS,
+    inside: Inside | None,
+    nodes: Indices,
+    apart: Mask,
+    still: npt.NDArray[Any],
+    box: Box,
+    jumps: Jumps | None,
+) -> None:
+    """Reduce the gap between v and y, see `relax` (collective); `apart` are the facets with no node of a meeting."""
+    spaces, facet = on.spaces, facet_type(on.spaces.mesh.topology.dim)
+    at_points = on.goal.at(spaces, *basix.make_quadrature(facet, on.goal.degree()))
+    tips = np.empty(0, dtype=np.intp) if jumps is None else jumps.tips
+    load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, inside)
+    slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
+    rubs = spaces.mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
+    relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
 
 
 def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps | None, number: int) -> tuple[Array, Array]:

@@ -29,6 +29,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     null_space,
     split_vertices,
     symmetric,
+    to_entries,
 )
 
 INSIDE, ON_FACETS = 2, 3
@@ -52,15 +53,14 @@ class LocalStresses:
     free: Array
     weights: Array
 
-    def least_norms(self, cells: Cells, inside: Array, on_facets: Array, inverse: Array, theta: Array) -> Array:
+    def least_norms(self, cells: Cells, inside: Array, on_facets: Array, compliance: Array) -> Array:
         """The least ‖z‖_T of cells, or a bit more, shape (cells,).
 
         Args:
             cells: The cells.
             inside: l in the lattices of the subcells, shape (cells, d + 1, points, d).
             on_facets: r in the lattices of the facets, shape (cells, d + 1, points, d).
-            inverse: 1/2μ of each cell, at least the largest one in it.
-            theta: θ of each cell, at most the least one in it.
+            compliance: 𝔸 of each cell, at least that in all of its points, shape (cells, entries, entries).
         """
         F, normals = cells.derivative[:, None, None], _reference_normals(cells.dim)
         scale = np.linalg.norm(facet_normals(cells.vertices), axis=2) / np.linalg.norm(normals, axis=1)
@@ -68,22 +68,22 @@ class LocalStresses:
         loads = -cells.determinant[:, None, None, None] * np.linalg.solve(F, inside[..., None])[..., 0]
         values = np.concatenate([loads.reshape(len(F), -1), pulled.reshape(len(F), -1)], axis=1)
         given = np.einsum("sqijb,nb->nsqij", self.balancing, values, optimize=True)[..., None]
-        z = self._weighted(cells, given, inverse, theta)[:, :, 0]
-        free = self._weighted(cells, np.broadcast_to(self.free, (len(F), *self.free.shape)), inverse, theta)
+        z = self._weighted(cells, given, compliance)[:, :, 0]
+        free = self._weighted(cells, np.broadcast_to(self.free, (len(F), *self.free.shape)), compliance)
         products = free.swapaxes(1, 2) @ free
         products += SINGULAR * np.einsum("nbb->n", products)[:, None, None] * np.eye(free.shape[2])
         shares = np.linalg.solve(products, free.swapaxes(1, 2) @ z[:, :, None])
         found: Array = np.linalg.norm(z - (free @ shares)[:, :, 0], axis=1)
         return found
 
-    def _weighted(self, cells: Cells, stresses: Array, inverse: Array, theta: Array) -> Array:
+    def _weighted(self, cells: Cells, stresses: Array, compliance: Array) -> Array:
         """𝔸^½ times stresses times the square root of the weights, one row per number: (cells, rows, basis)."""
         dim, F = cells.dim, cells.derivative / np.sqrt(cells.determinant)[:, None, None]
         mapped = np.einsum("nik,nsqklb,njl->nsqijb", F, stresses, F, optimize=True)
-        share = (1 - np.sqrt(1 - dim * theta)) / dim
-        mapped -= np.einsum("n,nsqkkb,ij->nsqijb", share, mapped, np.eye(dim), optimize=True)
-        size = np.sqrt(inverse[:, None] * cells.measure[:, None] / (dim + 1) * self.weights)
-        weighted: Array = mapped * size[:, None, :, None, None, None]
+        size = np.sqrt(cells.measure[:, None] / (dim + 1) * self.weights)
+        root = np.linalg.cholesky(compliance).swapaxes(1, 2)
+        values = to_entries(np.moveaxis(mapped, -1, -3)).swapaxes(-1, -2)
+        weighted: Array = root[:, None, None] @ values * size[:, None, :, None, None]
         return weighted.reshape(len(F), -1, stresses.shape[-1])
 
 

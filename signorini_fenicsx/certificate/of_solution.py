@@ -1,8 +1,8 @@
-"""The bound of a solution of any physics."""
+"""The bound of a solution of any physics, and of a function that the user has."""
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from dolfinx import fem
@@ -12,7 +12,10 @@ from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.certificate.certify import certify as certify_diffusion
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.of_field import FieldBound, bound_field
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.solver import solve
 
 BOUNDS: dict[str, Callable[[Any, bool], Certificate]] = {
     "diffusion": lambda solution, for_signorini: certify_diffusion(solution, for_signorini=for_signorini),
@@ -21,21 +24,43 @@ BOUNDS: dict[str, Callable[[Any, bool], Certificate]] = {
 """The bounds of the physics that have one."""
 
 
+@overload
+def certify(solution: Solved, *, for_signorini: bool = False) -> Certificate: ...
+
+
+@overload
+def certify(solution: Solved, *, v: fem.Function) -> FieldBound: ...
+
+
+@overload
+def certify(solution: Domain, problem: Any, v: fem.Function) -> FieldBound: ...
+
+
 @collector_off()
-def certify(solution: Any, *, for_signorini: bool = False) -> Certificate:
-    """Bound the energy error of a converged solution, see `certificate.certify` and `certify_elastic` (collective).
+def certify(
+    solution: Solved | Domain, problem: Any = None, v: fem.Function | None = None, *, for_signorini: bool = False
+) -> Certificate | FieldBound:
+    """Bound the energy error of a converged solution, or of any continuous function (collective).
+
+    `certify(solution)` is about the solution, see `certificate.certify` and `certify_elastic`; `certify(domain,
+    problem, v)` is about a function that any program has made, see `of_field`. It solves the problem for the flux.
 
     Args:
-        solution: The solution.
+        solution: The solution; or the mesh with its parts, to solve the problem on.
+        problem: With a mesh, the problem.
+        v: The function, linear or quadratic on each cell, on the mesh of the domain.
         for_signorini: Of a method with a penalty, bound the error to the solution of the problem without.
 
     Raises:
-        InputError: If the solution has not converged, or is none that can be bounded.
+        InputError: If the solution has not converged, or is none that can be bounded; if v is not such a function.
     """
-    check_kind("solution", solution, Solved)
-    if solution.physics not in BOUNDS:
-        return _none(solution)
-    return BOUNDS[solution.physics](solution, for_signorini)
+    check_kind("solution", solution, Solved, Domain)
+    if isinstance(solution, Domain):
+        check_kind("v", v, fem.Function)
+    solved: Solved = solve(solution, problem) if isinstance(solution, Domain) else solution
+    if v is not None:
+        return bound_field(solved, v)
+    return BOUNDS[solved.physics](solved, for_signorini) if solved.physics in BOUNDS else _none(solved)
 
 
 def _none(solution: Solved) -> Certificate:

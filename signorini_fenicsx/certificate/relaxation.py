@@ -11,6 +11,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
+from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
@@ -37,6 +38,10 @@ WORTH = 0.05
 projection lost, or by nodes that leave their bound."""
 NOTHING = 1e-28
 """A round ends early where the squared residual is this share of the first one, which is rounding."""
+
+
+TIE = 1e-12
+"""Relative size of what is rounding where coefficients are compared with bounds, and descents with 0."""
 
 
 @dataclass(frozen=True)
@@ -84,20 +89,21 @@ class Box:
         low[fixed], high[fixed] = -np.inf, np.inf
         return cls(low, high)
 
-    def free(self, w: Array, descent: Array) -> npt.NDArray[np.bool_]:
-        """The owned nodes between their bounds, or that want to be."""
-        size = len(descent)
+    def free(self, w: Array, descent: Array, comm: MPI.Comm) -> npt.NDArray[np.bool_]:
+        """The owned nodes between their bounds, or that want to be by more than rounding (collective)."""
+        size, tiny = len(descent), TIE * comm.allreduce(float(np.abs(descent).max(initial=0.0)), MPI.MAX)
         above, below = w[:size] > self.low[:size], w[:size] < self.high[:size]
-        return (above | (descent > 0)) & (below | (descent < 0)) & (self.low < self.high)[:size]
+        return (above | (descent > tiny)) & (below | (descent < -tiny)) & (self.low < self.high)[:size]
 
-    def project(self, w: Array) -> None:
-        """Move coefficients to their bounds, in place."""
-        np.minimum(np.maximum(w, self.low), self.high, out=w)
+    def project(self, w: Array, beside: float = 0.0) -> None:
+        """Move coefficients to their bounds, in place, also those that are so near to one."""
+        w[w < self.low + beside] = self.low[w < self.low + beside]
+        w[w > self.high - beside] = self.high[w > self.high - beside]
 
 
 def relax(
     v: fem.Function,
-    y: fem.Function,
+    y: Expr,
     kappa: Expr,
     excess: Array,
     fixed: Indices,
@@ -112,7 +118,7 @@ def relax(
 
     Args:
         v: Bernstein coefficients within their bounds, with ghosts; changed in place.
-        y: Flux in RT0.
+        y: Flux, in RT0 or of a function.
         kappa: κ_h.
         excess: ∫ (y·n − level) φ on Γ_S, with the forces of bounds in Ω, per node φ of this rank.
         fixed: Nodes on Γ_D.
@@ -127,7 +133,7 @@ def relax(
     size = len(descent)
     loose = np.ones(size, dtype=bool)
     loose[fixed[fixed < size]] = False
-    free = loose & box.free(v.x.array, descent)
+    free = loose & box.free(v.x.array, descent, v.function_space.mesh.comm)
     for _ in range(ROUNDS):
         change, gained, last = gap.lowered(np.where(free, descent, 0.0), free, steps)
         v.x.array[:size] += change
@@ -138,7 +144,7 @@ def relax(
             best[:], lowest = v.x.array, present
         taken_back = present - (before - gained)
         steps = min(2 * steps, MOST_STEPS)
-        kept, free = free, loose & box.free(v.x.array, descent)
+        kept, free = free, loose & box.free(v.x.array, descent, v.function_space.mesh.comm)
         if taken_back + steps * last + gap.alone(descent, free & ~kept) < WORTH * size_of_gap:
             break
     v.x.array[:] = best
@@ -189,7 +195,7 @@ class _Gap:
     def __init__(
         self,
         space: fem.FunctionSpace,
-        y: fem.Function,
+        y: Expr,
         kappa: Expr,
         excess: Array,
         low: Array,

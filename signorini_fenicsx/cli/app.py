@@ -8,6 +8,7 @@ import typer
 from signorini_fenicsx import __version__
 from signorini_fenicsx.cli.about import cases, check, info, methods, version
 from signorini_fenicsx.cli.comparisons import compare, convergence
+from signorini_fenicsx.cli.fields import certify
 from signorini_fenicsx.cli.first_case import init
 from signorini_fenicsx.cli.solutions import adapt, export, solve
 from signorini_fenicsx.cli.studies import study
@@ -15,7 +16,7 @@ from signorini_fenicsx.cli.studies import study
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Solve": (solve, adapt, export),
-    "Compare and vary": (compare, convergence, study),
+    "Compare and vary": (compare, certify, convergence, study),
     "Cases": (cases, init, info, check),
     "About the program": (methods, version),
 }

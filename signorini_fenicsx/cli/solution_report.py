@@ -13,6 +13,7 @@ from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.quantities import Quantity
@@ -85,6 +86,14 @@ class SolutionReport(CaseReport):
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
 
+    def field(self, found: FieldBound) -> None:
+        """Print how wrong a function of the user is."""
+        share = f", {100 * found.relative:.3g} % of ‖σ_h‖" if found.relative < 1 else ""
+        repair = "" if found.repair is None else f"; it is {found.repair:.1e} from an admissible function"
+        trust = "" if found.guaranteed else f"; not guaranteed: {found.reason}"
+        words = f"{below(found.lower, 5)} ≤ energy error ≤ {above(found.bound, 5)}{share}{repair}{trust}"
+        self.entry("field", words if math.isfinite(found.bound) else f"no error bound: {found.reason}")
+
 
 def bound(certificate: Certificate) -> str:
     """The error bound in words; if it is not guaranteed, the reason."""
@@ -109,13 +118,7 @@ def bounds_in_words(certificate: Certificate) -> str:
 
 
 def _reservation(certificate: Certificate) -> str:
-    if certificate.unresolved:
-        name, place = certificate.unresolved[0]
-        where = ", ".join(f"{x:.4g}" for x in place)
-        return f"; not guaranteed: {name} is not resolved near ({where})"
-    if certificate.by_quadrature:
-        return f"; not guaranteed: {', '.join(certificate.by_quadrature)} {certificate.if_by_quadrature}"
-    return ""
+    return f"; not guaranteed: {certificate.reservation}" if certificate.reservation else ""
 
 
 def proved(bounds: Proven, seconds: float) -> str:

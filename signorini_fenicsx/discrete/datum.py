@@ -123,8 +123,10 @@ class _Text(Datum):
 
     @property
     def polynomial(self) -> int | None:
-        """The degree of the polynomial that it is, or None."""
-        return None if isinstance(self.trees, list) else polynomial_degree(self.trees)
+        """The degree of the polynomial that it is, of a matrix the largest of its entries, or None."""
+        trees = [entry for row in self.trees for entry in row] if isinstance(self.trees, list) else [self.trees]
+        degrees = [polynomial_degree(tree) for tree in trees]
+        return None if None in degrees else max(degree for degree in degrees if degree is not None)
 
     @property
     def pieces(self) -> list[tuple[Tree | Rows, Mask | None]]:

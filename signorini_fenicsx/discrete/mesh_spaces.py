@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.discrete.cell_shapes import cell_nodes, facet_corners
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.expressions.cutting import Frame
@@ -139,6 +140,16 @@ class MeshSpaces:
         box = self.domain.box()[:, : self.mesh.geometry.dim]
         return Frame(box, self.Q.dofmap.index_map.size_global, self.mesh.comm)
 
+    @property
+    def nodes(self) -> npt.NDArray[np.integer]:
+        """The nodes at the vertices of the owned cells, in the order of values there, shape (cells, d + 1)."""
+        return cell_nodes(self.mesh)
+
+    @property
+    def corners(self) -> Array:
+        """The vertices of the facets of Γ_S, in the order of values there, shape (facets, d, d)."""
+        return facet_corners(self.mesh, self.facets)
+
     @collector_off()
     def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
         """A function of Λ_h with these values per Γ_S facet, ghosts updated (collective)."""
@@ -146,6 +157,29 @@ class MeshSpaces:
         function.x.array[: len(values)] = values
         function.x.scatter_forward()
         return function
+
+    @collector_off()
+    def linear_multiplier(self, values: npt.NDArray, name: str = "values") -> fem.Function:
+        """A function that is linear on each Γ_S facet, of values at `corners`, shape (facets, d, …) (collective)."""
+        space = fenicsx.function_space(self.Lambda.mesh, ("DG", 1, values.shape[2:]))
+        function = fem.Function(space, name=name)
+        self.set_linear(function, values)
+        return function
+
+    def set_linear(self, function: fem.Function, values: npt.NDArray) -> None:
+        """Set such a function by its values, ghosts updated (collective).
+
+        Vertices are found by their places: the mesh of Γ_S may have those of a facet in another order.
+        """
+        gamma, dim = self.Lambda.mesh, self.mesh.topology.dim
+        size = self.Lambda.dofmap.index_map.size_local
+        facets = self.Lambda.dofmap.list[:size, 0]
+        nodes = dolfinx.mesh.entities_to_geometry(gamma, dim - 1, np.arange(size, dtype=np.int32))
+        x = gamma.geometry.x[nodes, :dim]
+        distances = np.square(x[:, :, None] - self.corners[facets][:, None]).sum(axis=3)
+        by_node = function.x.array.reshape(-1, *values.shape[2:])
+        by_node[function.function_space.dofmap.list[:size]] = values[facets[:, None], distances.argmin(axis=2)]
+        function.x.scatter_forward()
 
     @collector_off()
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:

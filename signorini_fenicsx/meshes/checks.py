@@ -5,7 +5,7 @@ Checks compare lengths only with lengths, so they do not depend on the unit of l
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,12 +31,14 @@ class Contents:
         blocks: Kind of the elements, with meshio's name, and the points of each element.
         groups: Name, dimension, and elements by block and row.
         straight: Whether the geometry is known to have straight edges and plane faces.
+        values: Values at the points by their names, shape (points,) or (points, components).
     """
 
     points: Array
     blocks: list[tuple[str, Indices]]
     groups: list[tuple[str, int, list[tuple[int, Indices]]]]
     straight: bool = False
+    values: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class FileMesh:
         regions: For each group of cells the numbers of its cells.
         straight: Whether uniform refinement of the mesh keeps the geometry.
         together: Pairs of cells at the two sides of a cut, which have to be on one rank; None if there is no cut.
+        values: Values of the file at the points by their names.
     """
 
     points: Array
@@ -58,6 +61,7 @@ class FileMesh:
     regions: Mapping[str, Indices]
     straight: bool = False
     together: Indices | None = None
+    values: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -106,6 +110,7 @@ def checked(contents: Contents) -> FileMesh:
         {name: np.unique(np.sort(_joined(rows, dim), axis=1), axis=0) for name, rows in parts.items()},
         {name: np.unique(_joined(rows)) for name, rows in regions.items()},
         contents.straight,
+        values={name: values[used] for name, values in contents.values.items() if len(values) == len(contents.points)},
     )
     _check_cells(mesh)
     return mesh

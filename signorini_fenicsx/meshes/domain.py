@@ -296,6 +296,8 @@ def found(
     Returns:
         For each name the facets of this rank, ascending.
     """
+    if not marked:
+        return {}
     inside = find_rows(mesh.comm, facet_vertices(mesh, among), list(marked.values())) >= 0
     return {name: among[inside[:, column]] for column, name in enumerate(marked)}
 

@@ -61,8 +61,14 @@ def pack(contents: Contents, result: BinaryIO) -> None:
         groups.append([name, dim, [block for block, _ in members], len(arrays)])
         arrays[f"rows_{len(arrays)}"] = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in members)])
         arrays[f"sizes_{groups[-1][3]}"] = np.array([len(rows) for _, rows in members], dtype=np.int64)
+    arrays |= {f"values_{i}": values for i, values in enumerate(contents.values.values())}
     about = json.dumps(
-        {"kinds": [kind for kind, _ in contents.blocks], "groups": groups, "straight": contents.straight}
+        {
+            "kinds": [kind for kind, _ in contents.blocks],
+            "groups": groups,
+            "straight": contents.straight,
+            "values": list(contents.values),
+        }
     )
     np.savez(result, allow_pickle=False, about=np.array(about), **arrays)
 
@@ -81,6 +87,7 @@ def unpack(result: BinaryIO) -> Contents:
             for name, dim, members, key in about["groups"]:
                 parts = np.split(arrays[f"rows_{key}"], np.cumsum(arrays[f"sizes_{key}"])[:-1])
                 groups.append((printable(name), int(dim), list(zip(members, parts, strict=False))))
-            return Contents(arrays["points"], blocks, groups, bool(about["straight"]))
+            values = {printable(name): arrays[f"values_{i}"] for i, name in enumerate(about["values"])}
+            return Contents(arrays["points"], blocks, groups, bool(about["straight"]), values)
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise InputError("makes its reader fail") from error

@@ -42,7 +42,12 @@ def read_with_meshio(path: Path) -> Contents:
         raise InputError(f"cannot be read ({words[:200] or type(error).__name__})") from None
     blocks = [(block.type, _elements(block)) for block in mesh.cells]
     groups = [*_numbered(mesh, blocks), *_named(mesh, blocks)]
-    return Contents(np.asarray(mesh.points, dtype=np.float64), blocks, groups)
+    values = {
+        name: np.asarray(array, dtype=np.float64)
+        for name, array in mesh.point_data.items()
+        if np.issubdtype(np.asarray(array).dtype, np.number) and np.asarray(array).ndim <= 2
+    }
+    return Contents(np.asarray(mesh.points, dtype=np.float64), blocks, groups, values=values)
 
 
 def _elements(block: meshio.CellBlock) -> Indices:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dolfinx import io
 
-from signorini_fenicsx.base.errors import WriteFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certify import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.field_files import check_room, join_series, sizes_of_series
+from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
+from signorini_fenicsx.output.tables import write_columns
 from signorini_fenicsx.output.writing import write_summary
 from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.solved import Solved
@@ -82,7 +80,9 @@ def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: boo
 
     on_root(comm, tables)
     times = comm.bcast([row["t"] for row in rows])
-    _write_series(folder, steps, times, solution)
+    fields = solution.fields()
+    series = ((t, steps.fields(solution.spaces, step, fields)) for step, t in enumerate(times, start=1))
+    write_fields(folder, solution.spaces, series, len(times))
     write_checkpoint(folder, solution)
     if plot:
         with doing("drawing"):
@@ -123,37 +123,7 @@ def _write_sites(folder: Path, steps: StepFolder, rows: Sequence[Row], solution:
             for row in rows:
                 writer.write_table(pyarrow.table(columns(row), schema=first.schema))
         return
-    with (folder / f"{kind.name}.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        for row in rows:
-            found = columns(row)
-            if row is rows[0]:
-                writer.writerow(found)
-            writer.writerows(zip(*(column.tolist() for column in found.values()), strict=True))
-
-
-def _write_series(folder: Path, steps: StepFolder, times: Sequence[float], solution: Solved) -> None:
-    """Write the fields after each step: `solution.bp`, in which they are exact, and `solution.xdmf` (collective).
-
-    The XDMF file has the means over cells.
-    """
-    spaces, comm, series = solution.spaces, solution.spaces.mesh.comm, solution.series()
-    sizes = sizes_of_series(series.exact, series.means, len(times))
-    on_root(comm, lambda: check_room(folder, sizes))
-    try:
-        file = io.VTXWriter(comm, folder / "solution.bp", series.exact, engine="BP4")  # see `field_files.write_vtx`
-        xdmf = io.XDMFFile(comm, folder / "solution.xdmf", "w")
-        xdmf.write_mesh(spaces.mesh)
-        for step, t in enumerate(times, start=1):
-            series.take({key: steps.kept(spaces, step, key) for key in series.names})
-            file.write(t)
-            for mean in series.means:
-                xdmf.write_function(mean, t)
-        file.close()
-        xdmf.close()
-    except RuntimeError as error:  # kept as the cause: it holds the open file, and closing that would abort
-        raise WriteFailure("the fields for ParaView cannot be written") from error
-    on_root(comm, lambda: join_series(folder / "solution.xdmf"))
+    write_columns(folder / f"{kind.name}.csv", map(columns, rows))
 
 
 def _draw(

@@ -1,25 +1,58 @@
-"""Files of fields for ParaView: VTX and XDMF, and the room that they take."""
+"""Files of fields for ParaView, made of what a physics declares: VTX, XDMF, and the room that they take."""
+
+from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from xml.etree import ElementTree
+from typing import Any
 
-import dolfinx.mesh
+import numpy as np
 from dolfinx import fem, io
-from mpi4py import MPI
 
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import WriteFailure
 from signorini_fenicsx.base.parallel import give_back_memory, on_root
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.output.xdmf import Xdmf
+from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
-XINCLUDE = "http://www.w3.org/2001/XInclude"
 NUMBER, PLACE, VTX = 8, 24, 9
 """Bytes of a number, of a point, and of what VTX adds to a point."""
 
 
+def write_fields(folder: Path, spaces: MeshSpaces, times: Iterable[tuple[float | None, Fields]], number: int) -> None:
+    """Write `<name>.bp` and `<name>.xdmf` for each name of fields, if there is room for them (collective).
+
+    Args:
+        folder: The folder.
+        spaces: The spaces.
+        times: The fields at each time; without a time there is one entry.
+        number: How many times there are.
+
+    Raises:
+        OSError: On all ranks, if the disk is full.
+        WriteFailure: If the library cannot write, on this rank at least.
+    """
+    vtx: dict[str, Vtx] = {}
+    xdmf = Xdmf(folder, spaces)
+    for t, fields in times:
+        give_back_memory()  # the files take more than the fields
+        for name, of_file in fields.items():
+            all_of_file = [each for field in of_file for each in field.with_derived()]
+            if name not in vtx:
+                vtx[name] = Vtx(folder / f"{name}.bp", spaces, number, in_cells=name == IN_CELLS)
+            vtx[name].write(t or 0.0, all_of_file)
+        xdmf.write(t, fields)
+    for file in vtx.values():
+        file.close()
+    xdmf.close()
+
+
 def check_room(folder: Path, sizes: Mapping[str, int]) -> None:
-    """Make sure that there is disk space for the files, because ADIOS2 and HDF5 abort on a full disk (rank 0).
+    """Make sure that there is disk space for the files, because ADIOS2 aborts on a full disk (rank 0).
 
     The space is allocated and freed again.
 
@@ -38,114 +71,94 @@ def check_room(folder: Path, sizes: Mapping[str, int]) -> None:
             place.unlink(missing_ok=True)
 
 
-def write_vtx(path: Path, functions: Sequence[fem.Function]) -> None:
-    """Write functions of one element, if there is room for the file (collective).
+class Vtx:
+    """A file `.bp` of functions of one element, in which all fields are exact. Its methods are collective.
 
     The format is BP4: with ADIOS2's newer BP5, several ranks wait for each other forever if the disk is full.
-
-    Raises:
-        OSError: On all ranks, if there is no room.
-        WriteFailure: If the library cannot write, on this rank at least.
     """
-    mesh, layout = functions[0].function_space.mesh, functions[0].function_space.dofmap.dof_layout
-    points = max(layout.num_dofs, mesh.topology.dim + 1)
-    of_point = PLACE + VTX + NUMBER * sum(map(_width, functions))
-    give_back_memory()  # the file takes more than the fields
-    with _written(mesh.comm, path, _cells(mesh) * (points * of_point + (points + 1) * NUMBER)):
-        file = io.VTXWriter(mesh.comm, path, list(functions), engine="BP4")
-        file.write(0.0)
-        file.close()
+
+    _file: io.VTXWriter
+
+    def __init__(self, path: Path, spaces: MeshSpaces, times: int, *, in_cells: bool):
+        """Keep what the file is; nothing on disk changes.
+
+        Args:
+            path: The file.
+            spaces: The spaces.
+            times: How many times there will be.
+            in_cells: Whether the fields are in the cells, not on the facets of Γ_S.
+        """
+        self._path, self._times, self._in_cells = path, times, in_cells
+        self._spaces: Any = spaces  # those with linear fields on subcells have their mesh
+        self._functions: list[fem.Function] = []
+
+    def write(self, t: float, fields: Sequence[Field]) -> None:
+        """Write the fields of a time.
+
+        Raises:
+            OSError: On all ranks, if there is no room for the file with all times.
+            WriteFailure: If the library cannot write, on this rank at least.
+        """
+        if not self._functions:
+            self._nodes = max(field.nodes for field in fields)
+            self._functions = list(map(self._function, fields))
+            self._open()
+        for function, field in zip(self._functions, fields, strict=True):
+            self._set(function, field)
+        with _told():
+            self._file.write(t)
+
+    def _open(self) -> None:
+        space = self._functions[0].function_space
+        comm, layout, topology = space.mesh.comm, space.dofmap.dof_layout, space.mesh.topology
+        points = max(layout.num_dofs, topology.dim + 1)
+        numbers = NUMBER * self._times * sum(3 ** len(function.ufl_shape) for function in self._functions)  # in space
+        of_cell = points * (PLACE + VTX + numbers) + (points + 1) * NUMBER
+        heads = 12_000 + 3_000 * comm.size + 7_000 * self._times
+        size = topology.index_map(topology.dim).size_global * of_cell + heads
+        on_root(comm, lambda: check_room(self._path.parent, {self._path.name: size}))
+        with _told():
+            self._file = io.VTXWriter(comm, self._path, self._functions, engine="BP4")
+
+    def close(self) -> None:
+        """Write what is left."""
+        with _told():
+            self._file.close()
+
+    def _function(self, field: Field) -> fem.Function:
+        mesh = self._spaces.mesh if self._in_cells else self._spaces.Lambda.mesh
+        if self._nodes == 2:
+            mesh = self._spaces.split.mesh
+        shape = field.values.shape[1 + field.nodes :]
+        return fem.Function(fenicsx.function_space(mesh, ("DG", min(self._nodes, 1), shape)), name=field.name)
+
+    def _set(self, function: fem.Function, field: Field) -> None:
+        spaces, nodes, values = self._spaces, self._nodes, np.asarray(field.values, dtype=np.float64)
+        dim, shape = spaces.mesh.topology.dim, values.shape[1 + field.nodes :]
+        if field.nodes == 0 < nodes:
+            values = np.repeat(values[:, None], dim + 1 if self._in_cells else dim, axis=1)
+        if nodes == 2:
+            spaces.split.set_values(function, _on_subcells(values) if field.nodes < 2 else values)
+        elif nodes == 1 and not self._in_cells:
+            spaces.set_linear(function, values)
+        else:
+            rows = function.function_space.dofmap.list if nodes else slice(len(values))
+            function.x.array.reshape(-1, *shape)[rows] = values
+            function.x.scatter_forward()
 
 
-def write_xdmf(path: Path, functions: Sequence[fem.Function]) -> None:
-    """Write functions in P0 beside the mesh, if there is room for the file (collective).
-
-    Raises:
-        OSError: On all ranks, if there is no room.
-        WriteFailure: If the library cannot write, on this rank at least.
-    """
-    mesh = functions[0].function_space.mesh
-    points = mesh.geometry.index_map().size_global * mesh.geometry.dim * NUMBER
-    of_cell = NUMBER * (mesh.topology.dim + 1 + sum(map(_width, functions)))
-    with _written(mesh.comm, path.with_suffix(".h5"), _cells(mesh) * of_cell + points):
-        file = io.XDMFFile(mesh.comm, path, "w")
-        file.write_mesh(mesh)
-        for function in functions:
-            file.write_function(function)
-        file.close()
-    on_root(mesh.comm, lambda: join_grids(path))
+def _on_subcells(values: Array) -> Array:
+    """Values at the vertices of the subcells of linear fields in cells, shape (cells, d + 1, d + 1, …)."""
+    size = values.shape[1]
+    corners = np.array([[k for k in range(size) if k != i] for i in range(size)])
+    centroids = np.broadcast_to(values.mean(axis=1)[:, None, None], (len(values), size, 1, *values.shape[2:]))
+    return np.concatenate([values[:, corners], centroids], axis=2)
 
 
 @contextmanager
-def _written(comm: MPI.Comm, path: Path, size: int) -> Iterator[None]:
-    """Make sure that there is room for a file of about this size, and tell if a library fails (collective).
-
-    After a failure the file is not closed: closing would wait for other ranks, or abort.
-    """
-    on_root(comm, lambda: check_room(path.parent, {path.name: size + 12_000 + 3_000 * comm.size}))
+def _told() -> Iterator[None]:
+    """Tell if ADIOS2 fails. The file then stays open: closing would wait for other ranks, or abort."""
     try:
         yield
     except RuntimeError as error:  # kept as the cause: it holds the open file
         raise WriteFailure("the fields for ParaView cannot be written") from error
-
-
-def sizes_of_series(exact: Sequence[fem.Function], means: Sequence[fem.Function], steps: int) -> dict[str, int]:
-    """About the largest sizes of the files of fields over time, in bytes (collective)."""
-    (of_exact, of_means), heads = (functions[0].function_space for functions in (exact, means)), 20_000 + 7_000 * steps
-    points = max(of_exact.dofmap.dof_layout.num_dofs, of_exact.mesh.topology.dim + 1)
-    size = _cells(of_exact.mesh) * points * (PLACE + VTX + NUMBER + steps * NUMBER * sum(map(_width, exact)))
-    mesh = of_means.mesh
-    of_points = mesh.geometry.index_map().size_global * mesh.geometry.dim * NUMBER
-    of_cells = _cells(mesh) * NUMBER * (mesh.topology.dim + 1 + steps * sum(map(_width, means)))
-    room = heads + 3_000 * mesh.comm.size
-    return {"solution.bp": size + room, "solution.h5": of_points + of_cells + room}
-
-
-def _cells(mesh: dolfinx.mesh.Mesh) -> int:
-    return int(mesh.topology.index_map(mesh.topology.dim).size_global)
-
-
-def _width(function: fem.Function) -> int:
-    """How many numbers the files have for a value: vectors and tensors are those in space."""
-    return 3 ** len(function.ufl_shape)
-
-
-def join_grids(path: Path) -> None:
-    """Make one grid of the mesh and all functions, with a time, so that all readers can read the file (rank 0).
-
-    DOLFINx writes one grid for each function, which meshio cannot read. PyVista needs a time in the grid, where meshio
-    refuses it. So the grid refers VTK to a copy with a time, inside an element whose children meshio skips.
-    """
-    tree = ElementTree.parse(path)
-    domain = tree.getroot()[0]
-    mesh, *functions = list(domain)
-    for grid in functions:
-        mesh.extend(grid.iter("Attribute"))
-        domain.remove(grid)
-    mesh.set("Reference", "/Xdmf/Domain/Grid/Information/Grid")
-    parts = " or ".join(f"self::{kind}" for kind in ("Topology", "Geometry", "Attribute"))
-    information = ElementTree.SubElement(mesh, "Information", Name="with a time", Value="0")
-    information.text = "<none/>"  # meshio needs XML here
-    timed = ElementTree.SubElement(information, "Grid", Name="mesh", GridType="Uniform")
-    ElementTree.SubElement(timed, f"{{{XINCLUDE}}}include", xpointer=f"xpointer(/Xdmf/Domain/Grid/*[{parts}])")
-    ElementTree.SubElement(timed, "Time", Value="0")
-    tree.write(path, encoding="utf-8", xml_declaration=True)
-
-
-def join_series(path: Path) -> None:
-    """Make one series of all functions, each time with its mesh, so that all readers can read the file (rank 0).
-
-    DOLFINx writes a series for each function, whose times include the mesh in a way that VTK does not know.
-    """
-    tree = ElementTree.parse(path)
-    domain = tree.getroot()[0]
-    mesh, first, *others = list(domain)
-    for grids in zip(first, *others, strict=True):
-        time = grids[0].find("Time")
-        parts = [*mesh, *([] if time is None else [time]), *(grid.find("Attribute") for grid in grids)]
-        grids[0][:] = [part for part in parts if part is not None]
-        grids[0].set("Name", "mesh")
-    for other in others:
-        domain.remove(other)
-    first.set("Name", "fields")
-    tree.write(path, encoding="utf-8", xml_declaration=True)

@@ -1,5 +1,7 @@
 """The mesh of pictures on rank 0: that of a solution, or a sample of it whose size does not grow with the mesh."""
 
+from __future__ import annotations
+
 from functools import cached_property
 
 import dolfinx.mesh
@@ -69,7 +71,7 @@ class Sample:
         place = np.floor((x - low) / side + 1e-9).astype(np.int64)
         numbers = np.floor((high - low) / side + 1e-9).astype(np.int64) + 1
         centroids = np.repeat(corners.mean(axis=1, keepdims=True), self._dim + 1, axis=1)
-        away = np.linalg.norm(self._means(centroids) - x, axis=1) / side
+        away = np.linalg.norm(self._around(centroids) - x, axis=1) / side
         return np.ravel_multi_index(tuple(place.T), tuple(numbers)), np.round(away, 6)
 
     def _choose_vertices(self, box: Indices, urgent: Array, kept: Mask) -> None:
@@ -123,32 +125,43 @@ class Sample:
         Args:
             values: For each corner of each cell of this rank, in the order of the geometry, shape (cells, dim + 1, k).
         """
-        rows = gather_rows(self._mesh.comm, self._means(values)[self._nodes])
+        rows = gather_rows(self._mesh.comm, self._around(values)[self._nodes])
         return None if rows is None else rows[self._taken]
 
     def rows_of(self, ids: Indices) -> Indices:
         """Rows of `points`, by the numbers in the mesh (rank 0)."""
         return np.searchsorted(self.ids, ids)
 
-    def _means(self, values: Array) -> Array:
-        """The mean over the cells around each node of this rank, shape (nodes, k) (collective)."""
-        size, width = len(self._x), values.shape[2]
+    @cached_property
+    def _around(self) -> MeansAround:
+        return MeansAround(self._mesh, self._dofs)
+
+
+class MeansAround:
+    """The mean over the cells around each node of this rank, of values at the vertices of these cells.
+
+    Args:
+        mesh: The mesh.
+        nodes: The nodes at the vertices of the owned cells, in the order of the values (collective).
+    """
+
+    def __init__(self, mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.integer]) -> None:
+        self._mesh, self._nodes = mesh, nodes
+        self._count = self._sums(np.ones((*nodes.shape, 1)))
+
+    def __call__(self, values: Array) -> Array:
+        """The means, shape (nodes, k), of values of shape (cells, dim + 1, k) (collective)."""
+        return self._sums(values) / self._count
+
+    def _sums(self, values: Array) -> Array:
+        width = values.shape[2]
         total = la.vector(self._mesh.geometry.index_map(), width)
-        rows = total.array.reshape(size, width)
+        rows = total.array.reshape(-1, width)
         for column in range(width):
-            rows[:, column] = np.bincount(self._dofs.ravel(), values[:, :, column].ravel(), minlength=size)
+            rows[:, column] = np.bincount(self._nodes.ravel(), values[:, :, column].ravel(), minlength=len(rows))
         total.scatter_reverse(la.InsertMode.add)
         total.scatter_forward()
-        return rows / self._around[:, None]
-
-    @cached_property
-    def _around(self) -> Array:
-        """The number of cells around each node of this rank (collective)."""
-        count = la.vector(self._mesh.geometry.index_map())
-        count.array[:] = np.bincount(self._dofs.ravel(), minlength=len(self._x))
-        count.scatter_reverse(la.InsertMode.add)
-        count.scatter_forward()
-        return count.array
+        return np.asarray(rows)
 
 
 def _firsts(groups: Indices, keys: tuple[Array, ...]) -> Indices:

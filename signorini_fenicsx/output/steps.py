@@ -10,7 +10,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,11 @@ from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant
+from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
 CASE, ROW, MESH = "case.json", "row.json", "mesh-"
+FORMAT = 2
+"""Format of what is kept of a step; versions up to 0.4 kept no fields, and wrote no format."""
 type Row = Mapping[str, Any]
 """The numbers of a step."""
 
@@ -64,7 +67,7 @@ class StepFolder:
         Raises:
             InputError: If there are steps of another run, or there is nothing to go on with.
         """
-        about = case.model_dump(mode="json", exclude_unset=True)
+        about = {**case.model_dump(mode="json", exclude_unset=True), "format": FORMAT}
         if start is not None:
             about["start-from"] = os.path.realpath(start)
         return on_root(self._comm, lambda: self._begin(about, restart=restart))
@@ -86,6 +89,8 @@ class StepFolder:
         changed = [key for key in {**before, **about} if before.get(key) != about.get(key)]
         if changed == ["time"] and _same_steps(before["time"], about["time"]):
             changed = []
+        if "format" in changed:
+            raise InputError(f"--restart: {self.path} is of another version of the program; remove it")
         if "start-from" in changed:
             raise InputError(f"--restart: {self.path} is of a run with another --start-from; give the same")
         if changed:
@@ -115,7 +120,8 @@ class StepFolder:
         part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
         tables = {f"table_{key}": rows for key, rows in vars(solution.table()).items()}
-        write_arrays(comm, part, instant.steps.kept(solution) | tables)
+        fields = {_key(name, field): field.values for name, all in solution.fields().items() for field in all}
+        write_arrays(comm, part, instant.steps.kept(solution) | tables | fields)
 
         def end() -> None:
             (part / ROW).write_text(json.dumps(dict(row)), encoding="utf-8")
@@ -139,6 +145,17 @@ class StepFolder:
             InputError: If it is not of the cells and facets of this mesh.
         """
         return self._fetch(spaces, step, key, "facets" if key.startswith("facet_") else "cells")
+
+    def fields(self, spaces: MeshSpaces, step: int, like: Fields) -> Fields:
+        """The fields of a step, which has as many as another one.
+
+        Raises:
+            InputError: If it is not of the cells and facets of this mesh.
+        """
+        return {
+            name: [replace(field, values=self.kept(spaces, step, _key(name, field))) for field in of_file]
+            for name, of_file in like.items()
+        }
 
     def table(self, step: int, kind: type[SiteTable]) -> SiteTable:
         """The table of Γ_S after a step (rank 0, not collective)."""
@@ -180,6 +197,11 @@ class StepFolder:
             delete(self._beside)
 
         on_root(self._comm, end)
+
+
+def _key(name: str, field: Field) -> str:
+    """The name of the array of a field."""
+    return f"field_{field.name}" if name == IN_CELLS else f"facet_field_{field.name}"
 
 
 def _same_steps(one: Row, other: Row) -> bool:

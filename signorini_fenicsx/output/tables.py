@@ -2,7 +2,7 @@
 
 import csv
 import errno
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import numpy.typing as npt
@@ -13,12 +13,14 @@ from signorini_fenicsx.base.parallel import on_root
 type Columns = Mapping[str, npt.NDArray]
 
 
-def write_columns(path: Path, columns: Columns) -> None:
-    """Write columns of one length as CSV (rank 0)."""
+def write_columns(path: Path, tables: Iterable[Columns]) -> None:
+    """Write tables with the same columns below each other as CSV (rank 0)."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+        for number, columns in enumerate(tables):
+            if number == 0:
+                writer.writerow(columns)
+            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
 def write_by_rank(comm: MPI.Comm, folder: Path, columns: Callable[[], Columns]) -> None:

@@ -23,13 +23,15 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.field_files import write_vtx, write_xdmf
+from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.quantities import Quantity
+from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -53,6 +55,7 @@ def write_solution(
     certificate: Certificate | None = None,
     proof: Proof | None = None,
     quantities: Mapping[str, Quantity] | None = None,
+    of_field: FieldBound | None = None,
     plot: bool = False,
     html: bool = False,
     fields: bool = True,
@@ -67,6 +70,7 @@ def write_solution(
         certificate: Its error bound, or None.
         proof: The result of the attempt to prove the bound, or None.
         quantities: Intervals of quantities by their names, or None.
+        of_field: How wrong a function of the user is, or None.
         plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
         html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
         fields: Also write the fields for ParaView.
@@ -88,13 +92,18 @@ def write_solution(
         if line is not None:
             others |= {"phreatic_line": dict(zip(("x", "y"), line.T, strict=True))}
         for name, columns in others.items():
-            on_root(comm, partial(write_columns, folder / f"{name}.csv", columns))
+            on_root(comm, partial(write_columns, folder / f"{name}.csv", [columns]))
         if plot or html:
             with doing("drawing"):
                 draw(folder, solution, certificate, line, plot=plot, html=html)
+        if plot and of_field is not None:
+            _draw_field(folder / "field.png", of_field)
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
-            write_fields(solution, folder, certificate)
+            of_files, bounds = dict(solution.fields()), [each for each in (certificate, of_field) if each is not None]
+            indicators = [Field(each.indicator.name, each.indicator.x.array) for each in bounds]
+            of_files[IN_CELLS] = [*of_files[IN_CELLS], *indicators]
+            write_fields(folder, solution.spaces, [(None, of_files)], 1)
         summary = solution.summary()
         if water is not None:
             summary["seepage"] = water.summary()
@@ -105,6 +114,8 @@ def write_solution(
             summary["certificate"] |= proof.summary()
         if quantities:
             summary["quantities"] = {name: found.summary() for name, found in quantities.items()}
+        if of_field is not None:
+            summary["field"] = of_field.summary()
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
 
@@ -133,7 +144,7 @@ def write_sites(folder: Path, solution: Solved) -> None:
         write_by_rank(comm, folder / table.name, lambda: solution.columns(table.in_order()))
         return
     whole = table.gathered(comm)
-    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", solution.columns(whole)))
+    on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", [solution.columns(whole)]))
 
 
 def draw(
@@ -151,6 +162,20 @@ def draw(
                 pictures.draw_all(folder, scene)
             if html:
                 pictures.write_page(folder / "solution.html", scene)
+
+    on_root(solution.spaces.mesh.comm, write)
+
+
+def _draw_field(path: Path, of_field: FieldBound) -> None:
+    """Draw how wrong a function is in each cell, on rank 0 (collective)."""
+    from signorini_fenicsx.output import pictures  # takes a second to import
+
+    solution = of_field.solution
+    gathered = gather(solution, of_field.indicator)
+
+    def write() -> None:
+        if gathered is not None:
+            pictures.draw_field(path, pictures.scene_of(solution, gathered))
 
     on_root(solution.spaces.mesh.comm, write)
 
@@ -203,17 +228,3 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """Write `summary.json`, with versions and the command (rank 0)."""
     summary = summary | {"versions": versions(), "command": shlex.join(sys.argv)}
     (folder / "summary.json").write_text(json_text(summary) + "\n", encoding="utf-8")
-
-
-def write_fields(solution: Solved, folder: Path, certificate: Certificate | None) -> None:
-    """Write the files of `Solved.fields`, `solution.xdmf` with η_T of the bound (collective).
-
-    Raises:
-        OSError: On all ranks, if the disk is full.
-        WriteFailure: If a library cannot write, at least on this rank.
-    """
-    for name, functions in solution.fields():
-        if name.endswith(".xdmf"):
-            write_xdmf(folder / name, [*functions, *([] if certificate is None else [certificate.indicator])])
-        else:
-            write_vtx(folder / name, functions)

@@ -15,6 +15,10 @@ term, for the same reason. The right side is small for v near u(−τ) and y' ne
 errors. So an upper bound of Q(u) takes the v of one of these solutions and the y' of the other one, and a lower bound
 the other two. Both hold for any τ; a few are tried.
 
+Without laws τ times their distance is ¼ Σ ‖κ∇v₋ − y₋‖² + ‖κ∇v₊ − y₊‖², the two gaps, because 2τQ(v₊ − v₋) is
+(y₊ − y₋, ∇(v₊ − v₋)). So these say where cells have to be refined; the cells of the right sides above do not, as they
+have τ²|∇z|² in them.
+
 *A flux* F = ⟨σ·n, 1⟩ through parts of Γ_D and Γ_S is the same with other data: here v obeys u = u_D − τ, or laws moved
 by −τ in u, on these parts, and y' is admissible for the problem itself. Then
 

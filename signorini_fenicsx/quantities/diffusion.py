@@ -7,18 +7,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import ufl
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.admissible_flux import ROUNDING, distance
 from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.certify import QUADRATIC, Admissible, gap_parts
+from signorini_fenicsx.certificate.certify import QUADRATIC, Admissible, gap_parts, scaled
 from signorini_fenicsx.certificate.hidden import degree_near
 from signorini_fenicsx.certificate.laws import Goal, half_gap
 from signorini_fenicsx.certificate.local_fluxes import positive_quadrature
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import Points, facet_quadrature, in_cells, owned_cells
+from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
@@ -28,6 +30,8 @@ from signorini_fenicsx.quantities.shifts import Posed, with_flux, with_load, wit
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 
+WEIGHT = "weight by quadrature"
+"""Why the flux with a weight that is no polynomial is not guaranteed."""
 type Values = Callable[[Points, bool], Array]
 """Values in points of cells, or of facets, and whether these may be near data of v."""
 
@@ -75,7 +79,7 @@ def _moved(domain: Domain, posed: Posed, kind: Flux | Integral, tau: float) -> P
     """
     posed = posed[0], posed[1].parsed(domain.mesh.geometry.dim)
     if isinstance(kind, Flux):
-        return with_trace(domain, posed, kind.parts, tau)
+        return with_trace(domain, posed, kind.parts, kind.weight, tau)
     if kind.parts:
         return with_flux(domain, posed, kind.weight, kind.parts, tau)
     return with_load(domain, posed, kind.weight, kind.region, tau)
@@ -129,12 +133,12 @@ class _Shifted:
             with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
                 below, above = self._admissible(-tau), self._admissible(tau)
                 (lower, one), (upper, other) = self.sides(below, above, tau)
+                shares = (_half(below, below, below.goal).of_cells + _half(above, above, above.goal).of_cells) / tau
         except NumericalFailure as failure:
             return Ends(-math.inf, math.inf, 0.0, f"a problem beside it: {failure}")
         size, metric = above.size, above.metric
         moved = distance(above.solution.spaces, metric, above.solution.sigma, below.solution.sigma) / (2 * tau)
         PETSc.garbage_cleanup(self.comm)
-        shares = (one.of_cells + other.of_cells) / tau
         return Ends(lower, upper, size / moved if moved > 0 else 0.0, one.reason or other.reason, shares)
 
     def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, Half]]:
@@ -166,7 +170,10 @@ class _Fluxes(_Shifted):
 
     def __init__(self, solution: Solution, kind: Flux):
         super().__init__(solution, kind)
-        self.parts = kind.parts
+        self.parts, names = kind.parts, "xyz"[: self.spaces.mesh.geometry.dim]
+        weight = parsed(kind.weight, names, "weight")
+        self.weight = to_ufl(weight, ufl.SpatialCoordinate(self.spaces.mesh)) if isinstance(weight, TREES) else weight
+        self.by_quadrature = "" if datum_of(self.spaces, "weight", weight).polynomial is not None else WEIGHT
         boundary, problem = self.shifted(0.0)
         self.moves_walls = boundary == self.posed[0] and problem.u_D is not self.posed[1].u_D
 
@@ -174,7 +181,10 @@ class _Fluxes(_Shifted):
         """The interval (collective)."""
         kappa, measures = self.solution.data.conductance * self.spaces.length, self.spaces.cell_measures
         response = math.sqrt(kappa * self.comm.allreduce(measures.sum())) / self.spaces.length
-        found = bracket(self.ends, self.first(response), self.solution.flux_through(self.parts))
+        discrete = flux_through(self.spaces, self.solution.sigma, self.parts, self.weight)
+        found = bracket(self.ends, self.first(response), discrete)
+        if math.isfinite(found.width) and self.by_quadrature:
+            return replace(found, guaranteed=False, reason=found.reason or self.by_quadrature)
         return found if math.isfinite(found.width) else replace(found, reason=f"{UNBOUNDED}: {found.reason}")
 
     def sides(self, below: Admissible, above: Admissible, tau: float) -> list[tuple[float, Half]]:
@@ -182,7 +192,7 @@ class _Fluxes(_Shifted):
         found = []
         for of_v, of_y, sign in ((below, above, -1.0), (above, below, 1.0)):
             half = _half(of_v, of_y, of_v.goal)
-            flux = flux_through(of_y.solution.spaces, of_y.y, self.parts)
+            flux = flux_through(of_y.solution.spaces, of_y.y, self.parts, self.weight)
             found.append((flux + sign * (half.value / tau + self._unseen(of_y)), half))
         return found
 
@@ -276,8 +286,11 @@ def _energy_of(solution: Solution, trace: Trace) -> float:
         for points in in_cells(mesh, cells, *rule):
             jet, kappa = trace.jet(points, near=close, gradient=True), data.kappa.values(points)
             v, slope = jet[:, :, 0], jet[:, :, 1:]
-            flux = kappa[:, :, None] * slope if kappa.ndim == 2 else np.einsum("nqij,nqj->nqi", kappa, slope)
-            density = (flux * slope).sum(axis=2) / 2 + data.c.values(points) * v**2 / 2 - data.f.values(points) * v
+            density = (
+                (scaled(kappa, slope) * slope).sum(axis=2) / 2
+                + data.c.values(points) * v**2 / 2
+                - data.f.values(points) * v
+            )
             total += points.integrals(density).sum()
     for datum, facets in ((data.g_N, spaces.neumann_facets), (data.q_S, spaces.facets)):
         on = facet_quadrature(mesh, facets, min(max(quadrature_degree(datum), degree_near(trace)), DEGREES[1]))

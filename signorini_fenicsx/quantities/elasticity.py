@@ -192,7 +192,7 @@ class _Shifted:
         apart = above.solution.stresses - below.solution.stresses
         squares = self.comm.allreduce(float(energy_squares(self.spaces, self.solution.data, apart).sum()))
         PETSc.garbage_cleanup(self.comm)
-        shares = (one.of_cells + other.of_cells) / tau
+        shares = (self._half(below, below).of_cells + self._half(above, above).of_cells) / tau
         scale = 2 * tau * size / math.sqrt(squares) if squares > 0 else 0.0
         return Ends(lower, upper, scale, one.reason or other.reason, shares)
 

@@ -49,16 +49,18 @@ class Mean(Integral):
 
 @dataclass(frozen=True)
 class Flux(Kind):
-    """∫ κ∇u·n over parts of the boundary, where u or a law is given.
+    """∫ weight·κ∇u·n over parts of the boundary, where u or a law is given.
 
     Attributes:
         parts: Name of a part, or a list of names.
+        weight: The weight, 1 on parts with a law. One that is 0 where the parts end makes a flux bounded that is not.
 
     Raises:
         InputError: If there is no part.
     """
 
     parts: str | Sequence[str]
+    weight: Given = 1.0
 
     def __post_init__(self) -> None:
         """Make a list of one name."""

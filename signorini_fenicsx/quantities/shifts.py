@@ -111,28 +111,30 @@ def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str],
     return boundary, problem
 
 
-def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], amount: float) -> Posed:
-    """The problem whose u_D on some parts is larger by a number, and whose laws on others are so in u (collective).
+def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], weight: Given, amount: float) -> Posed:
+    """The problem whose u_D on some parts is larger by a multiple of a weight, and laws on others so in u (collective).
 
     Raises:
-        InputError: If a part is unknown, inside the domain, or one of Γ_N.
+        InputError: If a part is unknown, inside the domain, or one of Γ_N, or has a law and a weight other than 1.
     """
     boundary, problem = posed
-    fixed = []
+    fixed, even = [], isinstance(weight, int | float) and weight == 1
     for part in (_known(domain, name) for name in parts):
         if part in boundary.inner:
             raise InputError(f"the part '{part}' is inside the domain; the flux is that through the boundary")
         if part in boundary.neumann:
             raise InputError(f"the flux through the part '{part}' is given")
+        if part in boundary.signorini and not even:
+            raise InputError(f"weight: must be 1 on the part '{part}', which has a law")
         if part in boundary.signorini:
             problem = _with_law(boundary, problem, part, lambda law: moved(domain, law, amount, 0.0, 1.0))
         else:
             fixed.append(part)
-    if fixed and _are_all(domain, boundary, fixed):
+    if fixed and even and _are_all(domain, boundary, fixed):
         problem = replace(problem, u_D=added(domain, problem.u_D, amount, 1.0))
     elif fixed:
         boundary = replace(boundary, signorini=[*boundary.signorini, *fixed])
-        held = Dirichlet(fixed, added(domain, problem.u_D, amount, 1.0))
+        held = Dirichlet(fixed, added(domain, problem.u_D, weight, amount))
         problem = replace(problem, laws=[*problem.laws, held])
     return boundary, problem
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
 import numpy.typing as npt
 from dolfinx import fem
@@ -23,6 +23,7 @@ from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.drawn import Drawn
+from signorini_fenicsx.solving.fields import Fields
 from signorini_fenicsx.solving.options import Options
 
 if TYPE_CHECKING:
@@ -65,25 +66,6 @@ class PointValues(NamedTuple):
 
     u: Array
     sigma: Array
-
-
-class Series(Protocol):
-    """Functions that take the values of one step after another.
-
-    Attributes:
-        exact: Functions of one element, in which the fields are exact.
-        means: The means over cells of these fields, in P0.
-    """
-
-    exact: list[fem.Function]
-    means: list[fem.Function]
-
-    @property
-    def names(self) -> Sequence[str]:
-        """The values that it takes."""
-
-    def take(self, values: Mapping[str, Array]) -> None:
-        """Set all functions by values as those of `Solved.in_cells`."""
 
 
 class Solved(ABC):
@@ -285,25 +267,9 @@ class Solved(ABC):
 
         return figure(cast(Any, self), certificate)
 
-    def in_cells(self) -> dict[str, Array]:
-        """The values of the fields in the cells of this rank, of which a run in time is written (collective).
-
-        Raises:
-            NotImplementedError: If the physics has no runs in time.
-        """
-        raise NotImplementedError
-
     def of_step(self) -> dict[str, float]:
         """Numbers of a step that this physics has, for `steps.csv` (collective)."""
         return {}
-
-    def series(self) -> Series:
-        """The fields over time for ParaView (collective).
-
-        Raises:
-            NotImplementedError: If the physics has no runs in time.
-        """
-        raise NotImplementedError
 
     @abstractmethod
     def norms(self) -> dict[str, float]:
@@ -349,11 +315,8 @@ class Solved(ABC):
         """What pictures show on this rank (collective)."""
 
     @abstractmethod
-    def fields(self) -> Iterator[tuple[str, list[fem.Function]]]:
-        """The files for ParaView, one after another (collective).
-
-        `<name>.bp` has functions of one element, `<name>.xdmf` functions in P0.
-        """
+    def fields(self) -> Fields:
+        """All fields, of which the files for ParaView and those of steps in time are made (collective)."""
 
     @collector_off()
     def write(

@@ -124,7 +124,11 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ("young = 1\n", "", "missing key 'young' in [problem]"),
         ("young = 1", "young = 0", "[problem] young: must be positive and finite everywhere"),
         ('"0.3"', '"1/2"', "[problem] poisson: must be between -1 and 1/2"),
-        ("young = 1\n", "young = true\n", "[problem] young: must be an expression, or a table with one per region"),
+        (
+            "young = 1\n",
+            "young = true\n",
+            "[problem] young: must be an expression, a list of three, or a table",
+        ),
         ("[0, -0.1]", "[0]", "[problem] f: has 1 components, not 2"),
         ("[0, -0.1]", "1", "[problem] f: must be a list with an expression for each component, such as"),
         ("[0, -0.1]", "[0, [1]]", "[problem] f: must be an expression, not [1]"),

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.contact.laws import Corners
-from signorini_fenicsx.forms.elasticity import hellinger_reissner, strain, stress_product
+from signorini_fenicsx.forms.elasticity import hellinger_reissner, product, strain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
@@ -49,17 +49,19 @@ def test_element_is_that_of_the_forms(dim: int):
     sigma, tau = (
         spaces.split.stress(to_matrices(np.einsum("nvek,nk->nve", basis, a).reshape(shape))) for a in (one, other)
     )
-    product = compliance_product(basis, *data.masses(spaces, numbers, cells.measure))
+    products = compliance_product(basis, data.masses(spaces, numbers, cells.measure))
     x = ufl.SpatialCoordinate(spaces.split.mesh)
     nu = 0.3 + x[0] / 10
-    moduli = (2 + x[0] + x[1] ** 2) / (1 + nu), nu if dim == 2 else nu / (1 + nu)
+    theta, on_diagonal = nu if dim == 2 else nu / (1 + nu), [1] * dim + [0] * (dim * (dim - 1) // 2)
+    trace = ufl.as_vector(on_diagonal)
+    compliance = (1 + nu) / (2 + x[0] + x[1] ** 2) * (ufl.Identity(len(on_diagonal)) - theta * ufl.outer(trace, trace))
     dx = ufl.dx(metadata={"quadrature_degree": 10})
-    form = fem.assemble_scalar(fem.form(stress_product(sigma, tau, *moduli, dx)))
-    assert np.einsum("nk,nkl,nl->", one, product, other) == pytest.approx(form, rel=1e-7)
+    form = fem.assemble_scalar(fem.form(product(compliance, sigma, tau, dx)))
+    assert np.einsum("nk,nkl,nl->", one, products, other) == pytest.approx(form, rel=1e-7)
 
     slope = rng.normal(size=(dim, dim))
     u = ufl.dot(ufl.as_matrix(slope.tolist()), x)
-    twice = hellinger_reissner(sigma, u, sigma, u, *moduli, dx) - stress_product(sigma, sigma, *moduli, dx)
+    twice = hellinger_reissner(sigma, u, sigma, u, compliance, dx) - product(compliance, sigma, sigma, dx)
     twice += 2 * ufl.inner(sigma, strain(u)) * dx
     work = fem.assemble_scalar(fem.form(twice)) / 2  # Σ ⟨u, σn⟩ around the cells
     on_facets = (spaces.vertices @ slope.T)[:, opposite(dim)].reshape(len(numbers), -1)

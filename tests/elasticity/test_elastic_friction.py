@@ -9,16 +9,28 @@ import numpy as np
 import pytest
 import ufl
 from commands import signorini
-from elastic import box, complementary_energy
+from elastic import box, complementary_energy, stress
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
+from signorini_fenicsx.forms.elasticity import strain
+from signorini_fenicsx.linear import gmres
+from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity import coulomb
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import (
+    Contact,
+    Coulomb,
+    CoulombLaw,
+    ElasticBoundary,
+    Elasticity,
+    ElasticProblem,
+)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
@@ -248,3 +260,50 @@ def test_nothing_rubs_where_nothing_touches(gap: float):
     bounds = [certify_elastic(solution) for solution in (rough, smooth)]
     assert bounds[0].bound == pytest.approx(bounds[1].bound, rel=1e-3)
     assert bounds[0].relative < 0.5
+
+
+@pytest.mark.parallel([1, 3])
+def test_few_linear_iterations(monkeypatch: pytest.MonkeyPatch):
+    """By CG, from a coarser mesh, all changes of Coulomb's bounds cost at most five solves; factors agree."""
+    solves: list[tuple[int, int]] = []
+    products: list[int] = []
+    solve_by, gmres_by = FacetSolver.solve, gmres.gmres
+
+    def counted(self: FacetSolver, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        solve_by(self, b, x)
+        solves.append((b.getSize(), self.ksp.getIterationNumber()))
+
+    def product_counted(comm, product, right, *others):
+        def counting(values: np.ndarray) -> np.ndarray:
+            products.append(len(solves))
+            return product(values)
+
+        return gmres_by(comm, counting, right, *others)
+
+    monkeypatch.setattr(FacetSolver, "solve", counted)
+    monkeypatch.setattr(gmres, "gmres", product_counted)
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[
+            Contact("y0", friction=Coulomb(0.4)),
+            Dirichlet("y1", ["0.03 + 0.02*x", "-0.05 - 0.02*x"]),
+            Neumann(["x0", "x1"]),
+        ],
+    )
+
+    def on(cells: int) -> Domain:
+        return box(COMM, cells, [0.0, 0.0], [2.0, 1.0])
+
+    by_factors = solve(on(8), problem)
+    solves.clear()
+    products.clear()
+    tuning = Tuning(elastic_direct_up_to={2: 1000, 3: 0}, elastic_predict_from=1000)
+    by_cg = solve(on(8), problem, Options(tuning=tuning), remesh=lambda factor: on(round(8 / factor)))
+    assert by_cg.outcome.linear_solver.startswith("cg")
+    np.testing.assert_allclose(by_cg.norms()["energy"], by_factors.norms()["energy"], rtol=1e-9)
+    np.testing.assert_array_equal(by_cg.touching, by_factors.touching)
+    largest = max(size for size, _ in solves)
+    longest = max(iterations for size, iterations in solves if size == largest)
+    after = [iterations for _, iterations in solves[products[0] :]]
+    assert sum(after) + len(products) <= 5 * longest

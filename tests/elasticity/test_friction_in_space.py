@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from elastic import box, two_boxes
+from elastic import box, stress, two_boxes
 from mpi4py import MPI
 
 from signorini_fenicsx.api import load_solution
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.forms.elasticity import strain, stress
+from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.physics.elasticity import friction
 from signorini_fenicsx.physics.elasticity.friction import Slipping
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem

@@ -212,6 +212,12 @@ def test_a_step_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(InputError, match=r"is of a case with another \[time\]; take the same case"):
         run(growing.with_values({"time.steps": 3}), tmp_path / "x", restart=True)
     shorter = growing.with_values({"time.steps": 3, "time.end": 0.6})
+    about = tmp_path / "x.steps" / "case.json"
+    now = about.read_text()
+    about.write_text(now.replace('"format": 2', '"format": 1'))
+    with pytest.raises(InputError, match="is of another version of the program; remove it"):
+        run(shorter, tmp_path / "x", restart=True)
+    about.write_text(now)
     run(shorter, tmp_path / "x", restart=True, certify_steps=False)
     assert [row["step"] for row in table(tmp_path / "x" / "steps.csv")] == ["1", "2", "3"]
     shutil.rmtree(tmp_path / "x")

@@ -109,6 +109,23 @@ def test_unbounded_fluxes():
     assert found.reason.startswith("this flux is unbounded on the energy space")
 
 
+def test_flux_with_a_ramp():
+    """A flux that is unbounded has an interval with a weight that is 0 where the part ends, here of u = −xy."""
+    problem, widths = Diffusion(u_D="-x*y", f=0, conditions=[Signorini("bottom")]), []
+    for h in (1 / 4, 1 / 8):
+        solution = solve(build_domain(COMM, "square", h, mesh="structured"), problem)
+        found = solution.quantity(Flux("left", weight="4*y*(1 - y)"))
+        assert found.guaranteed, found.reason
+        assert found.lower <= 1 / 3 <= found.upper
+        widths.append(found.width)
+    assert widths[1] < widths[0] / 2**1.2
+    ramp = solution.quantity(Flux("left", weight="min(1, 4*y, 4 - 4*y)"))
+    assert ramp.lower <= 3 / 8 <= ramp.upper
+    assert ramp.reason
+    with pytest.raises(InputError, match="weight: must be 1 on the part 'bottom'"):
+        solution.quantity(Flux("bottom", weight="x"))
+
+
 @pytest.mark.parametrize(
     ("kind", "words"),
     [

@@ -18,6 +18,7 @@ from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import Domain, facet_vertices
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import InContact, Solved
 
@@ -117,9 +118,7 @@ class Rested(Solved):
         return Distance(float(np.linalg.norm(self.u.x.array - coarse.u.x.array)))
 
     def fields(self):
-        yield "solution.bp", [self.u]
-        yield "rests.bp", [self.spaces.multiplier(self.p, "u")]
-        yield "solution.xdmf", [self.u]
+        return {IN_CELLS: [Field("u", self.u.x.array, at_points=True)], "rests": [Field("u", self.p)]}
 
     def table(self):
         spaces, none = self.spaces, np.zeros(len(self.spaces.facets))

@@ -84,7 +84,7 @@ def test_without_dolfinx(tmp_path: Path):
 
 def test_files_that_the_documentation_names():
     """Each `….py` in README and docs is a file, by its name and the folder before it if one is named."""
-    folders = ("forms", "scripts", "signorini_fenicsx", "tests")
+    folders = ("data", "forms", "scripts", "signorini_fenicsx", "tests")
     files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
         named = set(re.findall(r"(?:\w+/)?\w+\.py\b", page.read_text(encoding="utf-8")))

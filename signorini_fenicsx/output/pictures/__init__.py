@@ -33,6 +33,7 @@ __all__ = [
     "draw_all",
     "draw_bounds",
     "draw_errors",
+    "draw_field",
     "draw_fronts",
     "draw_mesh",
     "draw_steps",
@@ -154,6 +155,12 @@ def write_page(path: Path, scene: Scene) -> None:
 def draw_mesh(path: Path, scene: Scene) -> None:
     """Draw the mesh with Γ_S, in contact and not in contact, in colours (rank 0)."""
     _files_in(scene.dim).draw_mesh_file(path, scene)
+
+
+@mpl.rc_context(style.STYLE)
+def draw_field(path: Path, scene: Scene) -> None:
+    """Draw the indicator of a scene as the error of a function (rank 0)."""
+    _files_in(scene.dim).draw_field_file(path, scene)
 
 
 def _files_of(scene: Scene) -> ModuleType:

@@ -18,7 +18,10 @@ def draw_files(folder: Path, scene: Scene) -> None:
     """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and `certificate.png`."""
     plane = Plane(scene)
     _draw_u(folder / "u.png", plane)
-    _draw_map(folder / "sigma.png", plane, "sigma")
+    sheet, axes = one_map(plane)
+    plane.draw_sigma(sheet, axes, f"streamlines of {plane.flux_title}")
+    sheet.legend_below(plane.handles())
+    sheet.save(folder / "sigma.png")
     draw_certificate_file(folder / "certificate.png", plane)
     if scene.labels:
         _draw_traces(folder / "signorini.png", scene)
@@ -43,7 +46,12 @@ def draw_mesh_file(path: Path, scene: Scene) -> None:
 def draw_certificate_file(path: Path, plane: Plane) -> None:
     """Draw `certificate.png`, if there is a certificate."""
     if plane.scene.fields.indicator is not None:
-        _draw_map(path, plane, "certificate")
+        _draw_map(path, plane, r"contributions $\eta_T$ to the error bound")
+
+
+def draw_field_file(path: Path, scene: Scene) -> None:
+    """Draw `field.png`, the indicator of the scene as the error of a function."""
+    _draw_map(path, Plane(scene), r"error of the field, estimated by $\eta_T$")
 
 
 def one_map(plane: Plane, *, bars: bool = True, dpi: float | None = None) -> tuple[Sheet, Axes]:
@@ -68,12 +76,9 @@ def _draw_u(path: Path, plane: Plane) -> None:
     sheet.save(path)
 
 
-def _draw_map(path: Path, plane: Plane, which: str) -> None:
+def _draw_map(path: Path, plane: Plane, title: str) -> None:
     sheet, axes = one_map(plane)
-    if which == "sigma":
-        plane.draw_sigma(sheet, axes, f"streamlines of {plane.flux_title}")
-    else:
-        plane.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the error bound")
+    plane.draw_certificate(sheet, axes, title)
     sheet.legend_below(plane.handles())
     sheet.save(path)
 

@@ -65,10 +65,19 @@ def draw_files_of_body(folder: Path, scene: Scene) -> None:
 
 def _draw_certificate_file(folder: Path, space: Space) -> None:
     if space.scene.fields.indicator is not None:
-        sheet, (axes,) = _row(1)
-        space.draw_certificate(sheet, axes, r"contributions $\eta_T$ to the error bound, half of the domain")
-        sheet.legend_below([])
-        sheet.save(folder / "certificate.png")
+        _draw_half(folder / "certificate.png", space, r"contributions $\eta_T$ to the error bound")
+
+
+def draw_field_file(path: Path, scene: Scene) -> None:
+    """Draw `field.png`, the indicator of the scene as the error of a function."""
+    _draw_half(path, Space(scene), r"error of the field, estimated by $\eta_T$")
+
+
+def _draw_half(path: Path, space: Space, title: str) -> None:
+    sheet, (axes,) = _row(1)
+    space.draw_certificate(sheet, axes, f"{title}, half of the domain")
+    sheet.legend_below([])
+    sheet.save(path)
 
 
 def _draw_traces(path: Path, space: Space, columns: Mapping[str, str]) -> None:

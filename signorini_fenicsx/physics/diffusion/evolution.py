@@ -147,11 +147,11 @@ class DiffusionSteps:
         return {"content": self.spaces.mesh.comm.allreduce(local)}
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
-        """u_h, σ_h and ∇·σ_h, the segments on which the step has ended, and θ if there is storage."""
+        """u_h, the segments on which the step has ended, and θ if there is storage."""
         on = solution.segments()
         cells = {} if on.cells is None else {"own": on.cells}
         theta = {"theta": self.theta(solution)} if self.storage else {}
-        return {**solution.in_cells(), **cells, **theta, "facet_own": on.segment}
+        return {"u": solution.u.x.array, **cells, **theta, "facet_own": on.segment}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""

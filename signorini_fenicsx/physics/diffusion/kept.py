@@ -34,8 +34,9 @@ LAYOUT: Layout = {
 
 
 def _in_cells(solution: Solution) -> Arrays:
-    memory = solution.data.memory
-    return solution.in_cells() | ({} if memory is None else {"memory": memory.x.array})
+    memory, flux = solution.data.memory, solution.cell_flux
+    rows = {"u": solution.u.x.array, "sigma": flux.centroid, "divergence": flux.divergence}
+    return rows | ({} if memory is None else {"memory": memory.x.array})
 
 
 def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) -> Solution:

@@ -2,108 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import dolfinx.mesh
 import numpy as np
-from dolfinx import fem
 
-from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.text import named
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.discrete.cell_shapes import arms, some_at_a_time
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
 
 if TYPE_CHECKING:  # it shows this
     from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
-def fields(solution: Solution) -> Iterator[tuple[str, list[fem.Function]]]:
-    """The functions of each file, see `Solved.fields`; `solution.bp` has DG1, in which u_h and σ_h are exact."""
-    spaces, inside = solution.spaces, _inside(solution)
-    yield "solution.bp", _linear(solution, inside)
-    if spaces.part_names:
-        flux = spaces.multiplier(spaces.normal_flux(solution.sigma), "flux")
-        condition = spaces.multiplier(solution.outcome.conditions.kind, "condition")
-        segments = []
-        if solution.data.laws.listed:
-            segments = [spaces.multiplier(solution.data.laws.labels(solution.segments().segment), "segment")]
-        yield "multiplier.bp", [solution.p, flux, condition, *segments]
-    centroid = solution.cell_flux.centroid
-    sigma = fem.Function(fenicsx.function_space(spaces.mesh, ("DG", 0, centroid.shape[1:])), name="sigma")
-    sigma.x.array[:] = centroid.ravel()  # no ghost cells
-    magnitude = fem.Function(spaces.Q, name="sigma_norm")
-    magnitude.x.array[:] = np.linalg.norm(centroid, axis=1)
-    yield "solution.xdmf", [solution.u, sigma, magnitude, *inside]
+CONDITIONS = [condition.name.lower() for condition in Condition]
 
 
-def _linear(solution: Solution, inside: list[fem.Function]) -> list[fem.Function]:
-    """σ_h, u_h, |σ_h| and the fields of laws in Ω, in DG1 (collective)."""
-    mesh, dim = solution.spaces.mesh, solution.spaces.mesh.geometry.dim
-    linear = fenicsx.function_space(mesh, ("DG", 1))
-    sigma = fem.Function(fenicsx.function_space(mesh, ("DG", 1, (dim,))), name="sigma")
-    u, magnitude = fem.Function(linear, name="u"), fem.Function(linear, name="sigma_norm")
-    nodes, vectors = linear.dofmap.list, sigma.x.array.reshape(-1, dim)
-    for some in some_at_a_time(mesh):
-        values = solution.cell_flux.in_vertices(some)
-        vectors[nodes[some]] = values
-        magnitude.x.array[nodes[some]] = np.sqrt(np.einsum("cvi,cvi->cv", values, values))
-        u.x.array[nodes[some]] = solution.u.x.array[some, None]
-    larger = [fem.Function(linear, name=function.name) for function in inside]
-    for function, constant in zip(larger, inside, strict=True):
-        function.interpolate(constant)
-    return [sigma, u, magnitude, *larger]
+def fields(solution: Solution) -> Fields:
+    """The fields, see `Solved.fields`: u_h and σ_h as they are, on Γ_S p_h, σ_h·n and the state of the law."""
+    spaces, u, laws = solution.spaces, solution.u.x.array, solution.data.laws
+    on_cells = [Field("u", u, at_points=True), Field("sigma", solution.cell_flux.in_vertices(), order=1)]
+    if not spaces.part_names:
+        return {IN_CELLS: [*on_cells, *_inside(solution)]}
+    on_facets = [
+        Field("p", solution.p.x.array[: len(spaces.facets)]),
+        Field("flux", spaces.normal_flux(solution.sigma)),
+        Field("condition", solution.outcome.conditions.kind, names=CONDITIONS),
+    ]
+    if laws.listed:
+        on_facets.append(Field("segment", laws.labels(solution.segments().segment), names=laws.names()))
+    return {IN_CELLS: [*on_cells, *_inside(solution)], "multiplier": on_facets}
 
 
-def _inside(solution: Solution) -> list[fem.Function]:
-    """Fields of laws in Ω, in P0: of an obstacle the contact and its force, else segments and s (collective)."""
-    laws, segment = solution.data.inside, solution.segments().cells
+def _inside(solution: Solution) -> list[Field]:
+    """Fields of laws in Ω: of an obstacle the contact and its force, else segments and s (collective)."""
+    laws = solution.data.inside
     if laws is None:
         return []
-    force, number = solution.force(), fem.Function(solution.spaces.Q, name="contact" if laws.is_obstacle else "segment")
-    number.x.array[:] = solution.outcome.iterate.contact if laws.is_obstacle else segment
-    if not laws.is_obstacle:
-        force.name = "s"
-        force.x.array[:] *= -1
-    return [number, force]
-
-
-class FluxSeries:
-    """u_h and σ_h over time, see `Series`."""
-
-    names = ("u", "sigma", "divergence")
-
-    def __init__(self, spaces: Spaces):
-        """Make the functions (collective)."""
-        mesh, dim = spaces.mesh, spaces.mesh.geometry.dim
-        self._arms, self._dim = arms(mesh), dim
-        shapes = {"sigma": ((dim,),), "u": ()}
-        self.exact, self.means = (
-            [
-                fem.Function(fenicsx.function_space(mesh, ("DG", degree, *shape)), name=name)
-                for name, shape in shapes.items()
-            ]
-            for degree in (1, 0)
-        )
-
-    def take(self, values: Mapping[str, Array]) -> None:
-        """Set all functions, see `Series.take`."""
-        sigma, u = self.exact
-        u.x.array[u.function_space.dofmap.list] = values["u"].reshape(-1, 1)
-        slope = values["divergence"].reshape(-1, 1, 1) / self._dim
-        linear = values["sigma"][:, None] + slope * self._arms
-        sigma.x.array.reshape(-1, self._dim)[sigma.function_space.dofmap.list] = linear
-        for mean in self.means:
-            mean.x.array[:] = values[mean.name].ravel()  # no ghost cells, one value per cell in their order
+    force, contact = solution.force().x.array, solution.outcome.iterate.contact
+    if laws.is_obstacle and contact is not None:
+        return [Field("contact", contact, names=("free", "contact")), Field("force", force)]
+    segments = solution.segments().cells
+    return [] if segments is None else [Field("segment", segments), Field("s", -force)]
 
 
 def table(solution: Solution) -> FacetTable:
@@ -136,7 +84,7 @@ def columns(solution: Solution, table: FacetTable) -> Columns:
         "part": np.array(solution.spaces.part_names)[table.part],
         **dict(zip("xyz", table.x.T, strict=True)),
         **{key: getattr(table, key) for key in ("measure", "p", "flux")},
-        "condition": np.array([condition.name.lower() for condition in Condition])[table.condition],
+        "condition": np.array(CONDITIONS)[table.condition],
         **({"segment": np.array(laws.names())[table.segment]} if laws.listed else {}),
     }
 

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
+from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
@@ -36,14 +37,16 @@ from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_erro
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import InContact, Series, Solved
+from signorini_fenicsx.solving.solved import InContact, Solved
 
 SAME = 1e-9
 """Relative distance of u from a corner of a law that is rounding."""
 
 
-def flux_through(spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str] | None) -> float:
-    """∫ σ·n over parts of the boundary, see `Solution.flux_through` (collective).
+def flux_through(
+    spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str] | None, weight: Expr | float = 1.0
+) -> float:
+    """∫ weight·σ·n over parts of the boundary, see `Solution.flux_through` (collective).
 
     Raises:
         InputError: If there is no such part, or it has facets inside the domain.
@@ -62,7 +65,7 @@ def flux_through(spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str]
         chosen = np.union1d(chosen, domain.facets[name]).astype(np.int32)
     entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
     ds = ufl.Measure("ds", domain=spaces.mesh, subdomain_data=[(1, entities)])
-    return spaces.integrate(ufl.dot(sigma, spaces.n) * ds(1))
+    return spaces.integrate(weight * ufl.dot(sigma, spaces.n) * ds(1))
 
 
 @dataclass(frozen=True, repr=False)
@@ -340,10 +343,6 @@ class Solution(Solved):
         sigma = math.hypot(norms["sigma_L2"], norms["div_sigma_L2"])
         return {"sigma_V": sigma, "u_Q": norms["u_L2"], "p_Lambda": norms["p_L2"]}
 
-    def in_cells(self) -> dict[str, Array]:
-        """u_h, σ_h at the centroids and ∇·σ_h in the cells of this rank (collective when first used)."""
-        return {"u": self.u.x.array, "sigma": self.cell_flux.centroid, "divergence": self.cell_flux.divergence}
-
     def of_step(self) -> dict[str, float]:
         """With laws in Ω what `steps.csv` has of them (collective).
 
@@ -357,10 +356,6 @@ class Solution(Solved):
         found = self.on_obstacle()
         measure, force = found["contact_measure"], found["force"]
         return {"contact_cells": found["contact_cells"], "cells_measure": measure, "force": force}
-
-    def series(self) -> Series:
-        """u_h and σ_h over time (collective)."""
-        return shown.FluxSeries(self.spaces)
 
     def contradiction(self) -> str | None:
         """Whether σ·n and p do not have the values that the conditions prescribe, see `Solved.contradiction`."""

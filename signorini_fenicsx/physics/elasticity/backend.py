@@ -24,6 +24,7 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.gmres import coupled
 from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
@@ -100,7 +101,8 @@ class ElasticBackend:
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
         self._applied: SiteConditions | None = None
-        self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
+        self._imposed: Mask | None = None
+        self._present: SiteConditions | None = None  # with springs: those of the present matrix
         self._sprung = False
         self._weak = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
 
@@ -148,7 +150,7 @@ class ElasticBackend:
         """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
         return self._cleaned(conditions, self._signs * x.array_r[self._unknowns], self.flux(x, self.system.load))
 
-    def flux(self, x: PETSc.Vec, load: Array) -> Array:
+    def flux(self, x: PETSc.Vec, load: Array | float) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
         return np.asarray(self._signs * (self._image(x) - load)[self._unknowns] / self._measure)
 
@@ -156,9 +158,7 @@ class ElasticBackend:
         """Kx (collective)."""
         image = x.duplicate()
         self._operator.natural.mult(x, image)
-        found = np.array(image.array_r)
-        image.destroy()
-        return found
+        return np.array(image.array_r)
 
     def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
@@ -178,8 +178,7 @@ class ElasticBackend:
         """What the linear law of friction in space adds to −σ_t, of u_t at the sites."""
         if self.friction is None or not self._turns:
             return np.zeros_like(slip)
-        bends: Array = np.einsum("nakl,nal->nak", self.friction.stiffness, slip.reshape(-1, 3, 2))
-        return bends.ravel()
+        return np.asarray(np.einsum("nakl,nal->nak", self.friction.stiffness, slip.reshape(-1, 3, 2)).ravel())
 
     def _loose(self, contact: Mask) -> bool:
         """Whether these sites leave a rigid motion free (collective)."""
@@ -203,11 +202,10 @@ class ElasticBackend:
         loose = self._loose(~free)
         if loose or self._sprung:
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
-        if loose or self._sprung:
             self._factors.forget()
         if not self._factors.solve(load, self._x, contact):
             self._solve_anew(load, self._x, contact, sprung=free & loose)
-        self._imposed = conditions
+        self._present = conditions
         self._x.axpy(1.0, self._held)
         self._applied, self._sprung = conditions, loose
 
@@ -221,13 +219,11 @@ class ElasticBackend:
 
     def _given_forces(self, conditions: SiteConditions, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of the opening."""
-        free = conditions.kind == Condition.NO_FLUX
-        flux = np.where(free, conditions.value, 0.0)
+        flux = np.where(conditions.kind == Condition.NO_FLUX, conditions.value, 0.0)
+        normal = len(self.spaces.sites)
         if self._springs is not None:
-            normal = len(self.spaces.sites)
             flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
         if self._turns:
-            normal = len(self.spaces.sites)
             flux[normal:] -= self._turned(np.broadcast_to(p, self.sites)[normal:])
         return np.asarray(self._signs * self._measure * flux)
 
@@ -243,26 +239,40 @@ class ElasticBackend:
         x.set(0.0)
         given.array_w[:] = lift
         load = load - self._image(given)
-        present = conditions.same(self._imposed, self.comm)
+        present = conditions.same(self._present, self.comm)
         if not present:
             self._applied = None
             self._take_springs(conditions)
-        if present and (self._springs is not None or self._turns or self._solver.iterates):
+        if present and (self._springs is not None or self._turns):
             load[np.concatenate([self._data.fixed, self._unknowns[contact]])] = 0.0
             self._b.array_w[:] = load
             self._solver.solve(self._b, x)
         elif not self._factors.solve(load, x, contact):
             self._solve_anew(load, x, contact, sprung=np.zeros_like(contact))
-            self._imposed = conditions
+            self._present = conditions
         x.axpy(1.0, given)
-        given.destroy()
         return x
+
+    def response(self, conditions: SiteConditions, forces: Array, share: Array) -> Array:
+        """How the flux changes if σ_t also grows with the pressures by a share, under forces per area (collective).
+
+        In the plane, by CG, under the last conditions. The solution moves by the response.
+        """
+        load = np.zeros(len(self.system.load))
+        load[self.spaces.slip_sites] = self.spaces.slip_measure * forces
+        held = np.concatenate([self._data.fixed, self._unknowns[conditions.kind == Condition.ZERO_TRACE]])
+        beside = self.spaces.sites.reshape(-1, 2)[self.spaces.rough_rows].ravel()
+        added = self.spaces.slip_sites, beside, share
+        x = coupled(self._operator.natural, self._solver.ksp.getPC(), load, held, added)
+        self._x.axpy(1.0, x)
+        self._applied = None
+        return self.flux(x, 0.0)
 
     def turn(self, slip: Array) -> None:
         """Take the linear law of friction in space at this u_t, shape (facets, 3, 2)."""
         assert self.friction is not None
         self.friction = self.friction.turned(slip)
-        self._applied = self._imposed = None
+        self._applied = self._present = None
 
     def state(self) -> Array:
         """The unknowns of the last solve."""
@@ -270,12 +280,11 @@ class ElasticBackend:
 
     def energy_along(self, x: Array, step: Array) -> tuple[float, float]:
         """The first and the second derivative of the energy without friction at x along a step (collective)."""
-        moved, found = self._x.duplicate(), []
+        moved, found = self._x.duplicate(), list[Array]()
         for direction in (x, step):
             moved.array_w[:] = direction
             found.append(self._image(moved))
         first, second = self.comm.allreduce(np.array([(found[0] - self.system.load) @ step, found[1] @ step])).tolist()
-        moved.destroy()
         return first, second
 
     @property
@@ -340,13 +349,16 @@ class ElasticBackend:
         if self.friction is not None and self._turns:
             along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
             blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
-        self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
+        same = not blocks and not sprung.any() and self._imposed is not None and (self._imposed == contact).all()
+        if not self.comm.allreduce(same, MPI.LAND):
+            self._imposed = None if blocks or sprung.any() else contact
+            self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
+            if self._solver.levels is not None:
+                with self._solver.options():
+                    self._solver.levels.update(self._data.fixed, essential)
         self._b.array_w[:] = load
         for vector in (self._b, x):
             vector.array_w[essential] = 0.0
-        if self._solver.levels is not None:
-            with self._solver.options():
-                self._solver.levels.update(self._data.fixed, essential)
         self._solver.solve(self._b, x)
         if not blocks:
             self._factors.keep(essential, contact)
@@ -377,8 +389,7 @@ class ElasticBackend:
         x = la.vector(spaces.traces.dofmap.index_map, spaces.dim**2)
         x.array[: len(owned)] = owned
         x.scatter_forward()
-        found: Array = x.array
-        return found
+        return np.asarray(x.array)
 
     def _refined(self, conditions: SiteConditions, stresses: Array, displacements: Array) -> tuple[Array, Array]:
         """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
@@ -426,16 +437,8 @@ class ElasticBackend:
         return FieldChange(self.spaces.split.stresses, self.spaces.displacements)
 
     def places(self) -> Array:
-        """The vertex, the sum of its facet's vertices, and whether the site is one of friction."""
-        dim = self.spaces.dim
-        contact, rough = self.spaces.contact.vertices, self.spaces.rough.vertices
-        vertices = np.concatenate([contact, rough])
-        of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
-        places = np.concatenate([vertices, of_facet], axis=2).reshape(-1, 2 * dim)
-        number, normal = np.ones(len(places), dtype=int), len(self.spaces.sites)
-        number[normal:] = dim - 1
-        component = np.append(np.zeros(normal), np.tile(np.arange(1, dim), len(places) - normal))
-        return np.column_stack([np.repeat(places, number, axis=0), component])
+        """The places of the sites, see `ElasticSpaces.places`."""
+        return self.spaces.places
 
     def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """The iterate and its conditions: σ is in the Johnson-Mercier space and u linear on each cell already."""
@@ -444,5 +447,4 @@ class ElasticBackend:
     def _extent(self, *values: Array) -> tuple[float, float]:
         largest = np.array([one.max(initial=0.0) for one in values])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-        u, sigma = largest.tolist()
-        return u, sigma
+        return float(largest[0]), float(largest[1])

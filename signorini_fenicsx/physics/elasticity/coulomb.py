@@ -15,12 +15,12 @@ from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
 from signorini_fenicsx.physics.elasticity.friction import STICKS
@@ -37,10 +37,6 @@ MOST_SITES = 2000
 SHORTEST = 1 / 64
 """Share of Newton's step below which a step is taken as it is."""
 GOLDEN = (np.sqrt(5) - 1) / 2
-EXACT = 1e-8
-"""GMRES stops at this share of what was left."""
-DIRECTIONS = 200
-"""Steps of GMRES at most."""
 
 
 type Tresca = Callable[[Indices | None], Outcome]
@@ -77,7 +73,7 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
             accepted, least, share = present, left, 1.0
             segments = present.chains.segments(outcome.conditions.take(slice(len(spaces.sites), None)))
             law = present.directions(segments), present.slope(pressure_of(spaces, outcome.iterate.flux))
-            step = newton(backend, outcome.conditions, law, following.bound - present.bound)
+            step = newton(backend, outcome.conditions, law, following.bound - present.bound, moves=True)
             backend.friction = accepted.moved(step)
         else:
             assert accepted is not None
@@ -156,7 +152,9 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
     return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
 
 
-def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
+def newton(
+    backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array, *, moves: bool = False
+) -> Array:
     """(I − T')⁻¹ of what is left, shape (facets, d), under these sets (collective).
 
     Args:
@@ -164,45 +162,20 @@ def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array
         conditions: The sets.
         law: The derivatives of σ_t by the bounds at the sites, and of the bounds by the pressure, shape (facets, d).
         left: What is left.
+        moves: Whether the solution of the backend may move by the response, if that costs less.
     """
     friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
     assert friction is not None
     directions, slope = law
+    left = np.where(friction.coulomb[:, None], left, 0.0)
+    if moves and backend.inexact is not None and backend.is_contact and friction.slipping is None:
+        flux = backend.response(conditions, directions * left.ravel(), directions * slope.ravel())
+        return left + slope * pressure_of(spaces, flux)
 
     def without_response(values: Array) -> Array:
         load = none.copy()
         load[spaces.slip_sites] = directions * spaces.slip_measure * np.repeat(values, spaces.dim - 1)
-        pressure = pressure_of(spaces, backend.flux(backend.solve_homogeneous(conditions, load), none))
+        pressure = pressure_of(spaces, backend.flux(backend.solve_homogeneous(conditions, load), 0.0))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 
-    return gmres(backend, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(left.shape)
-
-
-class _Product:
-    """What PETSc asks of a matrix."""
-
-    def __init__(self, product: Callable[[Array], Array]):
-        self._product = product
-
-    def mult(self, _matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        y.array_w[:] = self._product(np.array(x.array_r))
-
-
-def gmres(backend: ElasticBackend, product: Callable[[Array], Array], right: Array) -> Array:
-    """Solve with a matrix that is known by its products (collective)."""
-    b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=backend.comm)
-    b.array_w[:] = right
-    x = b.duplicate()
-    matrix = PETSc.Mat().createPython((b.getSizes(), b.getSizes()), _Product(product), comm=backend.comm)
-    matrix.setUp()
-    solver = PETSc.KSP().create(backend.comm)
-    solver.setOperators(matrix)
-    solver.setType("gmres")
-    solver.setGMRESRestart(DIRECTIONS)
-    solver.getPC().setType("none")
-    solver.setTolerances(rtol=EXACT, max_it=DIRECTIONS)
-    solver.solve(b, x)
-    found = np.array(x.array_r)
-    for each in (solver, matrix, b, x):
-        each.destroy()
-    return found
+    return gmres(backend.comm, without_response, left.ravel()).reshape(left.shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,20 +12,22 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
-from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, datum_on_parts, regional_datum
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, datum_on_parts
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, friction_bounds
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.material import Material, check_material, material_of, mean_compliances
 from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaws, normal_laws
-from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem, Plane
+from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.vector_datum import (
@@ -52,10 +54,8 @@ class ElasticData:
         gap: g.
         laws: Contact, or other laws between the opening p = g − u_n and the pressure −σ_nn, on Γ_C.
         exact: u, where it is known.
-        young: E.
-        poisson: ν.
-        in_space: Whether θ is ν/(1 + ν), as in space and for plane stress; otherwise it is ν.
-        quadrature: What the discrete problem takes f, E and ν by.
+        material: 𝔸 and ε₀.
+        quadrature: What the discrete problem takes f and the material by.
         lift: û where it is given, g less p at the reference of its law in the normal component on Γ_C, `slipped` in
             the tangential one where there is friction, and 0 elsewhere: unknowns of this rank, ghosts too.
         load: ⟨g_N, q⟩ for each owned unknown, and the pressures at the references of the laws.
@@ -73,9 +73,7 @@ class ElasticData:
     gap: Datum
     laws: NormalLaws
     exact: VectorDatum | None
-    young: Datum
-    poisson: Datum
-    in_space: bool
+    material: Material
     quadrature: SplitQuadrature
     lift: Array
     load: Array
@@ -84,26 +82,16 @@ class ElasticData:
     slipped: Array
     given: Values = ()
 
-    @property
-    def uniform(self) -> bool:
-        """Whether E and ν are numbers, perhaps one for each region."""
-        return self.young.polynomial == 0 and self.poisson.polynomial == 0
-
     def points(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> CellPoints:
         """The points of the quadrature."""
         return CellPoints(spaces.mesh, cells, self.quadrature.points, self.quadrature.weights)
-
-    def moduli(self, points: CellPoints) -> tuple[Array, Array]:
-        """1/2μ and θ, shape (cells, points) (collective)."""
-        young, poisson = self.young.values(points), self.poisson.values(points)
-        return (1 + poisson) / young, poisson / (1 + poisson) if self.in_space else poisson
 
     def stiffness_of_volume(self, spaces: ElasticSpaces) -> float:
         """The largest λ/μ, without limit as ν → ½; in plane stress λ is that in the plane (collective)."""
         largest = 0.0
         for cells in blocks_of_cells(spaces):
-            _, theta = self.moduli(self.points(spaces, cells))
-            largest = max(largest, float((2 * theta / (1 - spaces.dim * theta)).max(initial=0.0)))
+            of_shape, of_volume = mean_compliances(self.material.compliance(self.points(spaces, cells)))
+            largest = max(largest, float((2 * (of_shape / of_volume - 1) / spaces.dim).max(initial=0.0)))
         return float(spaces.mesh.comm.allreduce(largest, MPI.MAX))
 
     def moments_of_f(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
@@ -113,25 +101,33 @@ class ElasticData:
         sums = np.einsum("nsqr,sqv,q->nvr", values, self.quadrature.hats, self.quadrature.weights, optimize=True)
         return measure[:, None, None] / subcells * np.take_along_axis(sums, spaces.order[cells][:, :, None], axis=1)
 
-    def masses(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> tuple[Array, Array]:
-        """∫ φ_a φ_b/2μ and ∫ θ φ_a φ_b/2μ over the subcells of cells, see `compliance_product` (collective).
+    def masses(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
+        """𝔸 times φ_a φ_b over the subcells of cells, see `compliance_product` (collective).
 
         Args:
             spaces: The spaces.
             cells: The cells.
             measure: Their |T|.
         """
-        inverse, theta = self.moduli(self.points(spaces, cells))
         local, weights = self.quadrature.local, self.quadrature.weights
         size = local.shape[1]
+        values = self.material.compliance(self.points(spaces, cells))
+        number = values.shape[-1]
         products = np.einsum("q,qa,qb->qab", weights, local, local)
+        sums = np.tensordot(values.reshape(len(cells), size, len(weights), number, number), products, (2, 0))
         cell, subcell, vertex = (place[..., None] for place in spaces.as_dolfinx(cells))
-        order = cell, subcell, vertex, vertex.swapaxes(2, 3)
-        of_all, of_traces = (
-            measure[:, None, None, None] / size * np.tensordot(values, products, 1)[order]
-            for values in (inverse.reshape(-1, size, len(weights)), (inverse * theta).reshape(-1, size, len(weights)))
-        )
-        return of_all, of_traces
+        ordered = np.moveaxis(sums, (4, 5), (2, 3))[cell, subcell, vertex, vertex.swapaxes(2, 3)]
+        ordered *= measure[:, None, None, None, None, None] / size
+        return ordered.transpose(0, 1, 2, 4, 3, 5).reshape(len(cells), size, size * number, size * number)
+
+    def strains(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
+        """∫ φ_a ε₀ over the subcells of cells with these |T|, shape (cells, d + 1, d + 1, entries) (collective)."""
+        local, weights = self.quadrature.local, self.quadrature.weights
+        values = self.material.strain(self.points(spaces, cells))
+        values = values.reshape(len(cells), local.shape[1], len(weights), values.shape[-1])
+        sums = np.einsum("q,qa,nsqe->nsae", weights, local, values, optimize=True)[spaces.as_dolfinx(cells)]
+        found: Array = measure[:, None, None, None] / local.shape[1] * sums
+        return found
 
 
 def blocks_of_cells(spaces: ElasticSpaces) -> Iterator[npt.NDArray[np.int32]]:
@@ -149,18 +145,14 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
             region has no value; if plane stress is asked for in space.
     """
     dim = spaces.dim
-    if dim == 3 and problem.plane != Plane.STRAIN:
-        raise InputError(f"[problem] plane: a body in space is not in plane {problem.plane}; leave it out")
+    material = material_of(spaces, problem)
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
     _check_where_given(spaces, problem.u_D)
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
     g_N = _tractions_given(spaces, problem)
     gap = datum_on_parts(spaces, "gap", problem.gap)
-    young = regional_datum(spaces, "young", parsed(problem.young, "xyz"[:dim], "[problem] young"))
-    poisson = regional_datum(spaces, "poisson", parsed(problem.poisson, "xyz"[:dim], "[problem] poisson"))
-    uniform = young.polynomial == 0 and poisson.polynomial == 0
-    of_f = DEGREE if f.polynomial is None else f.polynomial
-    quadrature = SplitQuadrature.of_degree(dim, min(max(2 if uniform else DEGREE, of_f + 1), MOST))
+    own = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
+    quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, own + 1), MOST))
     lift = fem.Function(spaces.traces)
     load = la.vector(lift.function_space.dofmap.index_map, dim**2)
     laws = normal_laws(spaces, problem.normal)
@@ -180,9 +172,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
         gap=gap,
         laws=laws,
         exact=None if problem.exact is None else vector_datum_of(spaces, "exact", problem.exact),
-        young=young,
-        poisson=poisson,
-        in_space=problem.plane == Plane.STRESS or dim == 3,
+        material=material,
         quadrature=quadrature,
         lift=lift.x.array.astype(np.float64),
         load=load.array,
@@ -209,31 +199,34 @@ def _check_where_given(spaces: ElasticSpaces, u_D: Any) -> None:
 
 
 def _check_cells(spaces: ElasticSpaces, data: ElasticData) -> None:
-    """Make sure of f, E and ν in the points of the quadrature (collective)."""
-    force, low, high, stiff, soft = 0.0, np.inf, -np.inf, np.inf, -np.inf
+    """Make sure of f and of the material in the points of the quadrature (collective)."""
+    force = 0.0
     for cells in blocks_of_cells(spaces):
-        points = data.points(spaces, cells)
-        young, poisson = (np.nan_to_num(datum.values(points), nan=-np.inf) for datum in (data.young, data.poisson))
-        force = max(force, float(np.nan_to_num(abs(data.f.values(points)), nan=np.inf, posinf=np.inf).max(initial=0.0)))
-        stiff, soft = min(stiff, float(young.min(initial=np.inf))), max(soft, float(young.max(initial=-np.inf)))
-        low, high = min(low, float(poisson.min(initial=np.inf))), max(high, float(poisson.max(initial=-np.inf)))
-    comm = spaces.mesh.comm
+        values = data.f.values(data.points(spaces, cells))
+        force = max(force, float(np.nan_to_num(abs(values), nan=np.inf, posinf=np.inf).max(initial=0.0)))
     check_means("f", "in the domain", np.array([force]), spaces)
-    ends = np.array([stiff, low, -high, -soft])
-    comm.Allreduce(MPI.IN_PLACE, ends, MPI.MIN)
-    stiff, low, high, soft = ends[0], ends[1], -ends[2], -ends[3]
-    if not (stiff > 0 and soft < np.inf):
-        raise InputError(f"[problem] young: must be positive and finite everywhere; its smallest value is {stiff:.3g}")
-    check_means("young", "in the domain", np.array([stiff, soft]), spaces)
-    if not (low > -1 and high < 0.5):
-        wrong = low if not low > -1 else high
-        raise InputError(f"[problem] poisson: must be between -1 and 1/2, without these; it is {wrong:.6g} somewhere")
+    check_material(spaces, data.material, (data.points(spaces, cells) for cells in blocks_of_cells(spaces)))
 
 
-def moduli_on_split(
-    spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, degree: int
-) -> tuple[tuple[fem.Function, fem.Function], ufl.Measure]:
-    """2μ and θ in the points of a quadrature, and the measure that takes them there (collective).
+@dataclass(frozen=True)
+class OnSplit:
+    """The material on the split mesh, for forms; see `forms.elasticity`.
+
+    Attributes:
+        compliance: 𝔸.
+        stiffness: ℂ.
+        eigenstrain: The entries of ε₀.
+        dx: The measure with the points in which they are.
+    """
+
+    compliance: fem.Function
+    stiffness: fem.Function
+    eigenstrain: Expr
+    dx: ufl.Measure
+
+
+def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, degree: int) -> OnSplit:
+    """The material in the points of a quadrature, where it varies (collective).
 
     Args:
         spaces: The spaces.
@@ -241,27 +234,74 @@ def moduli_on_split(
         split: The split mesh, or a part of it.
         degree: For which the quadrature is exact; at least that of the data.
     """
-    mesh, dim = split.mesh, spaces.dim
-    rule = SplitQuadrature.of_degree(dim, max(degree, data.quadrature.degree))
-    element = basix.ufl.quadrature_element(mesh.basix_cell(), degree=rule.degree, scheme="default")
-    space = fenicsx.function_space(mesh, element)
-    mu2, theta = fem.Function(space), fem.Function(space)
+    material, number = data.material, spaces.dim * (spaces.dim + 1) // 2
+    square = 2 * min(material.degree or 0, MOST // 2)
+    rule = SplitQuadrature.of_degree(spaces.dim, max(degree, data.quadrature.degree, square))
+    lower = np.tril_indices(number)
+
+    def compliance(points: CellPoints) -> Array:
+        return material.compliance(points)[..., lower[0], lower[1]]
+
+    def stiffness(points: CellPoints) -> Array:
+        return np.linalg.inv(material.compliance(points))[..., lower[0], lower[1]]
+
+    def on_split(of_points: Callable[[CellPoints], Array], *shape: int, constant: bool) -> fem.Function:
+        return _on_split(spaces, split, rule, of_points, shape, constant=constant)
+
+    constant = material.uniform
+    return OnSplit(
+        compliance=on_split(compliance, number, number, constant=constant),
+        stiffness=on_split(stiffness, number, number, constant=constant),
+        eigenstrain=on_split(material.strain, number, constant=constant and material.degree == 0)
+        if material.own
+        else ufl.zero(number),
+        dx=ufl.Measure(
+            "dx", domain=split.mesh, metadata={"quadrature_degree": rule.degree, "quadrature_scheme": "default"}
+        ),
+    )
+
+
+def _on_split(
+    spaces: ElasticSpaces,
+    split: SplitMesh,
+    rule: SplitQuadrature,
+    of_points: Callable[[CellPoints], Array],
+    shape: tuple[int, ...],
+    *,
+    constant: bool,
+) -> fem.Function:
+    """A function on the split mesh in the points of a rule, or constant on each cell (collective).
+
+    Args:
+        spaces: The spaces.
+        split: The split mesh, or a part of it.
+        rule: The rule.
+        of_points: Its values, shape (cells, points, numbers); of a matrix those on and below the diagonal.
+        shape: Its shape.
+        constant: Whether it is constant.
+    """
+    cell, symmetry = split.mesh.basix_cell(), len(shape) == 2 or None
+    if constant:
+        element = basix.ufl.element("DG", cell, 0, shape=shape, symmetry=symmetry)
+    else:
+        element = basix.ufl.quadrature_element(cell, value_shape=shape, degree=rule.degree, symmetry=symmetry)
+    function = fem.Function(fenicsx.function_space(split.mesh, element))
+    by_point = function.x.array.reshape(-1, function.function_space.dofmap.index_map_bs)
     for block in blocks_of_cells(spaces):
         cells = block[split.cells[block, 0] >= 0]
-        shape = len(cells), dim + 1, len(rule.weights)
-        order = spaces.order[cells]
-        points = CellPoints(spaces.mesh, cells, rule.points, rule.weights)
-        there = points.x.reshape(*shape, dim)
-        there = np.take_along_axis(there, order[:, :, None, None], axis=1)
+        size = len(cells), spaces.dim + 1, len(rule.weights)
+        points, order = CellPoints(spaces.mesh, cells, rule.points, rule.weights), spaces.order[cells]
+        values = of_points(points).reshape(*size, by_point.shape[1])
+        values = np.take_along_axis(values, order[:, :, None, None], axis=1)
+        dofs = function.function_space.dofmap.list[split.cells[cells]]
+        if constant:
+            by_point[dofs] = values[:, :, :1]
+            continue
+        there = np.take_along_axis(points.x.reshape(*size, spaces.dim), order[:, :, None, None], axis=1)
         here = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
         nearest = np.square(here[:, :, :, None] - there[:, :, None]).sum(axis=4).argmin(axis=3)
-        dofs = space.dofmap.list[split.cells[cells]]
-        for function, values in zip((mu2, theta), data.moduli(points), strict=True):
-            by_subcell = np.take_along_axis(values.reshape(shape), order[:, :, None], axis=1)
-            function.x.array[dofs] = np.take_along_axis(by_subcell, nearest, axis=2)
-    mu2.x.array[:] = 1 / mu2.x.array
-    metadata = {"quadrature_degree": rule.degree, "quadrature_scheme": "default"}
-    return (mu2, theta), ufl.Measure("dx", domain=mesh, metadata=metadata)
+        by_point[dofs] = np.take_along_axis(values, nearest[..., None], axis=2)
+    return function
 
 
 def facet_rule(dim: int, degree: int) -> tuple[Array, Array]:

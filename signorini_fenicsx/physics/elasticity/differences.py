@@ -9,10 +9,10 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.forms.elasticity import stress_product
+from signorini_fenicsx.forms.elasticity import product
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import measure, sampled, squares_degree
-from signorini_fenicsx.physics.elasticity.data import moduli_on_split
+from signorini_fenicsx.physics.elasticity.data import material_on_split
 
 if TYPE_CHECKING:  # a solution can be compared
     from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -41,19 +41,19 @@ def differences(fine: ElasticSolution, coarse: ElasticSolution) -> ElasticDiffer
     gamma = spaces.Lambda.mesh
     on_subcells = max(fine.data.quadrature.degree, squares_degree(spaces.split.mesh))
     inside, on_gamma = squares_degree(spaces.mesh), squares_degree(gamma)
-    moduli, dx = moduli_on_split(spaces, fine.data, spaces.split, on_subcells)
+    material = material_on_split(spaces, fine.data, spaces.split, on_subcells)
 
     (sigma,) = sampled([coarse.sigma], spaces.split.mesh, source, degree=on_subcells)
     (u,) = sampled([coarse.u], spaces.mesh, source, degree=inside)
-    on_contact = [coarse.on_contact(values) for values in (coarse.pressure, coarse.linear_gap)]
+    on_contact = [coarse.spaces.linear_multiplier(values) for values in (coarse.pressure, coarse.linear_gap)]
     pressure, gap = sampled(on_contact, gamma, source, degree=on_gamma)
     ds = measure(gamma, on_gamma)
     off = fine.sigma - sigma
     squares = [
-        stress_product(off, off, *moduli, dx),
+        product(material.compliance, off, off, material.dx),
         l2(fine.u - u, measure(spaces.mesh, inside)),
-        l2(fine.on_contact(fine.pressure) - pressure, ds),
-        l2(fine.on_contact(fine.linear_gap) - gap, ds),
+        l2(fine.spaces.linear_multiplier(fine.pressure) - pressure, ds),
+        l2(fine.spaces.linear_multiplier(fine.linear_gap) - gap, ds),
     ]
     local = np.array([fem.assemble_scalar(fenicsx.form(square)) for square in squares])
     return ElasticDifferences(*np.sqrt(spaces.mesh.comm.allreduce(local)).tolist())

@@ -68,7 +68,7 @@ class ElasticSteps:
         return {}
 
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
-        """u_h and σ_h at the vertices, and for each vertex of Γ_C its segments, its slip and the bound of the shear."""
+        """For each vertex of Γ_C its segments, its slip and the bound of the shear."""
         spaces, own = self.spaces, solution.segments()
         normal, along = np.split(own.segment, [len(spaces.sites)])
         rough = spaces.rough_rows
@@ -78,7 +78,7 @@ class ElasticSteps:
             "slip": spread(spaces, solution.slip),
             "bound": spread(spaces, own.bound),
         }
-        return {**solution.in_cells(), **{f"facet_{key}": rows for key, rows in on_facets.items()}}
+        return {f"facet_{key}": rows for key, rows in on_facets.items()}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""

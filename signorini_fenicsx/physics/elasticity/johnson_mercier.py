@@ -16,6 +16,7 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.forms.elasticity import pairs as entries
 
 SIMPLEX = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
@@ -74,11 +75,6 @@ def reference(dim: int) -> Reference:
     pulls = np.einsum("svrcb,sc->svrb", matrices[:, :dim], normals)  # outer vertices are the first ones of a subcell
     tractions = np.einsum("av,svrb->sarb", mass, pulls).reshape(size * dim * dim, -1) @ basis
     return Reference(dim, basis.reshape(size * size, len(pairs), -1), balanced.shape[1], tractions)
-
-
-def entries(dim: int) -> list[tuple[int, int]]:
-    """Row and column of the entries of a symmetric matrix: the diagonal, then above it."""
-    return [(i, i) for i in range(dim)] + list(combinations(range(dim), 2))
 
 
 def to_matrices(values: Array) -> Array:
@@ -234,21 +230,14 @@ class Cells:
         return mapped.reshape(len(self.vertices), *basis.shape)
 
 
-def compliance_product(stresses: Array, masses: Array, of_traces: Array) -> Array:
+def compliance_product(stresses: Array, masses: Array) -> Array:
     """(𝔸τ, τ') for all pairs of stresses of each cell, shape (cells, basis, basis).
 
     Args:
         stresses: Shape (cells, (d + 1)², entries, basis).
-        masses: ∫ φ_a φ_b/2μ over each subcell, shape (cells, d + 1, d + 1, d + 1).
-        of_traces: ∫ θ φ_a φ_b/2μ likewise.
+        masses: 𝔸 times φ_a φ_b over each subcell, shape (cells, d + 1, (d + 1) entries, (d + 1) entries).
     """
-    number, size, basis = len(masses), masses.shape[1], stresses.shape[-1]
-    values = stresses.reshape(number, size, size, -1, basis)
-    trace = values[:, :, :, : size - 1].sum(axis=3)
-    weighted = masses @ values.reshape(number, size, size, -1)
-    weighted_trace = of_traces @ trace
-
-    def product(left: Array, right: Array) -> Array:
-        return left.reshape(number, -1, basis).transpose(0, 2, 1) @ right.reshape(number, -1, basis)
-
-    return product(values, weighted) - product(trace, weighted_trace)
+    number, size, basis = *masses.shape[:2], stresses.shape[-1]
+    weighted = masses @ stresses.reshape(number, size, -1, basis)
+    found: Array = stresses.reshape(number, -1, basis).transpose(0, 2, 1) @ weighted.reshape(number, -1, basis)
+    return found

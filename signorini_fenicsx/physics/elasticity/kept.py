@@ -31,10 +31,6 @@ LAYOUT: Layout = {
 }
 
 
-def _in_cells(solution: ElasticSolution) -> Arrays:
-    return {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)}
-
-
 def _on_facets(solution: ElasticSolution) -> Arrays:
     spaces, touching = solution.spaces, solution.touching
     friction = np.zeros((3, *touching.shape))
@@ -121,7 +117,7 @@ KEEPING = Keeping(
     laws={**LAWS, CoulombLaw.name: CoulombLaw},
     layout=LAYOUT,
     codes={"facet_condition": len(Condition), "facet_state": len(Friction.segments)},
-    in_cells=_in_cells,
+    in_cells=lambda solution: {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)},
     on_facets=_on_facets,
     read=_read,
     own=("bound_changes",),

@@ -37,8 +37,9 @@ from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
+from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.coulomb import gmres, pressure_of
+from signorini_fenicsx.physics.elasticity.coulomb import pressure_of
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.moments import Moments, of_laws, on_boundary
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
@@ -63,6 +64,8 @@ class Linearised:
         """
         self._solution, self._backend = solution, backend
         self._spaces, self._data = spaces, data = solution.spaces, solution.data
+        if not data.material.plain:
+            raise InputError("elastic solutions have derivatives only if they are isotropic, without stress at rest")
         self._conditions = solution.outcome.conditions
         normal, friction = len(spaces.sites), backend.friction
         self._held = self._conditions.kind == Condition.ZERO_TRACE
@@ -109,7 +112,7 @@ class Linearised:
         """The data that are seen by their values in the points of the quadrature (collective)."""
         mesh, rule = self._spaces.mesh, self._data.quadrature
         forces = {f"f.{r}": component for r, component in enumerate(self._data.f.components)}
-        given = {"young": self._data.young, "poisson": self._data.poisson, **forces}
+        given = {"young": self._data.material.young[0], "poisson": self._data.material.poisson[0], **forces}
         if any(datum.pieces is None for datum in given.values()):
             whole = basix.make_quadrature(mesh.basix_cell(), 0)[1].sum()  # the measure of the reference cell
             weights = np.tile(rule.weights, self._spaces.dim + 1) * whole / (self._spaces.dim + 1)
@@ -217,9 +220,8 @@ class Linearised:
             x = backend.solve_homogeneous(self._conditions, load)
             if friction is not None and friction.by_pressure:
                 # w − T'ᵀw = ∂J/∂b
-                w = gmres(
-                    backend, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
-                )
+                by_bound = self._by_bound(x.array_r)
+                w = gmres(backend.comm, lambda w: w - self._by_bound(self._of_pressure(w).array_r), by_bound)
                 x.axpy(1.0, self._of_pressure(w))
             return backend.everywhere(x.array_r)
 
@@ -265,10 +267,11 @@ class Linearised:
         """The derivatives of 1/2μ and θ/2μ by E and by ν in the points, shape (cells, points) (collective)."""
         cells = np.arange(len(self._spaces.order), dtype=np.int32)
         points = self._data.points(self._spaces, cells)
-        young, poisson = self._data.young.values(points), self._data.poisson.values(points)
-        inverse, theta = self._data.moduli(points)
-        of_poisson = 1 / young if self._data.in_space else (1 + 2 * poisson) / young
-        return [(-inverse / young, -inverse * theta / young), (1 / young, of_poisson)]
+        material = self._data.material
+        young, poisson = material.young[0].values(points), material.poisson[0].values(points)
+        share = poisson if material.in_strain else np.zeros_like(poisson)  # θ/2μ = ν(1 + share)/E
+        of_young = [-(1 + poisson) / young**2, -poisson * (1 + share) / young**2]
+        return [(of_young[0], of_young[1]), (1 / young, (1 + 2 * share) / young)]
 
     def _at_points(self, values: Array) -> Array:
         """A stress in the points of the quadrature, shape (cells, d + 1, points, d, d), from its values at vertices."""

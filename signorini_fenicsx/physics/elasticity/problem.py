@@ -25,6 +25,11 @@ type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
 """A number, text or UFL expression for each component; a UFL vector on the mesh; or a function of points of shape
 (3, n) with values of shape (d, n)."""
 
+type GivenModulus = Given | Sequence[Given] | Mapping[str, Given | Sequence[Given]]
+"""A modulus, or three along the axes of the material; or one of these for each region of the mesh."""
+type GivenStrain = Given | Mapping[str, Given]
+"""A number times the unit matrix, or a symmetric matrix; or one of these for each region of the mesh."""
+
 NORMAL = "n"
 
 
@@ -131,9 +136,17 @@ class Elasticity:
     for κ∇u·n; where two bodies touch, p = −[u_n]. A part that is fixed in some components may have a `Neumann` or a
     `Pressure` condition for the others.
 
+    The law of the material is σ = ℂ(ε(u) − ε₀) + σ₀. It is orthotropic where `young` is [E₁, E₂, E₃] and `poisson`
+    [ν₁₂, ν₁₃, ν₂₃]: a stress along the first axis alone gives ε₂ = −ν₁₂ε₁.
+
     Attributes:
-        young: E, or one for each region of the mesh.
+        young: E, or three; or one of these for each region of the mesh.
         poisson: ν likewise.
+        shear: [G₁₂, G₁₃, G₂₃] where the material is orthotropic; None or 0 for E/(2 + 2ν).
+        axes: Directions of its axes, in the plane [[x, y]] and in space two of them, of any length; None for those of
+            the coordinates.
+        eigenstrain: ε₀, such as the expansion of heat: a number times the unit matrix of space, or a matrix.
+        initial_stress: σ₀ likewise.
         f: Force per volume; None for none.
         u_D: Displacement on the parts that no condition names; None for 0.
         plane: Plane "strain" or plane "stress", in two dimensions.
@@ -144,13 +157,17 @@ class Elasticity:
         InputError: If `conditions` is not a list of them, or a part has two.
     """
 
-    young: Given | Mapping[str, Given]
-    poisson: Given | Mapping[str, Given]
+    young: GivenModulus
+    poisson: GivenModulus
     f: GivenVector | None = None
     u_D: GivenVector | None = None
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None
     conditions: Sequence[OnParts] = ()
+    shear: GivenModulus | None = None
+    axes: Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]] | None = None
+    eigenstrain: GivenStrain | None = None
+    initial_stress: GivenStrain | None = None
 
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
@@ -191,6 +208,10 @@ class Elasticity:
         problem = ElasticProblem(
             young=self.young,
             poisson=self.poisson,
+            shear=self.shear,
+            axes=self.axes,
+            eigenstrain=self.eigenstrain,
+            initial_stress=self.initial_stress,
             f=self.f,
             u_D=one_value(u_D, None),
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
@@ -209,7 +230,7 @@ class ElasticProblem:
 
     Attributes:
         f: Force per volume; None for none.
-        young: E, or one for each region of the mesh.
+        young: E, or three; or one of these for each region of the mesh.
         poisson: ν likewise.
         u_D: Displacement on Γ_D and, in the fixed components, on parts that are fixed in some; or one for each of these
             parts, and by "" one on the others; None for 0.
@@ -221,10 +242,14 @@ class ElasticProblem:
         exact: u itself, where it is known.
         laws: Friction on parts of Γ_C; elsewhere Γ_C is without friction. Or other laws, between the
             opening p = gap − u_n and the pressure −σ_nn, in the place of contact on parts of Γ_C.
+        shear: Moduli of shear, see `Elasticity`; likewise the next three.
+        axes: Directions of the axes of the material.
+        eigenstrain: ε₀.
+        initial_stress: σ₀.
     """
 
-    young: Given | Mapping[str, Given]
-    poisson: Given | Mapping[str, Given]
+    young: GivenModulus
+    poisson: GivenModulus
     f: GivenVector | None = None
     u_D: GivenVector | Mapping[str, GivenVector | None] | None = None
     g_N: GivenVector | Mapping[str, GivenVector | None] | None = None
@@ -233,6 +258,10 @@ class ElasticProblem:
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None
     laws: Sequence[ElasticLaw] = ()
+    shear: GivenModulus | None = None
+    axes: Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]] | None = None
+    eigenstrain: GivenStrain | None = None
+    initial_stress: GivenStrain | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is neither strain nor stress, other laws, and parts with two laws."""

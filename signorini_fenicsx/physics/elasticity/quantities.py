@@ -12,7 +12,8 @@ from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.site_table import along_parts
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.residuals import balance
-from signorini_fenicsx.physics.elasticity.shown import in_space, von_mises
+from signorini_fenicsx.physics.elasticity.shown import in_space
+from signorini_fenicsx.solving.fields import von_mises
 
 if TYPE_CHECKING:  # it has these
     from signorini_fenicsx.physics.elasticity.solution import ElasticSolution

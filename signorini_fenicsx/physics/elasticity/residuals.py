@@ -12,7 +12,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells, to_entries
+from signorini_fenicsx.physics.elasticity.material import mean_compliances
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 
@@ -60,7 +61,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     for cells in blocks_of_cells(spaces):
         measure = Cells(spaces.vertices[cells]).measure
         square += float((subcell_squares(stresses[cells]) * measure[:, None] / (dim + 1)).sum())
-        stiffness[cells] = 1 / data.moduli(data.points(spaces, cells))[0].mean(axis=1)
+        stiffness[cells] = 1 / mean_compliances(data.material.compliance(data.points(spaces, cells)))[0].mean(axis=1)
         volume += float(measure.sum())
         unbalanced += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
     sums = np.array([volume, square, unbalanced, _jumps(spaces, data, stresses)])
@@ -107,11 +108,9 @@ def energy_squares(spaces: ElasticSpaces, data: ElasticData, stresses: Array) ->
     """(𝔸σ, σ) of each owned cell, from values as in `SplitMesh.values` (collective)."""
     found = np.empty(len(spaces.order))
     for cells in blocks_of_cells(spaces):
-        here = stresses[cells]
-        trace = np.einsum("nsaii->nsa", here)
-        of_all, of_traces = data.masses(spaces, cells, Cells(spaces.vertices[cells]).measure)
-        found[cells] = np.einsum("nsab,nsaij,nsbij->n", of_all, here, here, optimize=True)
-        found[cells] -= np.einsum("nsab,nsa,nsb->n", of_traces, trace, trace, optimize=True)
+        masses = data.masses(spaces, cells, Cells(spaces.vertices[cells]).measure)
+        here = to_entries(stresses[cells]).reshape(*masses.shape[:3], 1)
+        found[cells] = (here * (masses @ here)).sum(axis=(1, 2, 3))
     return found
 
 

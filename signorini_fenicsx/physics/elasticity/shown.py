@@ -2,100 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable, along_parts
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite, to_entries
 from signorini_fenicsx.physics.elasticity.residuals import imbalance
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_from_means
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED, Drawn, whole_boundary
+from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields, von_mises
 from signorini_fenicsx.solving.solved import Columns
 
 if TYPE_CHECKING:  # it shows this
     from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 
-def fields(solution: ElasticSolution) -> Iterator[tuple[str, list[fem.Function]]]:
-    """The functions of each file, see `Solved.fields`; `solution.bp` is on the mesh of the subcells."""
-    series = StressSeries(solution.spaces, solution.data)
-    series.take(solution.in_cells())
-    yield "solution.bp", series.exact
-    values = {"pressure": solution.pressure, "gap": solution.linear_gap, "contact": solution.touching}
-    if solution.data.friction is not None:
-        values |= dict(zip(("shear", "slip", "friction"), solution.on_all_contact(), strict=True))
-    yield "contact.bp", [solution.on_contact(each, name) for name, each in values.items()]
-    left = imbalance(solution.spaces, solution.data, solution.stresses)
-    equilibrium = fem.Function(solution.spaces.Q, name="equilibrium")
-    equilibrium.x.array[:] = np.linalg.norm(left, axis=2).max(axis=1)
-    yield "solution.xdmf", [*series.means, equilibrium]
+def fields(solution: ElasticSolution) -> Fields:
+    """The fields, see `Solved.fields`: u_h and σ_h as they are, and what is missing in the equilibrium.
 
-
-class StressSeries:
-    """σ_h, u_h and the von Mises stress, at one time or after each step, see `Series`; `exact` is on the subcells."""
-
-    names = ("u", "sigma")
-
-    def __init__(self, spaces: ElasticSpaces, data: ElasticData):
-        """Make the functions (collective)."""
-        self._spaces, self._data = spaces, data
-        dim = spaces.dim
-        self.exact = [
-            fem.Function(fenicsx.function_space(spaces.split.mesh, ("DG", 1, shape)), name=name)
-            for name, shape in (("sigma", (3, 3)), ("u", (dim,)), ("von_mises", ()))
-        ]
-        self.means = [
-            fem.Function(fenicsx.function_space(spaces.mesh, ("DG", 0, shape)), name=name)
-            for name, shape in (("u", (dim,)), ("sigma", (3, 3)), ("von_mises", ()))
-        ]
-
-    def take(self, values: Mapping[str, Array]) -> None:
-        """Set all functions, see `Series.take`."""
-        spaces, dim = self._spaces, self._spaces.dim
-        stresses, at_vertices = in_space(spaces, self._data, values["sigma"]), values["u"]
-        corners = np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
-        centroids = np.broadcast_to(at_vertices.mean(axis=1)[:, None, None], (len(at_vertices), dim + 1, 1, dim))
-        linear = {
-            "sigma": stresses,  # VTX takes no others than matrices in space
-            "u": np.concatenate([at_vertices[:, corners], centroids], axis=2),
-            "von_mises": von_mises(stresses),
-        }
-        for function in self.exact:
-            spaces.split.set_values(function, linear[function.name])
-        mean = stresses.mean(axis=(1, 2))
-        means = {"u": at_vertices.mean(axis=1), "sigma": mean, "von_mises": von_mises(mean)}
-        for function in self.means:
-            function.x.array[:] = means[function.name].ravel()  # no ghost cells, a value per cell in their order
+    On Γ_C they are u_h, pressure, gap and the states of contact and friction, at the vertices of each facet.
+    """
+    spaces, data, contact = solution.spaces, solution.data, solution.spaces.contact
+    u, left = spaces.displacement_values(solution.u), imbalance(spaces, data, solution.stresses)
+    on_cells = [
+        Field("sigma", in_space(spaces, data, solution.stresses), order=2),
+        Field("u", u, order=1, at_points=True),
+        Field("equilibrium", np.linalg.norm(left, axis=2).max(axis=1)),
+    ]
+    on_facets = [
+        Field("u", u[contact.cells[:, None], opposite(spaces.dim)[contact.local]], order=1),
+        Field("pressure", solution.pressure),
+        Field("gap", solution.linear_gap),
+        Field("contact", solution.touching, names=("open", "contact")),
+    ]
+    if data.laws.of_parts:
+        segment = _labels(solution).reshape(solution.touching.shape)
+        on_facets.append(Field("segment", segment, names=_segment_names(solution)))
+    if data.friction is not None:
+        shear, slip, state = solution.on_all_contact()
+        on_facets += [Field("shear", shear), Field("slip", slip), Field("friction", state, names=STATES)]
+    return {IN_CELLS: on_cells, "contact": on_facets}
 
 
 def in_space(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
     """The stress at the vertices of the subcells as a matrix in space, shape (cells, d + 1, d + 1, 3, 3).
 
-    In plane strain σ_zz = ν tr σ, with the mean of ν over the cell.
+    In plane strain σ_zz is that of `Material.out_of_plane`, with means over the cell.
     """
     missing = 3 - spaces.dim
     found = np.pad(stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
-    if missing and not data.in_space:
+    if data.material.in_strain:
         for cells in blocks_of_cells(spaces):
-            poisson = data.poisson.values(data.points(spaces, cells)).mean(axis=1)
-            found[cells, :, :, 2, 2] = poisson[:, None, None] * np.einsum("nsaii->nsa", stresses[cells])
-    return found
-
-
-def von_mises(stresses: Array) -> Array:
-    """Equivalent stress of matrices in space, shape (…, 3, 3)."""
-    deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
-    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
+            share, rest = (values.mean(axis=1) for values in data.material.out_of_plane(data.points(spaces, cells)))
+            found[cells, :, :, 2, 2] = np.einsum("ne,nsae->nsa", share, to_entries(stresses[cells]))
+            found[cells, :, :, 2, 2] += rest[:, None, None]
     return found
 
 

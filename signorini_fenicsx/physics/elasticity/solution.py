@@ -7,13 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
-import dolfinx.mesh
 import numpy as np
-import numpy.typing as npt
-from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
@@ -26,14 +22,14 @@ from signorini_fenicsx.physics.elasticity import shown
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, elastic_data, facet_moments
 from signorini_fenicsx.physics.elasticity.differences import differences
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, to_entries
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.quantities import quantities
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
 from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import InContact, Series, Solved
+from signorini_fenicsx.solving.solved import InContact, Solved
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
@@ -216,24 +212,6 @@ class ElasticSolution(Solved):
         is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.bound == 0)
         return np.where(is_open, STATES.index("open"), self.states)
 
-    @collector_off()
-    def on_contact(self, values: npt.NDArray, name: str = "values") -> fem.Function:
-        """The function on the mesh of Γ_C that is linear on each facet, from values at its vertices (collective)."""
-        spaces = self.spaces
-        multipliers = spaces.Lambda
-        space = fenicsx.function_space(multipliers.mesh, ("DG", 1))
-        function = fem.Function(space, name=name)
-        size = multipliers.dofmap.index_map.size_local
-        facets = multipliers.dofmap.list[:size, 0]
-        cells = np.arange(size, dtype=np.int32)
-        nodes = dolfinx.mesh.entities_to_geometry(multipliers.mesh, spaces.dim - 1, cells)
-        here = multipliers.mesh.geometry.x[nodes, : spaces.dim]
-        distances = np.square(here[:, :, None] - spaces.contact.vertices[facets][:, None]).sum(axis=3)
-        found = np.take_along_axis(values[facets], distances.argmin(axis=2), axis=1)
-        function.x.array[space.dofmap.list[:size]] = found
-        function.x.scatter_forward()
-        return function
-
     def on_all_contact(self) -> tuple[Array, Array, Array]:
         """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
         found = np.full((3, *self.touching.shape), np.nan)
@@ -344,10 +322,11 @@ class ElasticSolution(Solved):
             nodes = np.empty_like(u_h[cells])
             nodes[np.arange(len(cells))[:, None], spaces.order[cells]] = u_h[cells]
             shape = (len(cells), dim + 1, len(quadrature.weights))
-            inverse, theta = (values.reshape(shape) for values in self.data.moduli(points))
-            sigma = stress_of(exact.gradients(points).reshape(*shape, dim, dim), inverse, theta)
-            off = sigma - np.einsum("qa,nsaij->nsqij", quadrature.local, mine)
-            product = inverse * ((off**2).sum(axis=(3, 4)) - theta * np.einsum("nsqii->nsq", off) ** 2)
+            compliance = self.data.material.compliance(points)
+            strain = to_entries(exact.gradients(points)) - self.data.material.strain(points)
+            sigma = to_entries(np.einsum("qa,nsaij->nsqij", quadrature.local, mine)).reshape(strain.shape)
+            off = strain - np.einsum("nqef,nqf->nqe", compliance, sigma)
+            product = (off * np.linalg.solve(compliance, off[..., None])[..., 0]).sum(axis=2).reshape(shape)
             displaced = self.data.exact.values(points).reshape(*shape, dim) - np.einsum(
                 "sqv,nvi->nsqi", quadrature.hats, nodes
             )
@@ -373,10 +352,6 @@ class ElasticSolution(Solved):
         behind = (chains.p < opening[:, None]).sum(axis=1)
         return FacetSet(spaces, np.take_along_axis(chains.slope, behind[:, None], axis=1)[:, 0] > 0)
 
-    def in_cells(self) -> dict[str, Array]:
-        """u_h at the vertices of the cells of this rank, and σ_h at those of their subcells."""
-        return {"u": self.spaces.displacement_values(self.u), "sigma": self.stresses}
-
     def of_step(self) -> dict[str, float]:
         """The contact force, and of each part the force on it and the mean of u, for `steps.csv` (collective)."""
         spaces, axes = self.spaces, AXES[: self.spaces.dim]
@@ -391,10 +366,6 @@ class ElasticSolution(Solved):
             found |= {f"{name}_force_{axis}": force for axis, force in zip(axes, forces[name], strict=False)}
             found |= {f"{name}_u_{axis}": x / measure for axis, x in zip(axes, moved, strict=True)}
         return found
-
-    def series(self) -> Series:
-        """σ_h and u_h over time (collective)."""
-        return shown.StressSeries(self.spaces, self.data)
 
     def sizes(self) -> dict[str, float]:
         """The energy norm of σ, and ‖u‖ (collective)."""
@@ -430,13 +401,3 @@ class ElasticSolution(Solved):
         least = min(self.spaces.mesh.comm.allgather(float(own)))
         found = {"resultants": self.resultants(), "quantities": self.quantities()}
         return found | ({"least_gap": least} if least < 0 else {})
-
-
-def stress_of(gradient: Array, inverse: Array, theta: Array) -> Array:
-    """ℂε(u) from ∇u, shape (…, d, d), and 1/2μ and θ."""
-    dim = gradient.shape[-1]
-    strain = (gradient + gradient.swapaxes(-1, -2)) / 2
-    trace = np.einsum("...ii->...", strain)
-    pull = theta / (1 - dim * theta) * trace
-    stress: Array = (strain + pull[..., None, None] * np.eye(dim)) / inverse[..., None, None]
-    return stress

@@ -23,12 +23,13 @@ from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.discrete.contact_sets import transferred
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
+from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
 from signorini_fenicsx.physics.elasticity.coulomb import balanced
 from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
-from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps
+from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps, spread
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
@@ -152,6 +153,9 @@ class ElasticRun:
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
+                friction = backend.friction
+                if start is not None and friction is not None and friction.by_pressure and self.spaces.dim == 2:
+                    start = _carried(start, backend)
         held = self.motions.shape[1] > 0
         if isinstance(start, ElasticSegments):
             first = _continued(backend, start, held_by_contact=held)
@@ -268,6 +272,21 @@ def _settled(
     first = first or backend.chains.conditions(rule.first(backend.chains))
     history.start_from(first)
     return prediction.settle(backend, backend, backend.spaces, first, history)
+
+
+def _carried(start: ElasticSolution, backend: ElasticBackend) -> ElasticSegments:
+    """The sets and the bounds of a solution on another mesh, at the midpoints of the facets (collective)."""
+    spaces, friction, chains = backend.spaces, backend.friction, backend.chains
+    assert friction is not None
+    theirs = [start.spaces.linear_multiplier(values) for values in (spread(start.spaces, start.slip), start.pressure)]
+    found = sampled(theirs, spaces.Lambda.mesh, start.spaces.domain, degree=0)
+    slip, pressure = (each.x.array[: len(spaces.facets)][spaces.rough_rows] for each in found)
+    touching = np.append(
+        np.repeat(transferred(start.contact_set(), spaces), spaces.dim), np.zeros(len(spaces.slip_sites), bool)
+    )
+    segment = np.where(touching, chains.steepest(), chains.beside_reference(steep=False))
+    segment[len(spaces.sites) :] = np.repeat(np.sign(slip).astype(np.int64) + 1, spaces.dim)
+    return ElasticSegments(spaces, segment, friction.mu * np.maximum(pressure, 0.0)[:, None])
 
 
 def _with_friction(

@@ -106,11 +106,20 @@ class ElasticSpaces(MeshSpaces):
         """The dimension d."""
         return self.mesh.topology.dim
 
+    @property
+    def nodes(self) -> npt.NDArray[np.integer]:
+        """The nodes at the vertices of the owned cells in this order, shape (cells, d + 1)."""
+        return np.take_along_axis(super().nodes, self.order, axis=1)
+
+    @property
+    def corners(self) -> Array:
+        """The vertices of the facets of Γ_C in this order."""
+        return self.contact.vertices
+
     @cached_property
     def vertices(self) -> Array:
         """Vertices of the owned cells, shape (cells, d + 1, d)."""
-        nodes = np.take_along_axis(self.mesh.geometry.dofmaps[0][: len(self.order)], self.order, axis=1)
-        return self.mesh.geometry.x[nodes, : self.dim]
+        return self.mesh.geometry.x[self.nodes, : self.dim]
 
     def as_dolfinx(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Indices, Indices]:
         """Where subcell vertices in this order are in DOLFINx's order of the cell's vertices.
@@ -214,6 +223,19 @@ class ElasticSpaces(MeshSpaces):
     def tangents(self) -> Array:
         """Tangents of the facets with friction, n turned to the left or two in space, shape (facets, d − 1, d)."""
         return _frames(self.rough.normals)[:, 1:]
+
+    @property
+    def places(self) -> Array:
+        """For each site the vertex, the sum of its facet's vertices, and whether it is one of friction."""
+        dim = self.dim
+        contact, rough = self.contact.vertices, self.rough.vertices
+        vertices = np.concatenate([contact, rough])
+        of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
+        places = np.concatenate([vertices, of_facet], axis=2).reshape(-1, 2 * dim)
+        number, normal = np.ones(len(places), dtype=int), len(self.sites)
+        number[normal:] = dim - 1
+        component = np.append(np.zeros(normal), np.tile(np.arange(1, dim), len(places) - normal))
+        return np.column_stack([np.repeat(places, number, axis=0), component])
 
     def along(self, values: Array) -> Array:
         """Tangential vectors from values at the sites with friction, shape (facets, d, d)."""

@@ -153,13 +153,15 @@ class ElasticSystem:
             cells = Cells(spaces.vertices[numbers])
             of_f = data.moments_of_f(spaces, numbers, cells.measure) if moments is None else moments[numbers]
             masses = data.masses(spaces, numbers, cells.measure)
+            own = data.strains(spaces, numbers, cells.measure) if stresses is None and data.material.own else None
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             basis = cells.stresses(self.element.stresses)
             functional: Array | float = 0.0
-            if stresses is not None:
-                functional = np.einsum("nve,nveb->nb", to_entries(stresses[numbers]).reshape(basis.shape[:3]), basis)
-            product = compliance_product(basis, *masses)
+            given = -own if own is not None else to_entries(stresses[numbers]) if stresses is not None else None
+            if given is not None:
+                functional = np.einsum("nve,nveb->nb", given.reshape(basis.shape[:3]), basis)
+            product = compliance_product(basis, masses)
             tractions = cells.tractions(self.element.tractions)
             for facets, local, matrices in framed:
                 mine = np.flatnonzero(np.isin(facets, numbers))

@@ -1,0 +1,232 @@
+"""How wrong a function of the user is: bounds of the energy error of any v ∈ H¹, from the flux of the program.
+
+v is continuous and quadratic on each cell; who made it and how makes no difference. With |w|² = (κ∇w, ∇w), and the flux
+σ_h of the program and the bound b of ‖σ − σ_h‖, see `certify`,
+
+    m − b ≤ |v − u| ≤ m + b,   m = ‖κ^½∇v − κ^-½σ_h‖,
+
+because κ^½∇v − κ^-½σ_h = κ^½∇(v − u) + κ^-½(σ − σ_h). This needs nothing of v. If v is admissible, m² is a part of
+2 gap(v, y), and |v − u| ≤ √(2 gap) + osc, where nothing is added but what laws add. Let ṽ be admissible: quadratic
+functions between the bounds of u with |ṽ − v| about as small as it can be, then with u_D and bounds themselves, see
+`law_trace`. Then
+
+    |v − u| ≤ √(2 gap(ṽ, y)) + osc + δ,   δ = |ṽ − v|, the distance of the repair.
+
+The smaller of both upper bounds counts. Elastic displacements have the first one alone, with ℂε(v), and a stress σ_h.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.certificate.admissible_trace import bernstein
+from signorini_fenicsx.certificate.certify import (
+    Admissible,
+    Certificate,
+    FluxOf,
+    certificate_of,
+    gap_parts,
+    mismatches,
+)
+from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.laws import Goal
+from signorini_fenicsx.certificate.relaxation import all_edges
+from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite, to_entries, to_matrices
+from signorini_fenicsx.physics.elasticity.residuals import energy_squares
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solved import Solved
+
+
+@dataclass(frozen=True)
+class FieldBound:
+    """How wrong a function v is.
+
+    Attributes:
+        bound: Upper bound of |v − u|.
+        lower: Lower bound of |v − u|.
+        relative: bound/‖σ_h‖.
+        repair: δ, the distance to an admissible function; None for displacements.
+        repaired: √(2 gap(ṽ, y)) + osc + δ; None for displacements.
+        by_flux: m + b.
+        guaranteed: Whether `bound` and `lower` are proved: all data are enclosed and resolved.
+        reason: Why they are not; empty if they are.
+        indicator: ‖κ^½∇v − κ^-½σ_h‖ on each cell; an estimate there, and only all of them together are a bound.
+        solution: The solution whose flux it is.
+        certificate: The bound of this solution.
+    """
+
+    bound: float
+    lower: float
+    relative: float
+    repair: float | None
+    repaired: float | None
+    by_flux: float
+    guaranteed: bool
+    reason: str
+    indicator: fem.Function
+    solution: Solved
+    certificate: Certificate
+
+    def __repr__(self) -> str:
+        trust = "guaranteed" if self.guaranteed else f"not guaranteed: {self.reason}"
+        return f"<{type(self).__name__}: {self.lower:.4g} ≤ energy error ≤ {self.bound:.4g}, {trust}>"
+
+    def summary(self) -> dict[str, Any]:
+        """All but the fields, ready for JSON."""
+        names = ("bound", "lower", "relative", "repair", "repaired", "by_flux", "guaranteed", "reason")
+        return {name: getattr(self, name) for name in names}
+
+
+@collector_off()
+def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
+    """Bound the energy error of a function (collective).
+
+    Args:
+        solution: A solution of the problem on the same mesh; the more exact it is, the sharper the bounds.
+        v: A continuous function, linear or quadratic on each cell: a `Function` of Lagrange elements of degree 1 or 2
+            on `domain.mesh`, with up-to-date ghost values.
+
+    Raises:
+        InputError: If it is another function, or the problem has no such bound.
+    """
+    _check(solution, v)
+    if isinstance(solution, Solution):
+        return _of_scalar(solution, v)
+    assert isinstance(solution, ElasticSolution)
+    return _of_displacement(solution, v)
+
+
+def _check(solution: Solved, v: fem.Function) -> None:
+    """Refuse what is no continuous function of the problem (collective).
+
+    Raises:
+        InputError: If it is none.
+    """
+    if solution.physics not in ("diffusion", "elasticity"):
+        raise InputError(f"{solution.physics}: no bound of functions is known")
+    if solution.step is not None:
+        raise InputError("functions of a step of a problem in time have no bounds")
+    check_kind("v", v, fem.Function)
+    space, mesh = v.function_space, solution.spaces.mesh
+    if space.mesh is not mesh:
+        raise InputError("v: must be on the mesh of the domain, `domain.mesh`; interpolate it there")
+    element, shape = space.ufl_element(), solution.u.ufl_shape
+    lagrange = element.element_family is not None and element.family_name == "P" and not element.discontinuous
+    degree = element.embedded_superdegree
+    if not lagrange or degree not in (1, 2) or v.ufl_shape != shape:
+        kind = "a vector" if shape else "a scalar"
+        raise InputError(f"v: must be {kind} of continuous Lagrange elements of degree 1 or 2, not {element}")
+
+
+def _of_scalar(solution: Solution, v: fem.Function) -> FieldBound:
+    """The bounds of a scalar v (collective)."""
+    goal = Goal.of(solution, for_signorini=True)
+    comm, kappa = solution.spaces.mesh.comm, solution.data.kappa
+    with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
+        own = Admissible.of(solution, goal)
+        certificate = certificate_of(own, gap_parts(own, own, goal))
+        field = _in_nodes(v)
+        repaired = Admissible.of(solution, goal, field)
+        parts = gap_parts(repaired, repaired, goal)
+        of_repaired = certificate_of(repaired, parts)
+        all_edges(field.function_space).to_bernstein(field.x.array)
+        flux, given = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
+        squares = mismatches(own, given, flux)
+        seen = mismatches(replace(own, deviation=np.zeros_like(own.deviation)), given, flux)
+        moved = np.sqrt(mismatches(own, repaired.trace, FluxOf(field, kappa))) + parts.hidden
+    repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
+    return _joined(solution, certificate, (squares, seen), own.size, repair, of_repaired)
+
+
+def _in_nodes(v: fem.Function) -> fem.Function:
+    """The function by its values in the nodes of quadratics (collective)."""
+    quadratic, mesh = fem.Function(bernstein(v.function_space.mesh), name="v"), v.function_space.mesh
+    nodes = quadratic.function_space.dofmap.list
+    number, corners = nodes.shape[0], mesh.topology.dim + 1
+    values = v.x.array[v.function_space.dofmap.list[:number]]
+    if values.shape[1] == corners:
+        ends = all_edges(quadratic.function_space)
+        quadratic.x.array[nodes[:, :corners]] = values
+        quadratic.x.array[ends.middle] = quadratic.x.array[ends.ends].mean(axis=1)
+    else:
+        quadratic.x.array[nodes] = values
+    quadratic.x.scatter_forward()
+    return quadratic
+
+
+def _of_displacement(solution: ElasticSolution, v: fem.Function) -> FieldBound:
+    """The bounds of a displacement (collective).
+
+    Raises:
+        InputError: If the material varies within cells: ℂ(ε(v) − ε₀) is then not linear on each cell.
+    """
+    spaces, data = solution.spaces, solution.data
+    material = data.material
+    if not material.uniform or material.degree is None or material.degree > 1:
+        raise InputError("v: with elastic data that vary within regions there is no bound of displacements")
+    mesh, dim = spaces.mesh, spaces.dim
+    certificate = certify_elastic(solution)
+    cells = np.arange(len(spaces.order), dtype=np.int32)
+    corners = np.vstack([np.zeros(dim), np.eye(dim), np.full(dim, 1 / (dim + 1))])
+    points = CellPoints(mesh, cells, corners, np.empty(0))
+    strain = to_entries(points.of_ufl(ufl.grad(v))) - material.strain(points)
+    stress = to_matrices(np.linalg.solve(material.compliance(points), strain[..., None])[..., 0])
+    in_order = np.take_along_axis(stress, spaces.order[:, :, None, None], axis=1)
+    at_subcells = np.empty((len(cells), dim + 1, dim + 1, dim, dim))
+    at_subcells[:, :, :dim] = in_order[:, opposite(dim)]
+    at_subcells[:, :, dim] = stress[:, None, dim + 1]
+    squares = np.maximum(energy_squares(spaces, data, at_subcells - solution.stresses), 0.0)
+    return _joined(solution, certificate, (squares, squares), solution.norms()["energy"])
+
+
+def _joined(
+    solution: Solved,
+    certificate: Certificate,
+    squares: tuple[Array, Array],
+    size: float,
+    repair: float | None = None,
+    of_repaired: Certificate | None = None,
+) -> FieldBound:
+    """The bounds from m² per owned cell, at most and by quadrature, and of a scalar the repair (collective).
+
+    m is as far from what quadrature gives as that is from the largest m at most.
+    """
+    spaces, (most, seen), b = solution.spaces, squares, certificate.sigma_bound
+    local = np.array([most.sum(), seen.sum(), ((np.sqrt(most) - np.sqrt(seen)) ** 2).sum()])
+    m, of_seen, apart = np.sqrt(spaces.mesh.comm.allreduce(local)).tolist()
+    repaired = None if of_repaired is None or repair is None else of_repaired.bound + repair
+    by_flux, trusted = m + b, certificate
+    bound = by_flux
+    if of_repaired is not None and repaired is not None and repaired < by_flux:
+        bound, trusted = repaired, of_repaired
+    indicator = fem.Function(spaces.Q, name="error_of_v")
+    indicator.x.array[:] = np.sqrt(most)  # no ghost cells
+    reasons = (
+        each.if_none or each.reservation or (each.of and f"it is the error{each.of}") for each in (certificate, trusted)
+    )
+    reason = next(filter(None, reasons), "")
+    return FieldBound(
+        bound=bound,
+        lower=max(of_seen - apart - b, 0.0),
+        relative=bound / size if size > 0 else math.inf,
+        repair=repair,
+        repaired=repaired,
+        by_flux=by_flux,
+        guaranteed=not reason,
+        reason=reason,
+        indicator=indicator,
+        solution=solution,
+        certificate=certificate,
+    )

@@ -1,0 +1,97 @@
+"""GMRES for matrices that are known by their products, and for a matrix with some of its rows added to others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array
+
+EXACT = 1e-8
+"""GMRES stops at this share of the right side."""
+DIRECTIONS = 200
+"""Steps of GMRES at most."""
+RESTART = 50
+"""Steps after which GMRES with a matrix begins anew, for the sake of memory."""
+
+type Product = Callable[[Array], Array]
+
+
+class _Product:
+    """What PETSc asks of a matrix and of a preconditioner."""
+
+    def __init__(self, product: Product):
+        self._product = product
+
+    def mult(self, _matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        y.array_w[:] = self._product(np.array(x.array_r))
+
+    apply = mult
+
+
+def gmres(
+    comm: MPI.Comm, product: Product, right: Array, precondition: Product | None = None, restart: int = DIRECTIONS
+) -> Array:
+    """Solve with a matrix that is known by its products, perhaps with a preconditioner (collective)."""
+    b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=comm)
+    b.array_w[:] = right
+    x = b.duplicate()
+    matrix = PETSc.Mat().createPython((b.getSizes(), b.getSizes()), _Product(product), comm=comm)
+    matrix.setUp()
+    solver = PETSc.KSP().create(comm)
+    solver.setOperators(matrix)
+    solver.setType("gmres")
+    solver.setGMRESRestart(restart)
+    solver.getPC().setType("none")
+    if precondition is not None:
+        solver.getPC().setType("python")
+        solver.getPC().setPythonContext(_Product(precondition))
+        solver.setPCSide(PETSc.PC.Side.RIGHT)
+    solver.setTolerances(rtol=EXACT, max_it=DIRECTIONS)
+    solver.solve(b, x)
+    found = np.array(x.array_r)
+    for each in (solver, matrix, b, x):
+        each.destroy()
+    return found
+
+
+def coupled(
+    matrix: PETSc.Mat,
+    preconditioner: PETSc.PC,
+    load: Array,
+    held: npt.NDArray[np.int32],
+    added: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], Array],
+) -> PETSc.Vec:
+    """Solve with 0 at unknowns that are held, where rows of the matrix have shares of other rows added (collective).
+
+    Args:
+        matrix: The matrix without conditions.
+        preconditioner: One for it with the conditions.
+        load: The right side, of the owned unknowns.
+        held: Those that are held.
+        added: Owned rows, what rows are added to them, which may be held, and their shares.
+    """
+    rows, others, shares = added
+    x, image = matrix.createVecs()
+
+    def product(values: Array) -> Array:
+        x.array_w[:] = values
+        matrix.mult(x, image)
+        found = np.array(image.array_r)
+        found[rows] += shares * found[others]
+        found[held] = values[held]
+        return found
+
+    def precondition(values: Array) -> Array:
+        x.array_w[:] = values
+        preconditioner.apply(x, image)
+        return np.array(image.array_r)
+
+    right = load.copy()
+    right[held] = 0.0
+    x.array_w[:] = gmres(matrix.getComm().tompi4py(), product, right, precondition, RESTART)
+    return x
