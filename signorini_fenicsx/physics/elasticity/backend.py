@@ -205,7 +205,6 @@ class ElasticBackend:
         loose = self._loose(~free)
         if loose or self._sprung:
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
-        if loose or self._sprung:
             self._factors.forget()
         if not self._factors.solve(load, self._x, contact):
             self._solve_anew(load, self._x, contact, sprung=free & loose)
