@@ -10,6 +10,7 @@ import sys
 import time
 from typing import Any
 
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 import ufl
 from dolfinx import fem
 from mpi4py import MPI

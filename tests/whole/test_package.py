@@ -143,3 +143,12 @@ def test_sizes(tmp_path: Path, file: str, text: str, found: list[str]):
     path.parent.mkdir()
     path.write_text(text)
     assert list(too_long(tmp_path)) == found
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "scripts").glob("*.py")), ids=lambda path: path.stem)
+def test_scripts_load_the_wheels_libraries_first(script: Path):
+    """With the wheel, UFL and DOLFINx are found after this package or mpi4py has been imported."""
+    text = script.read_text(encoding="utf-8")
+    first = re.search(r"(?m)^(?:import|from) (basix|dolfinx|mpi4py|petsc4py|signorini_fenicsx|ufl)\b", text)
+    if "__main__" in text and first is not None:
+        assert first[1] in ("mpi4py", "signorini_fenicsx")
