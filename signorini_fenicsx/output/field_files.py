@@ -41,10 +41,9 @@ def write_fields(folder: Path, spaces: MeshSpaces, times: Iterable[tuple[float |
     for t, fields in times:
         give_back_memory()  # the files take more than the fields
         for name, of_file in fields.items():
-            all_of_file = [each for field in of_file for each in field.with_derived()]
             if name not in vtx:
                 vtx[name] = Vtx(folder / f"{name}.bp", spaces, number, in_cells=name == IN_CELLS)
-            vtx[name].write(t or 0.0, all_of_file)
+            vtx[name].write(t or 0.0, of_file)
         xdmf.write(t, fields)
     for file in vtx.values():
         file.close()

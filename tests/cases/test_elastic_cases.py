@@ -107,7 +107,7 @@ def test_solve_writes_what_one_needs(folder: Path):
         assert (folder / "out" / name).exists(), name
     if COMM.rank == 0:
         with adios2.FileReader(str(folder / "out" / "solution.bp")) as file:
-            assert {"sigma", "u", "von_mises"} <= set(file.available_variables())
+            assert {"sigma", "u", "equilibrium"} <= set(file.available_variables())
             stress = file.read("sigma").reshape(-1, 9)
             np.testing.assert_array_equal(stress[:, 1], stress[:, 3])
             np.testing.assert_allclose(stress[:, 8], 0.3 * (stress[:, 0] + stress[:, 4]), atol=1e-12)
