@@ -5,6 +5,7 @@ Each function of the language is one row of the table in `functions`.
 """
 
 from signorini_fenicsx.expressions.evaluation import (
+    decided,
     difference,
     interval,
     linear_terms,
@@ -19,6 +20,7 @@ __all__ = [
     "TREES",
     "Binary",
     "Tree",
+    "decided",
     "difference",
     "exactly",
     "interval",

@@ -18,7 +18,19 @@ from signorini_fenicsx.expressions import intervals
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.functions import FUNCTIONS
 from signorini_fenicsx.expressions.intervals import Elementary, FromNumPy, Interval, Truth, enclosing
-from signorini_fenicsx.expressions.tree import Binary, Negative, Number, Tree, evaluate, exactly
+from signorini_fenicsx.expressions.tree import (
+    Binary,
+    Call,
+    Comparison,
+    Conditional,
+    Coordinate,
+    Negative,
+    Number,
+    Tree,
+    evaluate,
+    exactly,
+    holds,
+)
 
 COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt,
@@ -28,6 +40,12 @@ COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "==": operator.eq,
     "!=": operator.ne,
 }
+CHOICES: dict[str, Callable[..., Conditional]] = {
+    "max": lambda a, b: Conditional(Comparison(">=", a, b), a, b),
+    "min": lambda a, b: Conditional(Comparison("<=", a, b), a, b),
+    "abs": lambda a: Conditional(Comparison(">=", a, exactly(0.0)), a, Negative(a)),
+}
+"""Functions of the language that are choices."""
 
 
 class _Logic:
@@ -213,6 +231,35 @@ def interval(tree: Tree, box: Mapping[str, Interval], elementary: Elementary | N
     with np.errstate(all="ignore"):
         found: Interval = evaluate(tree, Intervals(box, elementary or FromNumPy()))
     return found.on(next(iter(box.values())).lo.shape)
+
+
+def decided(tree: Tree, box: Mapping[str, Interval]) -> Tree:
+    """The tree on a box, without the choices, max, min and abs among them, of which one branch holds everywhere there.
+
+    So u_D = "-8 if x < 12 else -2" is a number where x > 20.
+    """
+    match tree:
+        case Number() | Coordinate():
+            return tree
+        case Negative(operand=operand):
+            return Negative(decided(operand, box))
+        case Binary(sign=sign, left=left, right=right):
+            return Binary(sign, decided(left, box), decided(right, box))
+        case Call(name=name, arguments=arguments):
+            choice = CHOICES[name](*arguments) if name in CHOICES else None
+            branch = None if choice is None else _branch(choice, box)
+            return branch or Call(name, tuple(decided(argument, box) for argument in arguments))
+        case Conditional(condition=condition, then=then, otherwise=otherwise):
+            return _branch(tree, box) or Conditional(condition, decided(then, box), decided(otherwise, box))
+
+
+def _branch(choice: Conditional, box: Mapping[str, Interval]) -> Tree | None:
+    """The branch of a choice that holds everywhere on a box, None if there is none."""
+    with np.errstate(all="ignore"):
+        truth = holds(choice.condition, Intervals(box, FromNumPy()), lambda part: interval(part, box))
+    if truth.surely:
+        return decided(choice.then, box)
+    return None if truth.possibly else decided(choice.otherwise, box)
 
 
 def _shape(points: Mapping[str, Array]) -> tuple[int, ...]:

@@ -159,18 +159,19 @@ def _evaluated(tree: Tree, algebra: Algebra, known: dict[Tree, Any] | None) -> A
         case Call(name=name, arguments=arguments):
             return algebra.call(name, [of(argument) for argument in arguments])
         case Conditional(condition=condition, then=then, otherwise=otherwise):
-            return algebra.choose(_holds(condition, algebra, of), of(then), of(otherwise))
+            return algebra.choose(holds(condition, algebra, of), of(then), of(otherwise))
 
 
-def _holds(condition: Condition, algebra: Algebra, of: Callable[[Tree], Any]) -> Any:
+def holds(condition: Condition, algebra: Algebra, of: Callable[[Tree], Any]) -> Any:
+    """Whether a condition holds in an algebra; `of` gives the values of trees in it."""
     match condition:
         case Comparison(sign=sign, left=left, right=right):
             return algebra.compare(sign, of(left), of(right))
         case And(operands=operands) | Or(operands=operands):
             join = algebra.both if isinstance(condition, And) else algebra.either
-            return functools.reduce(join, (_holds(operand, algebra, of) for operand in operands))
+            return functools.reduce(join, (holds(operand, algebra, of) for operand in operands))
         case Not(operand=operand):
-            return algebra.opposite(_holds(operand, algebra, of))
+            return algebra.opposite(holds(operand, algebra, of))
 
 
 def substituted(node: Any, name: str, number: Number) -> Any:

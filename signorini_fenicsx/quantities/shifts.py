@@ -25,8 +25,10 @@ from signorini_fenicsx.contact.laws import (
     TwoSided,
     Wall,
 )
-from signorini_fenicsx.expressions import TREES, Binary, exactly, to_ufl
+from signorini_fenicsx.discrete.cell_shapes import facet_corners
+from signorini_fenicsx.expressions import TREES, Binary, decided, exactly, to_ufl
 from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -134,9 +136,19 @@ def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], weight: Given
         problem = replace(problem, u_D=added(domain, problem.u_D, amount, 1.0))
     elif fixed:
         boundary = replace(boundary, signorini=[*boundary.signorini, *fixed])
-        held = Dirichlet(fixed, added(domain, problem.u_D, weight, amount))
-        problem = replace(problem, laws=[*problem.laws, held])
+        held = [Dirichlet(part, _on_part(domain, part, added(domain, problem.u_D, weight, amount))) for part in fixed]
+        problem = replace(problem, laws=[*problem.laws, *held])
     return boundary, problem
+
+
+def _on_part(domain: Domain, part: str, given: Given) -> Given:
+    """A datum as it is on a part: of a text the branches that hold there (collective)."""
+    if not isinstance(given, TREES):
+        return given
+    dim, comm = domain.mesh.geometry.dim, domain.mesh.comm
+    x = facet_corners(domain.mesh, domain.facets[part]).reshape(-1, dim)
+    x = np.concatenate(comm.allgather(np.stack([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])))
+    return decided(given, {name: Interval(x[:, i].min(), x[:, i].max()) for i, name in enumerate("xyz"[:dim])})
 
 
 def moved(domain: Domain, law: Law, u: Given, flux: Given, factor: float) -> Law:

@@ -12,6 +12,7 @@ from fuzz_expressions import check_enclosures, interval_and_gradient, outcome, t
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import reference_coordinate
 from signorini_fenicsx.expressions.evaluation import (
+    decided,
     difference,
     interval,
     linear_terms,
@@ -276,6 +277,23 @@ def test_linear_terms(text: str, number: int):
         np.testing.assert_allclose(sum(factor * values(term, x) for factor, term in terms), values(tree, x), rtol=1e-13)
     same = [{term for _, term in linear_terms(substituted(read(text, "xyt"), "t", exactly(t)))} for t in (0.3, 0.7)]
     assert (same[0] == same[1]) == (text not in {"x*(t*y)/3 - (x^t - 1)", "(1 + t*x)*y", "2*x if t < 1 else y"})
+
+
+@pytest.mark.parametrize(
+    ("text", "rest"),
+    [
+        ("-8 if x < 12 else -2", "-2"),
+        ("x*max(4 - y, 0, -1)^2 - min(y, 3)", "x*(4 - y)^2 - y"),
+        ("abs(y - 2) if x > 13 and y < 1 or x == 0 else x", "-(y - 2)"),
+        ("sin(1 if x < 1 else 2 if y < 9 else 3)", "sin(2)"),
+        ("1 if x < 15 else 2", "1 if x < 15 else 2"),
+        ("max(x, 15)", "max(x, 15)"),
+        ("1 if sqrt(y - 9) > 0 else 2", "1 if sqrt(y - 9) > 0 else 2"),
+    ],
+)
+def test_choices_that_a_box_decides(text: str, rest: str):
+    box = {"x": Interval(np.array(14.0), np.array(16.0)), "y": Interval(np.array(0.0), np.array(0.5))}
+    assert decided(read(text, "xy"), box) == read(rest, "xy")
 
 
 def test_abs_of_abs_ends():

@@ -86,6 +86,16 @@ def test_known_fluxes(parts: str | list[str], known: float):
     assert widths[1] < widths[0] / 2**1.8 + 1e-9
 
 
+def test_flux_through_one_of_two_levels():
+    """Of a u_D that is given by cases, that of the part counts: its flux is guaranteed."""
+    levels = Diffusion(f=0, u_D="0 if x < 1/2 else 1", conditions=[Signorini("bottom", psi=-1), Neumann("top")])
+    found = solve(build_domain(COMM, "square", 1 / 2, mesh="structured"), levels).quantity(Flux("right"))
+    assert found.guaranteed, found.reason
+    assert found.lower <= 1 + 1e-9
+    assert found.upper >= 1 - 1e-9
+    assert found.width < 1e-6
+
+
 def test_energy():
     """The energy ½∫u'² − ∫fu of the strip is inside."""
     x, weights = np.polynomial.legendre.leggauss(8)
