@@ -121,7 +121,7 @@ class BestDisplacement:
         directions = np.append(sides[:, None] * contact.facets.normals[on], tangents[rubs].reshape(-1, dim), 0)
         nodes, signs = contact.pairs(rows, places)
         axes = signs[:, :, None] * np.einsum("ksij,ki->ksj", self._given.frames[nodes], directions)
-        slipped = self._slipped()
+        slipped = np.einsum("nkmi,nki->nkm", tangents, self._slipped())
         bound = np.append(sides * (self.openings[on, at] - corners), slipped[rubs]) - (
             axes * self._given.values[nodes]
         ).sum(axis=(1, 2))
@@ -403,17 +403,22 @@ class BestDisplacement:
     def _slipped(self) -> Array:
         """The slip of the last step in time on the facets with friction, by its coefficients.
 
-        It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d −
-        1); 0 in space, where there are no steps.
+        It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
         """
-        rough, here = self.rough
-        if self.spaces.dim == 3:
-            return np.zeros((len(rough), self.openings.shape[1], 2))
-        values = linear_from_means(self._data.slipped.reshape(-1, 2)[here])
+        values = linear_from_means(self.spaces.along(self._data.slipped)[self.rough[1]])
+        found: Array = self._hats_of_rough() @ values
+        return found
+
+    def _hats_of_rough(self) -> Array:
+        """The hats of the vertices at the places of the coefficients on the facets with friction.
+
+        Shape (facets, nodes, d).
+        """
+        rough, _ = self.rough
         ends, points = self.contact.facets.vertices[rough], self.contact.places()[rough]
-        edges = ends[:, 1] - ends[:, 0]
-        along = np.einsum("nki,ni->nk", points - ends[:, :1], edges) / (edges**2).sum(axis=1)[:, None]
-        return (values[:, :1] + along * (values[:, 1:] - values[:, :1]))[:, :, None]
+        edges = np.linalg.pinv(ends[:, 1:] - ends[:, :1])
+        beside = (points - ends[:, :1]) @ edges
+        return np.concatenate([1 - beside.sum(axis=2, keepdims=True), beside], axis=2)
 
     def _rubbing_frames(self) -> Array:
         """Tangents for each coefficient on the facets with friction, shape (facets, nodes, d − 1, d).
@@ -421,15 +426,11 @@ class BestDisplacement:
         In space the first one is along y_t there: |v_t| is at most the sum of both components, and this is sharp where
         v_t has the direction of u_t.
         """
-        rough, here = self.rough
+        _, here = self.rough
         tangents = np.repeat(self.spaces.tangents[here][:, None], self.openings.shape[1], axis=1)
         if self.spaces.dim == 2:
             return tangents
-        ends, points = self.contact.facets.vertices[rough], self.contact.places()[rough]
-        edges = np.linalg.pinv(ends[:, 1:] - ends[:, :1])
-        beside = (points - ends[:, :1]) @ edges
-        hats = np.concatenate([1 - beside.sum(axis=2, keepdims=True), beside], axis=2)
-        shear = hats @ self._y.shear[here]
+        shear = self._hats_of_rough() @ self._y.shear[here]
         size = np.linalg.norm(shear, axis=2, keepdims=True)
         along = np.where(size > 0, shear / np.where(size > 0, size, 1.0), [1.0, 0.0])
         beyond = np.stack([-along[..., 1], along[..., 0]], axis=2)
@@ -447,4 +448,4 @@ class BestDisplacement:
     def _slips(self, v: fem.Function) -> Array:
         """The coefficients of v_t − w on the facets with friction, shape (facets, nodes, d − 1)."""
         (rough, here), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
-        return np.einsum("nki,nmi->nkm", slips[rough], self.spaces.tangents[here]) - self._slipped()
+        return np.einsum("nki,nmi->nkm", slips[rough] - self._slipped(), self.spaces.tangents[here])

@@ -196,14 +196,17 @@ def test_biactive(friction: str):
         solution.gradient(functional(Controlled(domain, problem, given), solution), given)
 
 
+@pytest.mark.parametrize("shape", ["square", "cube"])
 @pytest.mark.parametrize("friction", ["tresca", "coulomb"])
-def test_in_steps(friction: str):
-    """Loads in steps, with friction against the slip of the last one: backwards through all."""
-    domain = build_domain(COMM, "square", 0.36, mesh="structured")
+def test_in_steps(friction: str, shape: str):
+    """Loads in steps, with friction against the slip of the last one: backwards through all; it turns in space."""
+    domain = build_domain(COMM, shape, 0.36 if shape == "square" else 1.0, mesh="structured")
     E, bound, gap = given = constants(domain, 1.5, 0.05, 0.01)
     law: Any = Tresca(bound) if friction == "tresca" else Coulomb(6 * bound)
-    pulled = Dirichlet("top", ["0.5*t*(1 - t)*(1 + x)", "-0.1*(1 + x)*(0.3 + t)"])
-    conditions = [Contact("bottom", gap=gap, friction=law), pulled, Neumann(["left", "right"])]
+    across = [] if shape == "square" else ["0.2*t^2*(1 - x)"]
+    pulled = Dirichlet("top", ["0.5*t*(1 - t)*(1 + x)", *across, "-0.1*(1 + x)*(0.3 + t)"])
+    sides = ["left", "right", *(["front", "back"] if across else [])]
+    conditions = [Contact("bottom", gap=gap, friction=law), pulled, Neumann(sides)]
     problem, evolution = Elasticity(young=E, poisson=0.3, conditions=conditions), Evolution(end=1.2, steps=4)
 
     def J(instant: Instant) -> Any:

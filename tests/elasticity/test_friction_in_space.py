@@ -9,7 +9,7 @@ from elastic import box, stress, two_boxes
 from mpi4py import MPI
 
 from signorini_fenicsx.api import load_solution
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.certificate.certify_elastic import certify_elastic
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.forms.elasticity import strain
@@ -17,8 +17,6 @@ from signorini_fenicsx.physics.elasticity import friction
 from signorini_fenicsx.physics.elasticity.friction import Slipping
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.solving.evolution import Evolution
-from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -181,13 +179,6 @@ def test_file(tmp_path: Path):
     np.testing.assert_allclose(np.sort(again.slip_vectors, axis=None), np.sort(solution.slip_vectors, axis=None))
     assert again.kkt.complementarity < 1e-10
     assert certify_elastic(again).bound == pytest.approx(certify_elastic(solution).bound, rel=1e-6)
-
-
-def test_steps_are_refused():
-    """Loads in steps with friction are in the plane only."""
-    problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1*t"], laws=[Friction(["z0"], g=0.1)])
-    with pytest.raises(InputError, match="in two dimensions only"):
-        list(evolve(box(COMM, 1, [0.0] * 3, [1.0] * 3), (ElasticBoundary([]), problem), Evolution(end=1.0, steps=2)))
 
 
 def test_derivatives():

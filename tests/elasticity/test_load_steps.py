@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import signorini
+from elastic import box
 from mpi4py import MPI
 
-from signorini_fenicsx import Coulomb, Elasticity, Evolution, InputError, StepBounds, evolve
+from signorini_fenicsx import Coulomb, Elasticity, Evolution, InputError, StepBounds, certify, evolve, load_solution
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.problem import Contact, Tresca
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 COMM = MPI.COMM_WORLD
 PUSHED = "(0.4*t if t < 1 else 0.8 - 0.4*t)"
@@ -49,6 +52,81 @@ def test_exact_history(friction: Tresca | Coulomb):
         assert bounds.certify(instant).bound < 1e-7
         states.append(max(solution.friction_states().items(), key=lambda item: item[1]["measure"])[0])
     assert states == ["stick", "slip-", "slip-", "slip-", "stick", "stick", "slip+", "slip+"]
+
+
+OBLIQUE = [(0.05, 0.0), (0.2, 0.0), (0.2, 0.1), (0.15, 0.12), (-0.2, 0.1), (-0.1, 0.05)]
+"""Where the upper end of a block in space is at the end of each step."""
+
+
+def slipped_in_space() -> list[tuple[np.ndarray, np.ndarray]]:
+    """The slip of such a block and its shear, E = 1, ν = 0, height 1, |σ_t| ≤ 0.05: σ = (U − s)/2, or it slips."""
+    found, slip = [], np.zeros(2)
+    for end in OBLIQUE:
+        shear = (np.array(end) - slip) / 2
+        size = np.linalg.norm(shear)
+        shear = shear if size <= 0.05 else 0.05 * shear / size
+        slip = np.array(end) - 2 * shear
+        found.append((slip, shear))
+    return found
+
+
+def in_steps(values: list[float]) -> str:
+    """A text in t that has these values in steps of length 1."""
+    text = f"{values[-1]:.17g}"
+    for step, value in reversed(list(enumerate(values[:-1], start=1))):
+        text = f"({value:.17g} if t < {step + 0.5} else {text})"
+    return text
+
+
+@pytest.mark.parametrize("friction", [Tresca(0.05), Coulomb(0.5)])
+@pytest.mark.parallel([1, 3])
+def test_exact_history_in_space(friction: Tresca | Coulomb):
+    """Stick, slip, oblique slip twice, slip back and stick there: exact in each step, and its bound, too."""
+    expected = slipped_in_space()
+    slip, shear = ([in_steps([each[k][i] for each in expected]) for i in range(2)] for k in range(2))
+    u = [*(f"{s} + 2*{tau}*z" for s, tau in zip(slip, shear, strict=True)), "-0.1*z"]
+    body = Elasticity(1.0, 0.0, u_D=u, exact=u, conditions=[Contact("z0", friction=friction)])
+    domain, states = box(COMM, 1, [0.0] * 3, [1.0] * 3), []
+    for instant, (s, tau) in zip(evolve(domain, body, Evolution(end=6.0, steps=6)), expected, strict=True):
+        solution = instant.solution
+        errors = solution.errors()
+        assert errors is not None
+        assert max(errors["energy"], errors["u_L2"]) < 1e-10
+        for found, vector in ((solution.slip_vectors, s), (solution.shear_vectors, -tau)):
+            np.testing.assert_allclose(found, np.broadcast_to(np.append(vector, 0.0), found.shape), atol=1e-9)
+        assert certify(solution).bound < 1e-7
+        states.append(solution.friction_states()["slip"]["measure"])
+    assert states == pytest.approx([0, 1, 1, 0, 1, 0])
+
+
+def turned(domain: Domain) -> list[ElasticSolution]:
+    """Two steps of a block that is pressed and pushed, then twisted."""
+    twist = "(t - 1 if t > 1 else 0)"
+    u = [f"0.02*t - 0.1*(y - 0.4)*{twist}", f"0.1*(x - 0.5)*{twist}", "-0.05"]
+    sides = Neumann(["x0", "x1", "y0", "y1"])
+    body = Elasticity(1.0, 0.3, conditions=[Contact("z0", friction=Coulomb(0.5)), Dirichlet("z1", u), sides])
+    return [instant.solution for instant in evolve(domain, body, Evolution(end=2.0, steps=2))]
+
+
+def test_second_step_in_space(folder: Path):
+    """Friction is against what comes after the first step, its bound falls with h, and a file keeps both slips."""
+    coarse, fine = (turned(box(COMM, n, [0.0] * 3, [1.0, 1.0, 0.5])) for n in (1, 2))
+    first, last = fine
+    friction = last.data.friction
+    assert friction is not None
+    after = last.slip_vectors - first.slip_vectors
+    size = np.linalg.norm(after, axis=2)
+    slips = size > 1e-10
+    assert slips.any()
+    along = -(friction.bound / np.where(slips, size, 1.0))[slips, None] * after[slips]
+    np.testing.assert_allclose(last.shear_vectors[slips], along, atol=1e-12)
+    bound = certify(last)
+    assert bound.bound < 0.75 * certify(coarse[1]).bound
+    last.write(folder / "out")
+    again = load_solution(folder / "out", problem=last.problem)
+    np.testing.assert_allclose(np.sort(again.slip_vectors, axis=None), np.sort(last.slip_vectors, axis=None))
+    assert again.kkt.complementarity < 1e-10
+    assert certify(again).bound == pytest.approx(bound.bound, rel=1e-6)
 
 
 def test_bounds_of_steps():

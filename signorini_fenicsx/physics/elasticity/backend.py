@@ -168,7 +168,7 @@ class ElasticBackend:
         segment = laws.chains.segments(conditions.take(slice(normal)))
         p = np.append(laws.own(segment, p[:normal], flux[:normal]), p[normal:])
         p, flux = conditions.clean(p, flux, np.inf)
-        flux[normal:] -= self._turned(p[normal:])
+        flux[normal:] -= self.turned(p[normal:])
         return p, flux
 
     @property
@@ -176,7 +176,7 @@ class ElasticBackend:
         """Whether the shear turns with the slip, as in space."""
         return self.friction is not None and self.friction.slipping is not None
 
-    def _turned(self, slip: Array) -> Array:
+    def turned(self, slip: Array) -> Array:
         """What the linear law of friction in space adds to −σ_t, of u_t at the sites."""
         if self.friction is None or not self._turns:
             return np.zeros_like(slip)
@@ -229,7 +229,7 @@ class ElasticBackend:
             flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
         if self._turns:
             normal = len(self.spaces.sites)
-            flux[normal:] -= self._turned(np.broadcast_to(p, self.sites)[normal:])
+            flux[normal:] -= self.turned(np.broadcast_to(p, self.sites)[normal:])
         return np.asarray(self._signs * self._measure * flux)
 
     def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:

@@ -61,21 +61,20 @@ class ElasticSteps:
 
     def left_by(self, solution: ElasticSolution) -> Array:
         """The slip at the end of this step."""
-        return solution.slip.ravel()
+        return solution.slips
 
     def of_step(self, _solution: ElasticSolution) -> dict[str, float]:
         """Nothing."""
         return {}
 
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
-        """For each vertex of Γ_C its segments, its slip and the bound of the shear."""
-        spaces, own = self.spaces, solution.segments()
+        """For each vertex of Γ_C its segments, its slip as a vector and the bound of the shear."""
+        spaces, own, dim = self.spaces, solution.segments(), self.spaces.dim
         normal, along = np.split(own.segment, [len(spaces.sites)])
-        rough = spaces.rough_rows
         on_facets = {
-            "own": normal.reshape(-1, spaces.dim),
-            "own_slip": spread(spaces, along.reshape(len(rough), spaces.dim)),
-            "slip": spread(spaces, solution.slip),
+            "own": normal.reshape(-1, dim),
+            "own_slip": spread(spaces, along.reshape(-1, dim, dim - 1)),
+            "slip": spread(spaces, solution.slip_vectors),
             "bound": spread(spaces, own.bound),
         }
         return {f"facet_{key}": rows for key, rows in on_facets.items()}
@@ -85,12 +84,12 @@ class ElasticSteps:
         spaces, rough = self.spaces, self.spaces.rough_rows
         own, along, slip, bound = (kept(step, f"facet_{key}") for key in ("own", "own_slip", "slip", "bound"))
         segment = np.concatenate([own.ravel(), along[rough].ravel()]).astype(np.int64)
-        return Past(step, [slip[rough].ravel()], ElasticSegments(spaces, segment, bound[rough]))
+        return Past(step, [spaces.in_frames(slip[rough])], ElasticSegments(spaces, segment, bound[rough]))
 
 
 def spread(spaces: ElasticSpaces, rows: Array | Indices) -> Array:
     """Rows of the facets with friction as rows of all of Γ_C, 0 where there is none."""
-    found = np.zeros((len(spaces.facets), spaces.dim))
+    found = np.zeros((len(spaces.facets), *rows.shape[1:]))
     if len(rows):
         found[spaces.rough_rows] = rows
     return found

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -43,7 +44,12 @@ def _on_facets(solution: ElasticSolution) -> Arrays:
         in_space["slip_vector"] = np.zeros((*touching.shape, 3))
         in_space["slip_vector"][spaces.rough_rows] = solution.slip_vectors
         state = np.where(state == STATES.index("stick"), state, 0)
-    slipped = {} if solution.step is None else {"slipped": spread(spaces, solution.data.slipped.reshape(-1, 2))}
+    slipped = {}
+    if spaces.mesh.comm.allreduce(bool(solution.data.slipped.any()), MPI.LOR):
+        by_vertex = solution.data.slipped.reshape(-1, spaces.dim, spaces.dim - 1)
+        in_plane = spaces.dim == 2
+        key, rows = ("slipped", by_vertex[:, :, 0]) if in_plane else ("slipped_vector", spaces.along(by_vertex))
+        slipped[key] = spread(spaces, rows)
     return {
         "vertices": facet_vertices(spaces.mesh, spaces.contact.facets),
         "p": solution.outcome.iterate.p[: touching.size].reshape(touching.shape),
@@ -69,8 +75,10 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
     stresses, u = (stored.in_cells(spaces, key) for key in ("sigma", "u"))
     p, condition, slip, state, bound = stored.on_facets(spaces.mesh.comm, "p", "condition", "slip", "state", "bound")
     rough, slipped = spaces.rough_rows, None
-    if stored.step is not None:
+    if "facet_slipped" in stored.arrays:
         slipped = stored.on_facets(spaces.mesh.comm, "slipped")[0][rough].ravel()
+    elif "facet_slipped_vector" in stored.arrays:
+        slipped = spaces.in_frames(stored.on_facets(spaces.mesh.comm, "slipped_vector")[0][rough])
     data = elastic_data(spaces, problem, slipped)
     if data.friction is not None:
         by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
@@ -80,11 +88,11 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
     if data.friction is not None and spaces.dim == 3:
         if "facet_slip_vector" not in stored.arrays:
             raise InputError("not a readable solution (it holds no facet_slip_vector)")
-        vectors = stored.on_facets(spaces.mesh.comm, "slip_vector")[0][rough]
-        along = np.einsum("nai,nki->nak", vectors, spaces.tangents).ravel()
+        along = spaces.in_frames(stored.on_facets(spaces.mesh.comm, "slip_vector")[0][rough])
         segment = np.zeros(len(along))
         shear = spaces.shear(stresses).reshape(-1, 3, 2)
-        slipping = _slipping(state[rough] == STATES.index("stick"), shear, along.reshape(shear.shape))
+        after = (along - data.slipped).reshape(shear.shape)
+        slipping = _slipping(state[rough] == STATES.index("stick"), shear, after)
         data = replace(data, friction=replace(data.friction, slipping=slipping))
     chains = law_of_sites(spaces, data.laws.chains, data.friction)
     pressure = -spaces.normal_stress(stresses) - data.laws.pressure
@@ -121,6 +129,9 @@ KEEPING = Keeping(
     on_facets=_on_facets,
     read=_read,
     own=("bound_changes",),
-    of_step={"facet_slipped": (np.float64, "facets", "dim")},
-    of_some={"facet_slip_vector": (np.float64, "facets", "dim", "dim")},
+    of_some={
+        "facet_slipped": (np.float64, "facets", "dim"),
+        "facet_slip_vector": (np.float64, "facets", "dim", "dim"),
+        "facet_slipped_vector": (np.float64, "facets", "dim", "dim"),
+    },
 )

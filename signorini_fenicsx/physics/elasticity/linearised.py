@@ -243,7 +243,11 @@ class Linearised:
         return (
             self._by_points(adjoint, of_u)
             | {name: moments.sensitivities(by[kind]) for name, (kind, moments) in self._moments.items()}
-            | {"slipped": np.where(self._held[len(sites) :], of_stick, 0.0)}
+            | {
+                "slipped": np.where(
+                    self._held[len(sites) :], of_stick, -spaces.slip_measure * backend.turned(x[spaces.slip_sites])
+                )
+            }
         )
 
     def _by_points(self, adjoint: Array, of_u: Array) -> dict[str, Array]:

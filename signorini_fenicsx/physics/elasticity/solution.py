@@ -159,10 +159,15 @@ class ElasticSolution(Solved):
 
         In space it is |u_t|.
         """
-        return self._scalar(self._slips + self.data.slipped)
+        return self._scalar(self.slips)
 
     @property
-    def _slips(self) -> Array:
+    def slips(self) -> Array:
+        """u_t at the sites with friction, in the frames of the facets."""
+        return self._after + self.data.slipped
+
+    @property
+    def _after(self) -> Array:
         """What of u_t at the sites comes after the last step in time, all of it without one."""
         return self.outcome.iterate.p[len(self.spaces.sites) :]
 
@@ -175,7 +180,7 @@ class ElasticSolution(Solved):
     @property
     def slip_vectors(self) -> Array:
         """u_t as vectors, shape (facets, d, d)."""
-        return self.spaces.along(self._slips + self.data.slipped)
+        return self.spaces.along(self.slips)
 
     @property
     def shear_vectors(self) -> Array:
@@ -196,7 +201,7 @@ class ElasticSolution(Solved):
         normal = len(self.spaces.sites)
         tangential = self.outcome.conditions.take(slice(normal, None))
         found = self.data.friction.chains.segments(tangential).reshape(-1, 2)
-        return np.where(self.data.friction.bound > 0, found, np.where(self._scalar(self._slips) < 0, 0, 2))
+        return np.where(self.data.friction.bound > 0, found, np.where(self._scalar(self._after) < 0, 0, 2))
 
     def segments(self) -> ElasticSegments:
         """Where the next step in time starts."""
@@ -216,7 +221,7 @@ class ElasticSolution(Solved):
         """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
         found = np.full((3, *self.touching.shape), np.nan)
         if self.data.friction is not None:
-            vectors = (self._slips + self.data.slipped).reshape(-1, self.spaces.dim, self.spaces.dim - 1)
+            vectors = self.slips.reshape(-1, self.spaces.dim, self.spaces.dim - 1)
             linear_slip = self._scalar(linear_from_means(vectors))
             for values, rough in zip(found, (self.shear, linear_slip, self._states_or_open), strict=True):
                 values[self.spaces.rough_rows] = rough

@@ -103,8 +103,6 @@ class System:
         check_kind("problem", problem, ElasticProblem)
         _check_start(self.spaces.domain, start)
         plain = Evolution(evolution.end, evolution.steps)
-        if problem.rough and self.spaces.dim == 3:
-            raise InputError("[time]: loads in steps with friction are in two dimensions only")
         if evolution != plain:
             raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
         return ElasticSteps(self.spaces, problem, evolution)

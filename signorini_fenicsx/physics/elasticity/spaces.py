@@ -241,6 +241,10 @@ class ElasticSpaces(MeshSpaces):
         """Tangential vectors from values at the sites with friction, shape (facets, d, d)."""
         return np.einsum("nak,nki->nai", values.reshape(-1, self.dim, self.dim - 1), self.tangents)
 
+    def in_frames(self, vectors: Array) -> Array:
+        """The values at the sites with friction of tangential vectors, the inverse of `along`."""
+        return np.einsum("nai,nki->nak", vectors, self.tangents).ravel()
+
     def displacement(self, values: Array, name: str = "u") -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d)."""
         function = fem.Function(self.displacements, name=name)
