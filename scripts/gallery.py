@@ -18,7 +18,7 @@ from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elastic_case import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.of_solution import certify
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.output.pictures import style

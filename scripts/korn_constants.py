@@ -16,7 +16,7 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.certificate.korn import KORN, TRACE, regular_simplex, stretch
+from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, regular_simplex, stretch
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     Cells,
     compliance_product,

@@ -25,7 +25,7 @@ from random_bounds import Row
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.adaptive import adapt
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -204,7 +204,7 @@ def measured(seed: int, *, touching: bool) -> ElasticRow:
 
     dim = coarse.mesh.topology.dim
     finer, of_finer = adapt(coarse, solve_on, max_cells=CELLS[dim])
-    certificate, difference = certify_elastic(solution), energy_difference(solution, finer)
+    certificate, difference = certify(solution), energy_difference(solution, finer)
     wrong = certificate.sigma_bound < (1 - 1e-9) * (difference - of_finer.sigma_bound)
     assert certificate.guaranteed
     poisson = float(str(asked[1].poisson))

@@ -69,7 +69,7 @@ from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
 from signorini_fenicsx.certificate.adaptive import adapt
-from signorini_fenicsx.certificate.of_solution import certify
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.contact.laws import (

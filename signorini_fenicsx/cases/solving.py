@@ -13,7 +13,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.history import OnStep
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains

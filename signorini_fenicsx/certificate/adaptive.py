@@ -13,8 +13,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.certificate.of_solution import certify
+from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
 from signorini_fenicsx.solving.solved import Solved

@@ -1,14 +1,14 @@
 """How wrong a function of the user is: bounds of the energy error of any v ∈ H¹, from the flux of the program.
 
 v is continuous and quadratic on each cell; who made it and how makes no difference. With |w|² = (κ∇w, ∇w), and the flux
-σ_h of the program and the bound b of ‖σ − σ_h‖, see `certify`,
+σ_h of the program and the bound b of ‖σ − σ_h‖, see `certificate`,
 
     m − b ≤ |v − u| ≤ m + b,   m = ‖κ^½∇v − κ^-½σ_h‖,
 
 because κ^½∇v − κ^-½σ_h = κ^½∇(v − u) + κ^-½(σ − σ_h). This needs nothing of v. If v is admissible, m² is a part of
 2 gap(v, y), and |v − u| ≤ √(2 gap) + osc, where nothing is added but what laws add. Let ṽ be admissible: quadratic
 functions between the bounds of u with |ṽ − v| about as small as it can be, then with u_D and bounds themselves, see
-`law_trace`. Then
+`physics/diffusion/bound/conforming.py`. Then
 
     |v − u| ≤ √(2 gap(ṽ, y)) + osc + δ,   δ = |ṽ − v|, the distance of the repair.
 
@@ -18,35 +18,19 @@ The smaller of both upper bounds counts. Elastic displacements have the first on
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.certificate.admissible_trace import bernstein
-from signorini_fenicsx.certificate.certify import (
-    Admissible,
-    Certificate,
-    FluxOf,
-    certificate_of,
-    gap_parts,
-    mismatches,
-)
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.certificate.laws import Goal
-from signorini_fenicsx.certificate.relaxation import all_edges
-from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite, to_entries, to_matrices
-from signorini_fenicsx.physics.elasticity.residuals import energy_squares
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.system import bound_of
 
 
 @dataclass(frozen=True)
@@ -101,11 +85,12 @@ def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
     Raises:
         InputError: If it is another function, or the problem has no such bound.
     """
+    of_physics = bound_of(solution.physics, "of_field")
+    if of_physics is None:
+        raise InputError(f"{solution.physics}: no bound of functions is known")
     _check(solution, v)
-    if isinstance(solution, Solution):
-        return _of_scalar(solution, v)
-    assert isinstance(solution, ElasticSolution)
-    return _of_displacement(solution, v)
+    found: FieldBound = of_physics.field_bound(solution, v)
+    return found
 
 
 def _check(solution: Solved, v: fem.Function) -> None:
@@ -114,8 +99,6 @@ def _check(solution: Solved, v: fem.Function) -> None:
     Raises:
         InputError: If it is none.
     """
-    if solution.physics not in ("diffusion", "elasticity"):
-        raise InputError(f"{solution.physics}: no bound of functions is known")
     if solution.step is not None:
         raise InputError("functions of a step of a problem in time have no bounds")
     check_kind("v", v, fem.Function)
@@ -130,68 +113,7 @@ def _check(solution: Solved, v: fem.Function) -> None:
         raise InputError(f"v: must be {kind} of continuous Lagrange elements of degree 1 or 2, not {element}")
 
 
-def _of_scalar(solution: Solution, v: fem.Function) -> FieldBound:
-    """The bounds of a scalar v (collective)."""
-    goal = Goal.of(solution, for_signorini=True)
-    comm, kappa = solution.spaces.mesh.comm, solution.data.kappa
-    with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
-        own = Admissible.of(solution, goal)
-        certificate = certificate_of(own, gap_parts(own, own, goal))
-        field = _in_nodes(v)
-        repaired = Admissible.of(solution, goal, field)
-        parts = gap_parts(repaired, repaired, goal)
-        of_repaired = certificate_of(repaired, parts)
-        all_edges(field.function_space).to_bernstein(field.x.array)
-        flux, given = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
-        squares = mismatches(own, given, flux)
-        seen = mismatches(replace(own, deviation=np.zeros_like(own.deviation)), given, flux)
-        moved = np.sqrt(mismatches(own, repaired.trace, FluxOf(field, kappa))) + parts.hidden
-    repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
-    return _joined(solution, certificate, (squares, seen), own.size, repair, of_repaired)
-
-
-def _in_nodes(v: fem.Function) -> fem.Function:
-    """The function by its values in the nodes of quadratics (collective)."""
-    quadratic, mesh = fem.Function(bernstein(v.function_space.mesh), name="v"), v.function_space.mesh
-    nodes = quadratic.function_space.dofmap.list
-    number, corners = nodes.shape[0], mesh.topology.dim + 1
-    values = v.x.array[v.function_space.dofmap.list[:number]]
-    if values.shape[1] == corners:
-        ends = all_edges(quadratic.function_space)
-        quadratic.x.array[nodes[:, :corners]] = values
-        quadratic.x.array[ends.middle] = quadratic.x.array[ends.ends].mean(axis=1)
-    else:
-        quadratic.x.array[nodes] = values
-    quadratic.x.scatter_forward()
-    return quadratic
-
-
-def _of_displacement(solution: ElasticSolution, v: fem.Function) -> FieldBound:
-    """The bounds of a displacement (collective).
-
-    Raises:
-        InputError: If the material varies within cells: ℂ(ε(v) − ε₀) is then not linear on each cell.
-    """
-    spaces, data = solution.spaces, solution.data
-    material = data.material
-    if not material.uniform or material.degree is None or material.degree > 1:
-        raise InputError("v: with elastic data that vary within regions there is no bound of displacements")
-    mesh, dim = spaces.mesh, spaces.dim
-    certificate = certify_elastic(solution)
-    cells = np.arange(len(spaces.order), dtype=np.int32)
-    corners = np.vstack([np.zeros(dim), np.eye(dim), np.full(dim, 1 / (dim + 1))])
-    points = CellPoints(mesh, cells, corners, np.empty(0))
-    strain = to_entries(points.of_ufl(ufl.grad(v))) - material.strain(points)
-    stress = to_matrices(np.linalg.solve(material.compliance(points), strain[..., None])[..., 0])
-    in_order = np.take_along_axis(stress, spaces.order[:, :, None, None], axis=1)
-    at_subcells = np.empty((len(cells), dim + 1, dim + 1, dim, dim))
-    at_subcells[:, :, :dim] = in_order[:, opposite(dim)]
-    at_subcells[:, :, dim] = stress[:, None, dim + 1]
-    squares = np.maximum(energy_squares(spaces, data, at_subcells - solution.stresses), 0.0)
-    return _joined(solution, certificate, (squares, squares), solution.norms()["energy"])
-
-
-def _joined(
+def joined(
     solution: Solved,
     certificate: Certificate,
     squares: tuple[Array, Array],

@@ -1,148 +1,29 @@
-"""The certificates of the steps of a problem in time.
-
-A step solves an elliptic problem with the load f + C Σ_k w_k u_(n−k). The bound is that of the distance to the exact
-solution of this problem, with continuous functions for the computed u_(n−k): v of their own certificate, plus on each
-cell a bubble that gives it the mean u_(n−k) there. What the errors of earlier steps do to a step is not in its bound.
-With u_(n−k) itself, which jumps from cell to cell, the problem would be another one, and its bound about four times
-larger. For k = n it is u_0 as it is given. With a law of storage the content of the steps before is C times that plus
-a θ with the right means, which is linear on each cell, like the η of their certificates; at the start it is constant.
-
-The bound of a step of an elastic body is that of the distance to the exact solution after the computed slip of the
-last step. This slip jumps from facet to facet. With a continuous one, the v of the last certificate with cubics that
-give it the right means, bounds of bodies that stick were larger by 3 to 35 %.
-"""
+"""The certificates of the steps of a problem in time, one after another."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import replace
+from typing import Any
 
-import numpy as np
-from dolfinx import fem
-
-from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.certificate.certify import Certificate, certify
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, at_points
-from signorini_fenicsx.certificate.oscillation import Memory
-from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, owned_cells
-from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
-from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.base.parallel import Stopwatch, collector_off
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.solving.evolving import Instant
-
-type InPoints = Callable[[CellPoints], Array]
-"""Values of a function in points of cells."""
-
-
-@dataclass(frozen=True)
-class Continuous:
-    """A continuous function near u_h with its means over the cells.
-
-    Attributes:
-        v: The quadratic of a certificate.
-        bubble: Coefficient of the bubble on each owned cell.
-    """
-
-    v: fem.Function
-    bubble: Array
-
-    @classmethod
-    def of(cls, solution: Solution, certificate: Certificate) -> Continuous:
-        """The continuous functions of a solution (collective)."""
-        spaces, v = solution.spaces, certificate.v
-        means = np.empty(len(certificate.coarse))
-        for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), 2):
-            means[points.cells] = points.means(points.quadratic(v)[:, :, 0])
-        dim = spaces.mesh.topology.dim
-        mean_of_product = math.factorial(dim) / math.factorial(2 * dim + 1)
-        return cls(v, (solution.u.x.array - means) / mean_of_product)
-
-    def __call__(self, points: CellPoints) -> Array:
-        """Its values."""
-        product = points.barycentric.prod(axis=2)
-        found: Array = points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
-        return found
-
-
-class DiffusionBounds:
-    """Certificates of one step of diffusion after another, see the module."""
-
-    def __init__(self) -> None:
-        """Begin; then the first step is to be bounded."""
-        self._before: list[InPoints] = []
-
-    def certify(self, instant: Instant) -> Certificate:
-        """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
-        steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
-        if instant.step == 1:
-            self._before = [_at_start(steps)]
-
-        before, weights = self._before, steps.weights(instant.step)
-
-        def values(points: CellPoints) -> Array:
-            return np.asarray(sum(weight * content(points) for weight, content in zip(weights, before, strict=False)))
-
-        memory = None
-        if len(before) >= len(weights):
-            of_start = instant.step <= len(weights) and not steps.storage
-            memory = Memory(values, steps.initial, weights[-1] * steps.capacity) if of_start else Memory(values)
-        certificate = certify(solution, memory=memory)
-        self._before = [_content(instant, Continuous.of(solution, certificate), certificate), *before[:1]]
-        return certificate
-
-
-def _at_start(steps: DiffusionSteps) -> InPoints:
-    """The content at the start: of a storage its means."""
-    if not steps.storage:
-        return lambda points: steps.capacity[points.cells, None] * steps.initial.values(points)
-    start = steps.start().x.array
-    return lambda points: np.broadcast_to(start[points.cells, None], points.shape)
-
-
-def _content(instant: Instant, u: InPoints, certificate: Certificate) -> InPoints:
-    """The content after a step, with the means that the step has left (collective)."""
-    steps, load = cast(DiffusionSteps, instant.steps), certificate.of_laws
-    theta, a = steps.theta(instant.solution), steps.rate(instant.step)
-    stores = np.zeros(len(theta), dtype=bool)
-    for part, _ in steps.storage:
-        stores[part.rows] = True
-
-    def content(points: CellPoints) -> Array:
-        cells = points.cells
-        found = steps.capacity[cells, None] * u(points) + theta[cells, None]
-        if load is not None and steps.storage:
-            of_cells = Projection(load.coefficients[cells] * stores[cells, None], load.rest[cells])
-            found -= at_points(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
-        return found
-
-    return content
-
-
-class ElasticBounds:
-    """Certificates of the steps of an elastic body."""
-
-    def certify(self, instant: Instant) -> Certificate:
-        """Bound the error of a step, see `certify_elastic` (collective)."""
-        return certify_elastic(instant.solution)
+from signorini_fenicsx.solving.system import bound_of
 
 
 class StepBounds:
-    """Certificates of one step after another."""
+    """Certificates of one step after another; what a step takes from those before is as its physics says."""
 
     def __init__(self) -> None:
         """Begin; then the first step is to be bounded."""
-        self._of: DiffusionBounds | ElasticBounds | None = None
+        self._of: Any = None
 
     @collector_off()
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it (collective)."""
+        solution, watch = instant.solution, Stopwatch()
         if self._of is None:
-            self._of = BOUNDS[instant.solution.boundary.physics]()
-        return self._of.certify(instant)
-
-
-BOUNDS: dict[str, type[DiffusionBounds | ElasticBounds]] = {"diffusion": DiffusionBounds, "elasticity": ElasticBounds}
-"""What bounds the steps of each physics."""
+            self._of = bound_of(solution.physics, "steps").StepBounds()
+        with watch.phase("certificate"):
+            certificate: Certificate = self._of.certify(instant)
+        return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])

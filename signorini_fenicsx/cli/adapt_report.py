@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow, MeasuredRow, rate
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.solution_report import bound, interval
 from signorini_fenicsx.quantities import Quantity

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.contact.history import Step

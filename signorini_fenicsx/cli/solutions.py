@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from typing import TypeGuard
 
     from signorini_fenicsx.cases.case import Case, CaseFile
-    from signorini_fenicsx.certificate.certify import Certificate
+    from signorini_fenicsx.certificate.certificate import Certificate
     from signorini_fenicsx.contact.history import Step
     from signorini_fenicsx.quantities import Quantity
     from signorini_fenicsx.rigorous.proof import Proof
@@ -84,7 +84,7 @@ def solve(
       signorini solve membrane --certify-steps --plot
     """
     from signorini_fenicsx.cases.solving import quantities_of, shared_domain, solve_case
-    from signorini_fenicsx.certificate.of_solution import certify
+    from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution
@@ -340,7 +340,7 @@ def export(
       mpirun -n 2 signorini export results/example2 --plot
       signorini export results/membrane --output results/membrane-end --plot
     """
-    from signorini_fenicsx.certificate.of_solution import certify
+    from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli.case_report import CaseReport
     from signorini_fenicsx.output.checkpoint import load_solution
     from signorini_fenicsx.output.writing import write_solution

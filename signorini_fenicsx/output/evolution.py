@@ -11,7 +11,7 @@ import numpy as np
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.text import write_rows
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields

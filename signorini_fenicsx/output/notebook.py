@@ -4,7 +4,7 @@ import base64
 import html as text
 
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solved import Solved
 

@@ -22,7 +22,7 @@ from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.adaptive import AdaptRow
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.history import Step

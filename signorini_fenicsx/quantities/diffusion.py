@@ -12,17 +12,18 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.certificate.admissible_flux import ROUNDING, distance
-from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.certify import QUADRATIC, Admissible, gap_parts, scaled
-from signorini_fenicsx.certificate.hidden import degree_near
-from signorini_fenicsx.certificate.laws import Goal, half_gap
-from signorini_fenicsx.certificate.local_fluxes import positive_quadrature
+from signorini_fenicsx.certificate.laws import half_gap
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import Points, facet_quadrature, in_cells, owned_cells
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, gap_parts, scaled
+from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
+from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal
+from signorini_fenicsx.physics.diffusion.bound.local_fields import positive_quadrature
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind, Mean

@@ -19,14 +19,14 @@ from petsc4py import PETSc
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress, admissible_stress
-from signorini_fenicsx.certificate.best_displacement import BestDisplacement
-from signorini_fenicsx.certificate.certify_elastic import gap_of_cells, not_in_the_spaces
-from signorini_fenicsx.certificate.elastic_oscillation import load_oscillation
 from signorini_fenicsx.discrete.datum import datum_of, quadrature_degree
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import Given, parsed
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.elasticity.bound.certify import gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution

@@ -15,7 +15,7 @@ Proof. The argument is that of `certificate`, here with exact ingredients.
 - *Trace.* See `trace`: v = u_D on Γ_D and v ≥ ψ on Γ_S, up to a function whose gradient is bounded.
 - *κ.* Let L be a matrix of floats with LᵀκL ≥ θ > 0 on T. Then ‖κ^-½q‖_T ≤ θ^-½‖Lᵀq‖_T, and κ∇v − y = (κ̃∇v − y) +
   (κ − κ̃)∇v with κ̃ the linear interpolant. In the coordinates Lᵀx the cell is convex with a diameter ĥ, and |L⁻¹∇w|² ≤
-  κ∇w·∇w/θ. So Poincaré's constant for energy norms is ĥ/(π√θ), and the trace constant C_e of `local_fluxes` has ĥ/√θ
+  κ∇w·∇w/θ. So Poincaré's constant for energy norms is ĥ/(π√θ), and the trace constant C_e of `local_fields` has ĥ/√θ
   in place of δ_T.
 - *Data.* Enclosures over parts of cells and facets give means, and ‖e − p‖ and sup |e − p| with p linear or quadratic.
 """

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from ufl import Form
 
-    from signorini_fenicsx.certificate.certify import Certificate
+    from signorini_fenicsx.certificate.certificate import Certificate
     from signorini_fenicsx.derivatives.gradient import Change, Gradient
     from signorini_fenicsx.discrete.seen import Control
     from signorini_fenicsx.quantities import Kind, Quantity
@@ -180,7 +180,7 @@ class Solved(ABC):
     @collector_off()
     def certify(self, *, for_signorini: bool = False) -> Certificate:
         """Bound the energy error, see `certify` (collective)."""
-        from signorini_fenicsx.certificate.of_solution import certify
+        from signorini_fenicsx.certificate.certify import certify
 
         return certify(self, for_signorini=for_signorini)
 

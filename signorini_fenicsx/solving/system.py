@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, is_dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, Protocol
 
 from signorini_fenicsx.base.errors import InputError
@@ -22,8 +23,8 @@ from signorini_fenicsx.solving.solved import Solved
 DIFFUSION = "diffusion"
 """The physics of files that name none."""
 PHYSICS = {name: f"signorini_fenicsx.physics.{name}" for name in (DIFFUSION, "elasticity")}
-"""The package of each physics: `solving` has its `System`, `kept` its `KEEPING`. A new physics is a folder and a name
-here."""
+"""The package of each physics: `solving` has its `System`, `kept` its `KEEPING`, and `bound`, if there is one, bounds
+errors. A new physics is a folder and a name here."""
 
 type Remesh = Callable[[float], Domain]
 """Maps a factor > 1 to a mesh of the domain that is coarser by this factor (collective). Raises InputError if there is
@@ -134,6 +135,15 @@ def keeping_of(physics: str) -> Keeping:
     """How a physics keeps its solutions in files."""
     keeping: Keeping = import_module(f"{PHYSICS[physics]}.kept").KEEPING
     return keeping
+
+
+def bound_of(physics: str, module: str) -> Any:
+    """A module by which a physics bounds errors; None if it has no bounds.
+
+    `certify` has `certificate_of`, `of_field` has `field_bound`, and `steps` has `StepBounds`.
+    """
+    package = f"{PHYSICS[physics]}.bound"
+    return import_module(f"{package}.{module}") if find_spec(package) else None
 
 
 def sorted_on(domain: Domain, problem: Any, boundary: Any = None) -> tuple[Any, Any]:

@@ -12,7 +12,7 @@ from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.cases.solving import quantities_of, solve_case
-from signorini_fenicsx.certificate.of_solution import certify
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import convergence_study
 from signorini_fenicsx.output.writing import write_convergence, write_solution, write_summary
 from signorini_fenicsx.studies.folder import RECORD, Status, StudyFolder

@@ -13,11 +13,11 @@ from mpi4py import MPI
 from random_elastic_bounds import energy_difference, measured
 
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
-from signorini_fenicsx.certificate.korn import KORN, TRACE
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -33,7 +33,7 @@ def test_bound_is_near_a_singular_error(nu: float):
     solution = solve(
         box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u))
     )
-    errors, certificate = solution.errors(), certify_elastic(solution)
+    errors, certificate = solution.errors(), certify(solution)
     assert errors is not None
     assert errors["energy"] <= certificate.sigma_bound < 1.4 * errors["energy"]
     assert not certificate.guaranteed
@@ -46,7 +46,7 @@ def test_loads_that_are_polynomials():
     problem = ElasticProblem(1.0, 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
     for n in (2, 8):
         solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary([]), problem))
-        errors, certificate = solution.errors(), certify_elastic(solution)
+        errors, certificate = solution.errors(), certify(solution)
         assert errors is not None
         assert certificate.guaranteed
         assert certificate.oscillation > 0
@@ -61,7 +61,7 @@ def test_tractions_that_are_polynomials():
     boundary = ElasticBoundary([], neumann=["x1", "y1"], fixed={"x0": "n"})
     for n in (2, 8):
         solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
-        errors, certificate = solution.errors(), certify_elastic(solution)
+        errors, certificate = solution.errors(), certify(solution)
         assert errors is not None
         assert certificate.guaranteed
         assert errors["energy"] <= certificate.sigma_bound < 4 * errors["energy"]
@@ -75,7 +75,7 @@ def test_tractions_that_the_mesh_does_not_see(dim: int):
     boundary = ElasticBoundary([], neumann=["yz"[dim - 2] + "1"])
     problem = ElasticProblem(1.0, 0.3, g_N=["0"] * (dim - 1) + [legendre])
     solution, fine = (solve(box(COMM, n, *ends), (boundary, problem)) for n in (1, {2: 8, 3: 4}[dim]))
-    certificate = certify_elastic(solution)
+    certificate = certify(solution)
     assert certificate.guaranteed
     assert fine.norms()["energy"] <= certificate.sigma_bound
 
@@ -90,7 +90,7 @@ def test_a_body_of_two_materials():
     problem = ElasticProblem({"soft": 1.0, "hard": 3.0}, 0.0, u_D=["0", "-0.1"])
     boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
     solution = solve(domain, (boundary, problem))
-    certificate = certify_elastic(solution)
+    certificate = certify(solution)
     assert certificate.guaranteed
     assert solution.norms()["contact_force"] == pytest.approx(0.15)
     assert certificate.bound < 1e-8
@@ -125,7 +125,7 @@ def test_bounds_of_random_problems():
         problem = ElasticProblem(1.0, nu, f=[str(f[0]), str(f[1] - 0.5)], g_N=g_N, gap=gap)
         boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"y1": "y"} if number % 2 else {})
         coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), (boundary, problem)) for n in (3, 12))
-        certificate = certify_elastic(coarse)
+        certificate = certify(coarse)
         assert certificate.guaranteed
         error = complementary_energy(coarse, gap) - complementary_energy(fine, gap)  # at least this
         assert certificate.gap >= error - 1e-12
@@ -157,7 +157,7 @@ def test_bound_on_ranks_and_corners():
         boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
         problem = ElasticProblem(1.0, 0.3, g_N=["0", "-0.05 if y > 0.999999 else 0"], gap="0.1*x^2")
         solution = solve(domain, (boundary, problem))
-        certificate = certify_elastic(solution)
+        certificate = certify(solution)
         found.append(certificate.numbers())
         squares = comm.allreduce(float((certificate.indicator.x.array**2).sum()))
         assert squares == pytest.approx(2 * certificate.gap, rel=1e-9)
@@ -171,7 +171,7 @@ def test_bound_in_space():
     boundary = ElasticBoundary(["z0"], neumann=["x1", "y1"], fixed={"x0": "x", "y0": "y"})
     problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1"], gap="0.1*(x^2 + y^2)")
     solution = solve(domain, (boundary, problem))
-    certificate = certify_elastic(solution)
+    certificate = certify(solution)
     assert certificate.guaranteed
     assert certificate.relative < 0.5
     fine = solve(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), (boundary, problem))
@@ -201,7 +201,7 @@ def test_contact_with_two_normals_at_a_corner():
     """The stress is exact, and v is found exactly though its vertex has two conditions; the bound was 12 %."""
     problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"], "x1": ["-0.01", "0"]})
     boundary = ElasticBoundary(["x0", "y0"], neumann=["x1", "y1"])
-    certificate = certify_elastic(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
     assert certificate.guaranteed
     assert certificate.relative < 1e-7
 
@@ -213,7 +213,7 @@ def test_a_body_that_one_vertex_holds():
     solution, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)) for n in (4, 24))
     assert solution.contact.facets == 1
     difference = energy_difference(solution, fine)
-    assert difference < certify_elastic(solution).bound < 3 * difference
+    assert difference < certify(solution).bound < 3 * difference
 
 
 def test_grooves():
@@ -246,7 +246,7 @@ def test_flat_cells(nu: float):
     f = [f"{2 * (2 * mu + lame)}*y*(1 - y) + {2 * mu}*x*(1 - x)", f"-{lame + mu}*(1 - 2*x)*(1 - 2*y)"]
     problem = ElasticProblem(1.0, nu, f=f, exact=["x*(1 - x)*y*(1 - y)", "0"])
     solution = solve(domain_of(mesh, {"y0": lambda x: np.isclose(x[1], 0)}), (ElasticBoundary([]), problem))
-    errors, certificate = solution.errors(), certify_elastic(solution)
+    errors, certificate = solution.errors(), certify(solution)
     assert errors is not None
     assert certificate.guaranteed
     assert errors["energy"] <= certificate.sigma_bound <= certificate.bound < 3 * errors["energy"]
@@ -256,11 +256,11 @@ def test_what_a_solver_leaves():
     """A stress that does not balance its load is replaced, and its distance from the new one is in the bound."""
     problem = ElasticProblem(1.0, 0.3, f=["0.1", "-0.2"])
     solution = solve(box(COMM, 3, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"], neumann=["x1"]), problem))
-    exact, iterate = certify_elastic(solution), solution.outcome.iterate
+    exact, iterate = certify(solution), solution.outcome.iterate
     sigma = iterate.sigma.copy()
     sigma.x.array[:] *= 1 + 1e-4
     kkt = elastic_kkt(solution.spaces, solution.data, solution.spaces.split.values(sigma), iterate.p)
     left = replace(solution, outcome=replace(solution.outcome, iterate=replace(iterate, sigma=sigma)), kkt=kkt)
-    certificate = certify_elastic(left)
+    certificate = certify(left)
     assert certificate.remainder == pytest.approx(1e-4 * solution.norms()["energy"], rel=1e-3)
     assert certificate.gap == pytest.approx(exact.gap, rel=1e-6)

@@ -9,7 +9,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
-from signorini_fenicsx.certificate.certify import Certificate, certify
+from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.solution_report import bound
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary

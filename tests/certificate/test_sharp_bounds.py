@@ -14,9 +14,9 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.certificate.oscillation import water_filled
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.physics.diffusion.bound.oscillation import water_filled
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -13,11 +13,11 @@ from signorini_fenicsx.base.small_matrices import determinants, inverses
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.relaxation import _Gap
 from signorini_fenicsx.discrete.cell_shapes import cell_nodes, corners
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.bound.relaxation import _Gap
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces

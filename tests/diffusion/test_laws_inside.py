@@ -33,15 +33,15 @@ from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate import inside
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.certificate.inside import nearest_to_graph
 from signorini_fenicsx.certificate.laws import gap
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Given, Graph, Law
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.physics.diffusion.bound import inside
+from signorini_fenicsx.physics.diffusion.bound.inside import nearest_to_graph
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD

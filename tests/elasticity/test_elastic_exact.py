@@ -5,7 +5,7 @@ import pytest
 from elastic import box
 from mpi4py import MPI
 
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
@@ -55,7 +55,7 @@ def test_hertz_without_an_effect_of_the_domain(nu: float, plane: str):
     errors, a = [], 0.43
     for n in (8, 16):
         solution = solved(COMM, n, nu, plane, a, flat=False)
-        found, bound = solution.errors(), certify_elastic(solution).sigma_bound
+        found, bound = solution.errors(), certify(solution).sigma_bound
         assert found is not None
         assert found["energy"] <= bound < 1.7 * found["energy"]
         assert found["contact_hausdorff"] <= 1 / n
@@ -74,7 +74,7 @@ def test_rigid_punch(nu: float):
     errors = []
     for n in (4, 8):
         solution = solved(COMM, n, nu, "strain", 0.5, flat=True)
-        found, certificate = solution.errors(), certify_elastic(solution)
+        found, certificate = solution.errors(), certify(solution)
         assert found is not None
         assert found["energy"] <= certificate.sigma_bound < 1.6 * found["energy"]
         assert solution.contact[1] == pytest.approx(1.0)
@@ -83,5 +83,5 @@ def test_rigid_punch(nu: float):
     assert errors[1] < 0.07
     assert np.log2(errors[0] / errors[1]) > 0.4
     assert solution.norms()["contact_force"] == pytest.approx(np.pi * P, rel=0.06)
-    alone = certify_elastic(solved(MPI.COMM_SELF, 8, nu, "strain", 0.5, flat=True))
+    alone = certify(solved(MPI.COMM_SELF, 8, nu, "strain", 0.5, flat=True))
     assert certificate.bound == pytest.approx(alone.bound, rel=1e-10)

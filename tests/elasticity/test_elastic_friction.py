@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.certificate.certify_elastic import certify_elastic
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.linear import gmres
@@ -117,7 +117,7 @@ def test_coulomb_is_a_fixed_point():
     assert changes[-1] <= 1e-9
     assert len(changes) <= 5
     assert changes[-1] < 1e-3 * changes[-2]
-    certificate = certify_elastic(solution)
+    certificate = certify(solution)
     assert certificate.of == " to the exact solution of Tresca's problem with the last bound of the friction"
 
 
@@ -159,7 +159,7 @@ def test_bounds_of_random_friction():
         problem = ElasticProblem(1.0, nu, f=f, gap=gap, laws=laws)
         boundary = ElasticBoundary([], neumann=["x1"] if number % 2 else ["x0", "x1"])
         coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), (boundary, problem)) for n in (3, 12))
-        certificate = certify_elastic(coarse)
+        certificate = certify(coarse)
         assert certificate.guaranteed
         one, other = (
             solution.norms()["energy"] ** 2 / 2 + gap * solution.norms()["contact_force"] for solution in (coarse, fine)
@@ -179,7 +179,7 @@ def test_ranks_and_algorithms():
             assert found == pytest.approx(alone.friction_states()[state])
         assert together.norms() == pytest.approx(alone.norms(), rel=1e-8)
         assert together.bound_changes == pytest.approx(alone.bound_changes, rel=1e-5, abs=1e-10)
-        assert certify_elastic(together).gap == pytest.approx(certify_elastic(alone).gap, rel=1e-6)
+        assert certify(together).gap == pytest.approx(certify(alone).gap, rel=1e-6)
 
 
 @pytest.mark.parallel([1, 2])
@@ -257,7 +257,7 @@ def test_nothing_rubs_where_nothing_touches(gap: float):
     )
     assert rough.norms() == pytest.approx(smooth.norms(), rel=1e-9, abs=1e-9)
     assert np.all(rough.data.friction.bound == 0)
-    bounds = [certify_elastic(solution) for solution in (rough, smooth)]
+    bounds = [certify(solution) for solution in (rough, smooth)]
     assert bounds[0].bound == pytest.approx(bounds[1].bound, rel=1e-3)
     assert bounds[0].relative < 0.5
 

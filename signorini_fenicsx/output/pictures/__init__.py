@@ -11,7 +11,7 @@ import matplotlib as mpl
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.gather import Fields, Gathered, gather
 from signorini_fenicsx.output.pictures import elastic, elastic_steps, plane_files, style

@@ -12,7 +12,7 @@ from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.output.gather import Fields
 from signorini_fenicsx.output.pictures import plane_files, style

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.certificate.certify import Certificate
+from signorini_fenicsx.certificate.certificate import Certificate
 
 STYLE = {
     "font.family": "STIXGeneral",

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.certificate.korn import korn_constants, trace_constants
-from signorini_fenicsx.certificate.local_stresses import INSIDE, ON_FACETS, local_stresses
 from signorini_fenicsx.discrete.lattices import lagrange, lattice, numbers_in
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
+from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS, local_stresses
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     SIMPLEX,

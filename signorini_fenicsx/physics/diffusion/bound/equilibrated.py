@@ -17,12 +17,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import LinearSolveFailure
-from signorini_fenicsx.certificate.inside import room, selected
-from signorini_fenicsx.certificate.laws import Goal
-from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
+from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend

@@ -23,11 +23,11 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress
-from signorini_fenicsx.certificate.elastic_laws import LawOnFacets
-from signorini_fenicsx.certificate.interior_point import minimise
 from signorini_fenicsx.forms.elasticity import product, square, strain, vector
 from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
+from signorini_fenicsx.physics.elasticity.bound.interior_point import minimise
+from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, facet_rule, material_on_split
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means

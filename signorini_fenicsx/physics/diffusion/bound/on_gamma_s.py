@@ -1,4 +1,4 @@
-"""Γ_S with the pieces of the laws near which the trace of a bound is to be, see `law_trace`."""
+"""Γ_S with the pieces of the laws near which the trace of a bound is to be, see `conforming`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.certificate.laws import Goal, LawPoints
-from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.points import facet_type
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

@@ -34,16 +34,23 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.certificate.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
-from signorini_fenicsx.certificate.inside import Inside, Ray, add_load, coefficients
-from signorini_fenicsx.certificate.law_bounds import ROUNDING, Bound, LawTrace, bounds_of_jumps, depth, jumps_obey
-from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.on_gamma_s import OnGammaS
-from signorini_fenicsx.certificate.relaxation import TIE, Box, all_edges, relax
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
+from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray, add_load, coefficients
+from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
+    ROUNDING,
+    Bound,
+    LawTrace,
+    bounds_of_jumps,
+    depth,
+    jumps_obey,
+)
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
+from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, all_edges, relax
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.nodes import (
     Jumps,

@@ -10,7 +10,7 @@ problem contains ⟨r − s, v − ψ⟩ (see `forms/certificate.py`). r itself 
 
     R(w) = (f − f_h, w) + ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S,   R(w) ≤ osc |w| for w = 0 on Γ_D,
 
-osc² = Σ osc_T² by `local_fluxes`. On a facet without contact s, and so r, is q_S minus its mean. In contact y·n is
+osc² = Σ osc_T² by `local_fields`. On a facet without contact s, and so r, is q_S minus its mean. In contact y·n is
 larger than q_S, except at the ends of the contact set, and r = 0 however much q_S varies.
 """
 
@@ -24,21 +24,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.certificate.interpolants import quadratic_of
 from signorini_fenicsx.certificate.laws import with_mean
-from signorini_fenicsx.certificate.local_fluxes import (
-    OF_FLUX,
-    OF_LOAD,
-    FacetLoad,
-    Projection,
-    at_points,
-    load_norms,
-    positive_quadrature,
-    projected,
-)
-from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.reaction import ReactionTerms
-from signorini_fenicsx.certificate.resolution import Resolution, Seen
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
     CellPoints,
@@ -49,6 +35,20 @@ from signorini_fenicsx.discrete.points import (
     owned_cells,
     quadratic_nodes,
 )
+from signorini_fenicsx.physics.diffusion.bound.interpolants import quadratic_of
+from signorini_fenicsx.physics.diffusion.bound.local_fields import (
+    OF_FLUX,
+    OF_LOAD,
+    FacetLoad,
+    Projection,
+    at_points,
+    load_norms,
+    positive_quadrature,
+    projected,
+)
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms
+from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Seen
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

@@ -39,19 +39,19 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.law_bounds import Bound
 from signorini_fenicsx.certificate.laws import Area, gap, with_mean
-from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, positive_quadrature, projected
-from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.relaxation import Edges
-from signorini_fenicsx.certificate.resolution import Resolution
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Obstacle
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
+from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, positive_quadrature, projected
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
+from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -120,7 +120,7 @@ class Ray:
         return here if self.everywhere else np.where(_around(space, self.cells), here, -self.sign * np.inf)
 
     def bound(self, linear: fem.FunctionSpace) -> Bound:
-        """The bound, as it is known to `law_trace`, with the depth 0 (collective)."""
+        """The bound, as it is known to `conforming`, with the depth 0 (collective)."""
         near = fem.Function(linear)
         near.x.array[:] = 1.0 if self.everywhere else _around(linear, self.cells)
         return Bound(self.datum, self.sign, near, 0.0)

@@ -1,4 +1,4 @@
-"""The admissible function of `law_trace` as jets in points: u_D on Γ_D, and the bounds of u on Γ_S."""
+"""The admissible function of `conforming` as jets in points: u_D on Γ_D, and the bounds of u on Γ_S."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.certificate.admissible_trace import SAMPLES
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside, quadratic_nodes
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import SAMPLES
 from signorini_fenicsx.physics.diffusion.jets import cut_off, larger
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

@@ -25,11 +25,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.inside import Inside, Ray
-from signorini_fenicsx.certificate.interpolants import edge_order, in_nodes, quadratic_of
-from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints
@@ -37,6 +32,11 @@ from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray
+from signorini_fenicsx.physics.diffusion.bound.interpolants import edge_order, in_nodes, quadratic_of
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.physics.diffusion.nodes import facet_nodes
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

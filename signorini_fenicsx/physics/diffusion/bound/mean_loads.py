@@ -23,10 +23,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import squares_of
-from signorini_fenicsx.certificate.admissible_flux import balancing_flux, distance
-from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.linear.petsc import LinearSolveFailure
+from signorini_fenicsx.physics.diffusion.bound.equilibrated import balancing_flux, distance
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces

@@ -1,6 +1,6 @@
 """A continuous function near u that is admissible in the gap identity, and the average of u_h and σ_h it begins with.
 
-How it is made admissible under the laws on Γ_S is in `law_trace`.
+How it is made admissible under the laws on Γ_S is in `conforming`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from dolfinx import fem, la
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import squares_of, times
-from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, owned_cells, quadratic_nodes
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.solution import Solution
 

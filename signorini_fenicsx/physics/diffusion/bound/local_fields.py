@@ -32,8 +32,8 @@ import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.small_matrices import times
-from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.points import FacetPoints, facet_type
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 
 OF_LOAD, OF_FLUX = 1, 2
 """Degrees of Π and of all Π_e. τ has degree 2 in cells at Γ_N and Γ_S; in all other cells degree 1 is enough."""

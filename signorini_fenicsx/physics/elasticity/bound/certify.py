@@ -3,7 +3,7 @@
 In the gap identity of `forms/elasticity.py` y = σ_h is admissible for the load f_h, by its own construction: in
 balance on each cell, its tractions the linear parts Π₁g_N of the data on facets, σ_nn ≤ 0 and no shear on Γ_C. v is the
 best quadratic displacement on the split mesh that has the displacements given and stays off the foundation, see
-`best_displacement`. Near corners quadratics may be much worse than σ_h. So on the few cells that have a large share of
+`conforming`. Near corners quadratics may be much worse than σ_h. So on the few cells that have a large share of
 the gap, and their neighbours, v is then the best polynomial of a higher degree that continues it. Let ũ be the solution
 for these loads. Then
 
@@ -23,31 +23,26 @@ are not. The remainder is what the linear solver leaves of the jumps of σ_h n.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import ufl
 from dolfinx import fem, la
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.parallel import Stopwatch, collector_off
-from signorini_fenicsx.certificate.admissible_stress import AdmissibleStress, admissible_stress
-from signorini_fenicsx.certificate.best_displacement import BestDisplacement
-from signorini_fenicsx.certificate.certify import Certificate
-from signorini_fenicsx.certificate.elastic_oscillation import load_oscillation
+from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
-UNBALANCED = "the linear solver leaves too much of the balance of the stress"
-BEYOND = "the numbers of the data are too large for it"
 HIGHER = {2: 4, 3: 3}
 """Degree of v on the cells with the largest shares of the gap and on their neighbours, by dimension."""
 SHARE = 0.05
@@ -56,48 +51,16 @@ HALF, FEW = 0.5, {2: 200, 3: 20}
 """or it is one of those that have half of the gap, if these are not more than so many, by dimension."""
 
 
-@dataclass(frozen=True, repr=False)
-class ElasticCertificate(Certificate):
-    """The bound of an elastic solution; its `v` is quadratic also where the bound has a better one.
-
-    Attributes:
-        of_last_bound: Whether u is the solution with the last bound of the shear, not that of Coulomb's law.
-    """
-
-    of_last_bound: bool = False
-    if_by_quadrature = "not in the discrete spaces"
-
-    @property
-    def of(self) -> str:
-        """To which solution the error is, in words; empty if it is that of the problem."""
-        return f" to {TRESCA}" if self.of_last_bound else ""
-
-    def summary(self) -> dict[str, Any]:
-        """All but the fields, ready for JSON; what is not of the problem itself is guaranteed only with its name."""
-        if not self.of_last_bound:
-            return super().summary()
-        named = {"guaranteed": False, "of_last_bound": True}
-        return super().summary() | named | ({"guaranteed_for": TRESCA} if self.guaranteed else {})
-
-
-@collector_off()
-def certify_elastic(solution: ElasticSolution) -> Certificate:
+def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     """Bound the energy error of a converged solution (collective).
 
     In a step in time with friction this is the distance to the exact solution of the step after the computed slip of
     the last one, as a linear function w on each facet. That w jumps between facets makes no difference to the proof, as
     only ∫ g|v_t − w| is needed of it.
 
-    Costs some linear solves for quadratic displacements on the split mesh, and some on a part of it.
+    Costs some linear solves for quadratic displacements on the split mesh, and some on a part of it. The `v` of the
+    certificate is quadratic also where the bound has a better one.
     """
-    check_kind("solution", solution, ElasticSolution)
-    watch = Stopwatch()
-    with watch.phase("certificate"):
-        certificate = _certificate(solution)
-    return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
-
-
-def _certificate(solution: ElasticSolution) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     y = admissible_stress(solution)
@@ -109,33 +72,22 @@ def _certificate(solution: ElasticSolution) -> Certificate:
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
-    oscillation = load_oscillation(spaces, data, y.stresses)
-    sums = comm.allreduce(np.array([of_cells.sum() / 2, (oscillation**2).sum()]))
-    gap, osc = max(float(sums[0]), 0.0), float(np.sqrt(sums[1]))
-    energy = solution.norms()["energy"]
-    if_none = past or ("" if np.isfinite(y.distance) else UNBALANCED) or ("" if np.isfinite(gap) else BEYOND)
-    bound, sigma_bound = (
-        np.inf if if_none else of + y.distance for of in (np.sqrt(2 * gap) + osc, np.sqrt(2 * gap + osc**2))
-    )
-    indicator = fem.Function(spaces.Q, name="indicator")
-    indicator.x.array[:] = np.sqrt(np.maximum(of_cells + oscillation**2, 0.0))  # no ghost cells
-    missing = not_in_the_spaces(data)
-    return ElasticCertificate(
-        bound=float(bound),
-        sigma_bound=float(sigma_bound),
-        gap=gap,
-        oscillation=osc,
+    gap = Gap(
+        squares=of_cells,
+        oscillation=load_oscillation(spaces, data, y.stresses),
         remainder=y.distance,
-        relative=float(bound / energy) if energy > 0 else (0.0 if bound == 0 else np.inf),
-        guaranteed=bool(np.isfinite(bound)) and not missing,
-        by_quadrature=missing,
-        unresolved=(),
-        coarse=np.zeros(len(spaces.order), dtype=bool),
-        indicator=indicator,
+        size=solution.norms()["energy"],
         v=v,
-        if_none=if_none,
-        of_last_bound=data.friction is not None and data.friction.by_pressure,
+        hindrance=past,
+        unbalanced="the linear solver leaves too much of the balance of the stress",
+        unbounded="the numbers of the data are too large for it",
+        by_quadrature=not_in_the_spaces(data),
     )
+    certificate = replace(gap.certificate(spaces), lacking="not in the discrete spaces")
+    if data.friction is None or not data.friction.by_pressure:
+        return certificate
+    named = {"guaranteed_for": TRESCA} if certificate.guaranteed else {}
+    return replace(certificate, of=f" to {TRESCA}", about={"guaranteed": False, "of_last_bound": True} | named)
 
 
 def _displacement(

@@ -5,7 +5,7 @@ Errors are measured by ‖w‖² = |∇w|² + ‖c^½w‖², and the gap has ½�
 in the gap, with the number δ for which r − g has mean 0 on T: ‖c^-½ g‖² = δ²∫c. With all of r the gap would be 3 to 32
 times too large. r − g is a load like f − f_h, for which
 
-    (r − g, w)_T ≤ min(the factor of `local_fluxes`, c^-½‖r − g‖_T) ‖w‖_T.
+    (r − g, w)_T ≤ min(the factor of `local_fields`, c^-½‖r − g‖_T) ‖w‖_T.
 
 For c a quadratic p stands, with mean p_T, and S is at least the root mean square of c − p: r is f − f_h + (p_T u* −
 pv), δ = ∫p(u* − v)/∫p, and there are two more loads: (c_h − p_T)u*, a number on each cell, and (p − c)(v + δ), whose
@@ -22,15 +22,15 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.certificate.admissible_trace import Trace
-from signorini_fenicsx.certificate.local_fluxes import OF_LOAD, Projection, positive_quadrature, projected
-from signorini_fenicsx.certificate.metric import CellMetric
-from signorini_fenicsx.certificate.resolution import SMALLEST, Resolution
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, in_cells, owned_cells
 from signorini_fenicsx.expressions import TREES, polynomial_degree
 from signorini_fenicsx.expressions.enclosures import ranges
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, constant, interpolated
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, positive_quadrature, projected
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST, Resolution
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

@@ -4,7 +4,7 @@ Data that a case gives as text are trees, which `expressions.enclosures` enclose
 certificate replaces a load e by a polynomial p; d = e − p is the difference.
 
 - *Loads.* On a cell, (d, w)_T = (d, w − w_T)_T + |T| μ w_T with μ the mean of d and w_T that of w; the first term is at
-  most (δ_T/π)‖d‖ |w|, as in `local_fluxes`. On a facet e of T, (d, w)_e ≤ C_e‖d‖_e |w| + |e| μ_e w_T. The means
+  most (δ_T/π)‖d‖ |w|, as in `local_fields`. On a facet e of T, (d, w)_e ≤ C_e‖d‖_e |w| + |e| μ_e w_T. The means
   together are one load per cell, for which see `mean_loads`.
 
 - *κ*, with P2 interpolant κ̃ and S = sup |κ − κ̃| on T: ‖κ^½∇v − κ^-½y‖ ≤ ρ^½‖κ̃^½∇v − κ̃^-½y‖ + S‖y‖/(κ_min^½ κ̃_min),
@@ -25,8 +25,6 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
-from signorini_fenicsx.certificate.local_fluxes import facet_constants, positive_quadrature
-from signorini_fenicsx.certificate.metric import CellMetric
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import FacetPoints, cell_quadrature, in_cells
@@ -36,6 +34,8 @@ from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, interpolated
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.physics.diffusion.bound.local_fields import facet_constants, positive_quadrature
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 

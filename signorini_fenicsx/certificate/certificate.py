@@ -1,0 +1,188 @@
+"""The bound of an energy error, summed from what the admissible fields of a solution leave on each cell.
+
+Admissible fields v and y of any physics, for which the gap identity of its forms holds but for loads R(w) ≤ osc |w|,
+and ‖y − σ_h‖ ≤ remainder, give
+
+    |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder = bound,
+
+see `physics/diffusion/bound/certify.py` for the proof. If the gap identity is written with the loads of u, its right
+side has the additional term R(u − v) ≤ osc |v − u|. Then Young's inequality gives √(2 gap + osc²) + remainder as a
+bound of ‖σ − σ_h‖ alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+
+type Places = tuple[tuple[str, tuple[float, ...]], ...]
+"""Data, each with a place."""
+
+API = (
+    "bound",
+    "gap",
+    "guaranteed",
+    "indicator",
+    "numbers",
+    "oscillation",
+    "relative",
+    "remainder",
+    "sigma_bound",
+    "summary",
+)
+"""What a notebook offers of a certificate."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A bound for |v − u| and for ‖σ − σ_h‖, see the module; infinite where no v is admissible.
+
+    Attributes:
+        bound: √(2 gap) + oscillation + remainder, for either error.
+        sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
+        gap: ½‖κ∇v − y‖² and what the laws add to it, in elasticity ½‖ℂ(ε(v) − ε₀) − y‖².
+        oscillation: osc, of loads in cells and on facets, and of their means that quadrature may have missed.
+        remainder: Bound of ‖y − σ_h‖, which comes from the linear solver or a penalty, including rounding.
+        relative: bound/‖σ_h‖.
+        guaranteed: Whether all data are enclosed and resolved.
+        by_quadrature: The data that are not enclosed: those given in Python, and loads without Γ_D.
+        unresolved: Data that are not resolved, each with a place; the same on all ranks.
+        coarse: Mask of the owned cells where data are not resolved.
+        indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
+        v: The continuous v in P2, with interpolated u_D and ψ; in elasticity on the split mesh.
+        of: To which solution the error is, in words that begin with a space; empty if it is that of the problem.
+        about: What a summary says besides.
+        lacking: What is missing for the data in `by_quadrature`.
+        seconds: Wall time of the certificate, the longest over all ranks.
+        if_none: Why the bound is infinite; empty if it is not.
+    """
+
+    bound: float
+    sigma_bound: float
+    gap: float
+    oscillation: float
+    remainder: float
+    relative: float
+    guaranteed: bool
+    by_quadrature: tuple[str, ...]
+    unresolved: Places
+    coarse: npt.NDArray[np.bool_]
+    indicator: fem.Function
+    v: fem.Function
+    of: str = ""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    lacking: str = "by quadrature"
+    seconds: float = 0.0
+    if_none: str = ""
+
+    def __repr__(self) -> str:
+        if not math.isfinite(self.bound):
+            return f"<{type(self).__name__}: no bound, {self.if_none}>"
+        trust = "guaranteed" if self.guaranteed else "not guaranteed"
+        return (
+            f"<{type(self).__name__}: energy error{self.of} ≤ {self.bound:.4g}, relative {self.relative:.3g}, {trust}>"
+        )
+
+    def __dir__(self) -> list[str]:
+        return sorted(API)
+
+    def summary(self) -> dict[str, Any]:
+        """All but the fields, ready for JSON."""
+        unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
+        lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
+        return self.numbers() | {"guaranteed": self.guaranteed} | lists | dict(self.about)
+
+    @property
+    def reservation(self) -> str:
+        """Why it is not guaranteed, in words; empty if nothing is to be said."""
+        if self.unresolved:
+            name, place = self.unresolved[0]
+            return f"{name} is not resolved near ({', '.join(f'{x:.4g}' for x in place)})"
+        return f"{', '.join(self.by_quadrature)} {self.lacking}" if self.by_quadrature else ""
+
+    @property
+    def smaller_than_flux(self) -> bool:
+        """Whether the bound is below ‖σ_h‖; otherwise its share of ‖σ_h‖ says nothing: σ may be 0."""
+        return self.relative < 1
+
+    def numbers(self) -> dict[str, float]:
+        """The bounds and their parts."""
+        names = ("bound", "sigma_bound", "gap", "oscillation", "remainder", "relative")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True)
+class Gap:
+    """What the admissible fields of a solution leave.
+
+    Attributes:
+        squares: Twice the gap, per owned cell.
+        oscillation: osc_T, per owned cell.
+        remainder: Bound of ‖y − σ_h‖; infinite if y is not admissible.
+        size: ‖σ_h‖.
+        v: The admissible function, or one near it.
+        hindrance: Why no v is admissible, in words; empty if one is.
+        unbalanced: Why y is not admissible, if it is not.
+        unbounded: Why the gap is infinite, if it is.
+        by_quadrature: The data that are not enclosed.
+        account: The data that are not resolved where the bound is this number (collective).
+        coarse: Gives the mask of the owned cells where they are not resolved, after that.
+    """
+
+    squares: Array
+    oscillation: Array
+    remainder: float
+    size: float
+    v: fem.Function
+    hindrance: str
+    unbalanced: str
+    unbounded: str
+    by_quadrature: tuple[str, ...] = ()
+    account: Callable[[float], Places] = lambda bound: ()
+    coarse: Callable[[], npt.NDArray[np.bool_]] | None = None
+
+    def certificate(self, spaces: MeshSpaces) -> Certificate:
+        """The bound that this gives (collective)."""
+        comm, size, remainder = spaces.mesh.comm, self.size, self.remainder
+        indicator = fem.Function(spaces.Q, name="indicator")
+        with np.errstate(invalid="ignore"):
+            indicator.x.array[:] = np.sqrt(np.maximum(self.squares + self.oscillation**2, 0.0))  # no ghost cells
+        sums = np.array([self.squares.sum() / 2, (self.oscillation**2).sum()])
+        gap, oscillation = comm.allreduce(sums).tolist()
+        if_none = (
+            self.hindrance
+            or ("" if np.isfinite(remainder) else self.unbalanced)
+            or ("" if np.isfinite(gap + oscillation) else self.unbounded)
+        )
+        bound = sigma_bound = np.inf
+        if not if_none:
+            gap = max(gap, 0.0)  # < 0 by rounding
+            bound = np.sqrt(2 * gap) + np.sqrt(oscillation) + remainder
+            sigma_bound = np.sqrt(2 * gap + oscillation) + remainder
+        unresolved = self.account(float(bound))
+        PETSc.garbage_cleanup(comm)
+        return Certificate(
+            bound=float(bound),
+            sigma_bound=float(sigma_bound),
+            gap=gap,
+            oscillation=float(np.sqrt(oscillation)),
+            remainder=remainder,
+            relative=float(bound / size) if size > 0 else (0.0 if bound == 0 else np.inf),
+            guaranteed=not if_none and not unresolved and not self.by_quadrature,
+            by_quadrature=self.by_quadrature,
+            unresolved=unresolved,
+            coarse=np.zeros(len(self.squares), dtype=bool) if self.coarse is None else self.coarse(),
+            indicator=indicator,
+            v=self.v,
+            if_none=if_none,
+        )

@@ -1,0 +1,300 @@
+"""A guaranteed bound of the energy error of a solution, computed from that solution alone.
+
+A flux y ∈ RT0, which is σ_h or near it, and a continuous v made of u_h and σ_h are admissible in the gap identity of
+`forms/certificate.py`, except for the part of the load that RT0 does not balance. All norms are energy norms: ‖σ‖² =
+(κ⁻¹σ, σ), |∇w|² = (κ∇w, ∇w).
+
+1. `admissible_flux`: ∇·y = −f_h, y·n = g_h on Γ_N, y·n at least the mean of q_S on each facet of Γ_S; and remainder ≥
+   ‖y − σ_h‖.
+2. `oscillation`: r ≥ q_S − y·n on Γ_S, and osc with R(w) ≤ osc |∇w| for w = 0 on Γ_D, where R(w) = (f − f_h, w) +
+   ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S.
+3. `law_trace`: v = u_D on Γ_D, v ≥ ψ on Γ_S.
+
+Let ũ be the solution for the loads −∇·y, y·n on Γ_N and q_S − r on Γ_S. For this problem v and y are admissible, with
+
+    gap = ½‖κ∇v − y‖² + ⟨y·n − q_S + r, v − ψ⟩ on Γ_S,
+
+so |∇(v − ũ)| and ‖y − κ∇ũ‖ are ≤ √(2 gap). The variational inequality is (κ∇u, ∇(w − u)) ≥ (f, w − u) + ⟨g_N, w − u⟩ on
+Γ_N + ⟨q_S, w − u⟩ on Γ_S for all w ≥ ψ. Test the inequality of u with ũ and that of ũ with u; their sum gives
+|∇(u − ũ)| ≤ sup R(w)/|∇w| ≤ osc. Hence
+
+    |∇(v − u)| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder = bound.
+
+If the gap identity is written with the loads of u, its right side has the additional term R(u − v) ≤ osc |∇(v − u)|.
+Then Young's inequality gives √(2 gap + osc²) + remainder as a bound of ‖σ − σ_h‖ alone.
+
+Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `laws`; for laws in Ω see
+`inside`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
+one asks for that. Its domain is the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
+
+With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap and osc have the terms of `reaction`, and
+|∇w|² + ‖c^½w‖² takes the place of |∇w|². The two errors are bounded as before, and with them ‖c^½(v − u)‖.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import basix
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.certificate.certificate import Certificate, Gap
+from signorini_fenicsx.certificate.laws import Area, gap
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.points import Points, facet_type, in_cells, owned_cells
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
+from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux
+from signorini_fenicsx.physics.diffusion.bound.hidden import Pressure, degree_near, hidden_parts
+from signorini_fenicsx.physics.diffusion.bound.inside import Inside
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawGap, not_polynomial
+from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, Projection, positive_quadrature
+from signorini_fenicsx.physics.diffusion.bound.mean_loads import load_left
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric, cell_metric
+from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
+from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory, contact_excess, load_oscillation
+from signorini_fenicsx.physics.diffusion.bound.reaction import reaction_terms
+from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.solution import Solution
+
+QUADRATIC = 2
+"""Degree of |κ∇v − y|² where v is quadratic and κ a number."""
+ENOUGH = 5e-3
+"""A bound of missed loads below this share of the bound need not be sharp."""
+OF_PENALTY = " to the exact solution of the penalty problem"
+
+
+def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certificate:
+    """Bound the energy error of a converged solution (collective).
+
+    The cost is some assembly, and up to three linear solves if the linear solver, a penalty or quadrature leaves an
+    error. u_D and ψ have to be continuous. Integrals of resolved data are by quadrature, see `resolution`.
+
+    Args:
+        solution: A solution by any algorithm.
+        for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
+            method was used.
+    """
+    with np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
+        own = Admissible.of(solution, Goal.of(solution, for_signorini=for_signorini))
+        return summed(own, gap_parts(own, own, own.goal))
+
+
+def summed(own: Admissible, parts: GapParts) -> Certificate:
+    """The bound that admissible fields of one solution give (collective)."""
+    spaces, resolution = own.solution.spaces, own.resolution
+    missed = spaces.mesh.comm.allreduce(float(resolution.missed.sum()))
+    enclosed = np.sqrt(missed) + parts.left
+    gap = Gap(
+        squares=parts.mismatch + parts.contact,
+        oscillation=parts.oscillation,
+        remainder=own.remainder,
+        size=own.size,
+        v=own.trace.v,
+        hindrance=own.trace.hindrance,
+        unbalanced="a linear solve failed, by which the flux would be balanced",
+        unbounded="data or the gradients of u_D and ψ are not bounded",
+        by_quadrature=tuple(sorted(resolution.by_quadrature)),
+        account=lambda bound: resolution.account(enclosed / bound if bound > 0 else 0.0),
+        coarse=lambda: resolution.coarse,
+    )
+    certificate = gap.certificate(spaces)
+    return replace(certificate, of=OF_PENALTY, about={"of_penalty": True}) if own.goal.of_penalty else certificate
+
+
+@dataclass(frozen=True)
+class Admissible:
+    """The admissible v and y of a solution.
+
+    Attributes:
+        solution: The solution.
+        goal: The problem to which the distance is bounded.
+        metric: Metric of the owned cells.
+        size: ‖σ_h‖.
+        resolution: Encloses the data, and records what quadrature may miss.
+        deviation: S of κ, see `resolution`.
+        y: y.
+        flux: y cell by cell.
+        level: u*.
+        remainder: Bound of ‖y − σ_h‖.
+        inside: The laws in Ω; None without any.
+        on: Γ_S with the pieces of the laws, and y·n.
+        trace: v.
+    """
+
+    solution: Solution
+    goal: Goal
+    metric: CellMetric
+    size: float
+    resolution: Resolution
+    deviation: Array
+    y: fem.Function
+    flux: CellFlux
+    level: fem.Function
+    remainder: float
+    inside: Inside | None
+    on: OnGammaS
+    trace: Trace
+
+    @classmethod
+    def of(cls, solution: Solution, goal: Goal, field: fem.Function | None = None) -> Admissible:
+        """The admissible fields of a solution; v is near a field if there is one, see `conforming` (collective)."""
+        spaces, data = solution.spaces, solution.data
+        comm = spaces.mesh.comm
+        metric = cell_metric(spaces, data)
+        size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
+        cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
+        resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
+        metric, deviation = resolution.conductivity(metric, size)
+        y, flux, level, remainder = admissible_flux(solution, metric, goal)
+        inside = Inside.of(solution, y, level, resolution)
+        on = OnGammaS.of(solution, goal, metric, y)
+        trace = law_trace(solution, metric, y, on, inside, field)
+        return cls(solution, goal, metric, size, resolution, deviation, y, flux, level, remainder, inside, on, trace)
+
+
+@dataclass(frozen=True)
+class GapParts:
+    """What v and y, of one solution or of two, leave of the gap, per owned cell.
+
+    Attributes:
+        mismatch: ‖κ∇v − y‖².
+        reaction: ‖c^-½ g‖², see `reaction`; a part of `contact`.
+        contact: Twice what laws and cu add to the gap.
+        oscillation: osc_T, with its share of `left`.
+        left: What the means of the loads may add.
+        hidden: What quadrature may miss of ‖κ^½∇v‖; it is in the mismatch.
+        of_laws: The load s_T − η of laws in Ω; None without any.
+    """
+
+    mismatch: Array
+    reaction: Array
+    contact: Array
+    oscillation: Array
+    left: float
+    hidden: Array
+    of_laws: Projection | None
+
+
+def gap_parts(
+    of_v: Admissible, of_y: Admissible, goal: Goal, memory: Memory | None = None, area: Area = gap
+) -> GapParts:
+    """The gap of v and y, with the loads that y balances (collective).
+
+    Args:
+        of_v: Has v, with u_D and the bounds that it obeys.
+        of_y: Has y, with the loads that it balances. It is `of_v` for the bound of one solution.
+        goal: The laws on Γ_S between v and y·n.
+        memory: For a step in time, the load that it takes from those before; None for `Data.memory`, which is constant
+            on each cell. On each cell both have the same mean.
+        area: What a law adds for values of v and η, see `laws`.
+    """
+    solution, resolution, metric, inside, flux = of_y.solution, of_y.resolution, of_y.metric, of_y.inside, of_y.flux
+    spaces, data, trace, comm = solution.spaces, solution.data, of_v.trace, solution.spaces.mesh.comm
+    contact, load, pressure = _on_gamma_s(of_v, of_y, goal, area)
+    of_laws = None
+    if inside is not None:
+        gap_inside, of_laws = inside.gap(trace, metric, resolution, area)
+        contact = contact + gap_inside
+    reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution)
+    takes_f = None if inside is None else inside.takes_f
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, takes_f)
+    of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
+    if reaction is not None:
+        contact = contact + reaction.gap
+    mismatch = mismatches(of_y, trace, flux)
+    known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
+    hidden = hidden_parts(resolution, trace, of_v.solution.data.u_D, metric, pressure, inside, known)
+    contact = contact + hidden.gap
+    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
+    least = None if reaction is None else reaction.least
+    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * known))
+    oscillation = _with_more(oscillation, left, metric, comm)
+    return GapParts(mismatch, of_reaction, contact, oscillation, left, hidden.slope, of_laws)
+
+
+def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Comm) -> Array:
+    """osc_T such that osc grows by `more`, shared out by osc_T, or by volumes if osc = 0 (collective)."""
+    total, volume = comm.allreduce(np.array([(oscillation**2).sum(), metric.volume.sum()])).tolist()
+    if total > 0:
+        return oscillation * (1 + more / np.sqrt(total))
+    return more * np.sqrt(metric.volume / volume)
+
+
+def _on_gamma_s(
+    of_v: Admissible, of_y: Admissible, goal: Goal, area: Area
+) -> tuple[Array, list[FacetLoad], Pressure | None]:
+    """Twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
+    solution, metric, resolution, on = of_y.solution, of_y.metric, of_y.resolution, of_y.on
+    spaces, trace, number = solution.spaces, of_v.trace, len(metric.volume)
+    if goal.plain and of_y.inside is None:
+        psi = of_v.solution.data.psi
+        points, excess, load = contact_excess(spaces, solution.data, metric, on.flux, resolution)
+        above = np.maximum(trace.on_gamma_s(points) - psi.values(points), 0.0)
+        per_cell = points.per_cell(2 * points.integrals(excess * above), number)
+        return per_cell, load, Pressure("psi", psi, points, excess.max(axis=1, initial=0.0))
+    resolution.by_quadrature |= not_polynomial(goal)
+    at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
+    v = trace.on_gamma_s(at.points)
+    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v), area)
+    return found.per_cell(number), found.loads(spaces), None
+
+
+@dataclass(frozen=True)
+class FluxOf:
+    """κ∇v of a quadratic v, with κ itself: of ‖κ^½∇(w − v)‖² enclosures add to κ alone."""
+
+    v: fem.Function
+    kappa: Datum
+
+    def at(self, points: Points) -> Array:
+        """κ∇v in points, shape (n, points, dim)."""
+        return scaled(self.kappa.values(points), points.quadratic(self.v, gradient=True)[:, :, 1:])
+
+    def squares(self, _: float) -> Array:
+        """What changes with κ − κ̃: nothing."""
+        return np.zeros(1)
+
+
+def scaled(kappa: Array, slope: Array) -> Array:
+    """κ times vectors in points; κ is a number in each, or a matrix."""
+    return kappa[:, :, None] * slope if kappa.ndim == 2 else np.asarray((kappa @ slope[..., None])[..., 0])
+
+
+def mismatches(own: Admissible, trace: Trace, flux: CellFlux | FluxOf) -> Array:
+    """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective).
+
+    Args:
+        own: Has κ.
+        trace: Has v.
+        flux: y.
+    """
+    spaces, kappa = own.solution.spaces, own.solution.data.kappa
+    mesh, far = spaces.mesh, np.delete(owned_cells(spaces.mesh), trace.cells)
+    of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
+    found = np.zeros(spaces.Q.dofmap.index_map.size_local)
+    for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, degree_near(trace))):
+        for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), max(degree, QUADRATIC))):
+            slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
+            found[points.rows] = points.integrals(_flux_gap(slope, flux.at(points), kappa.values(points)))
+    deviation, lowest = own.deviation, own.metric.kappa_min
+    if not mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
+        return found
+    root = np.sqrt((1 + deviation / lowest) * np.maximum(found, 0.0))
+    root += deviation * np.sqrt(flux.squares(1.0)) / lowest**1.5
+    return np.asarray(root**2, dtype=np.float64)
+
+
+def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:
+    """κ⁻¹(κ∇v − y)·(κ∇v − y) in points; infinite where κ has no inverse."""
+    gap = scaled(kappa, slope) - y
+    if kappa.ndim == 2:
+        return np.asarray(np.einsum("nqi,nqi->nq", gap, gap) / kappa)
+    regular = np.linalg.det(kappa) != 0
+    inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
+    return np.where(regular, np.einsum("nqi,nqij,nqj->nq", gap, inverse, gap), np.inf)

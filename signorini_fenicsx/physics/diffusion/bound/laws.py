@@ -1,0 +1,206 @@
+"""What the laws on Γ_S add to the gap, and a flux η that stands for y·n there.
+
+Where the data of a law vary within a facet, y·n is not in the range [s_lo, s_hi] of the graph in all points, and on a
+sloped segment s(v) varies with v, see `certificate.laws`. Let η have y·n as its mean on each facet. Then r = η − y·n is
+a load like f − f_h, see `oscillation`: for the problem with −σ·n ∈ ∂φ(u) + r on Γ_S, y and v have the gap of η, and the
+solution of this problem differs from u by at most osc. With b = θs(v), but b = 0 on facets of vertical segments, and c
+such that the mean is y·n,
+
+    η = b + c, but at least s_lo and at most s_hi.
+
+On a vertical segment s_lo and s_hi are its ends, if y·n is between their means: beyond an end the gap would grow with
+the length of the next segment. For the Signorini law, s_lo = q_S and s_hi = ∞, this is the water-filling of
+`oscillation`. θ = 1/(1 + βC_e²) with C_e of `local_fields` makes the sum of 2 gap and osc² least.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.certificate.laws import Area, gap, with_mean
+from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.law import Graph, Values
+from signorini_fenicsx.contact.laws import Signorini
+from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
+from signorini_fenicsx.discrete.part_laws import PartLaw
+from signorini_fenicsx.discrete.points import FacetPoints, in_facets
+from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, facet_constants
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+
+@dataclass(frozen=True)
+class Penalised(Signorini):
+    """The law of a penalty: with slopes on both sides of the corner."""
+
+    before: float = np.inf
+    beyond: float = 0.0
+
+    def graph(self, values: Values) -> Graph:
+        """The corner is that of the Signorini law."""
+        return replace(super().graph(values), before=self.before, beyond=self.beyond)
+
+
+@dataclass(frozen=True)
+class LawPoints:
+    """Points in all facets of Γ_S and the law in each, measured from u = 0 and σ·n = 0.
+
+    Attributes:
+        points: The points.
+        law: The law of each, facet after facet.
+    """
+
+    points: FacetPoints
+    law: Chains
+
+    def extent(self) -> list[Array]:
+        """The smallest and largest u of the law, in arrays of shape (facets, points)."""
+        return [end.reshape(self.points.shape) for end in self.law.extent()]
+
+    def on(self, segment: Indices) -> tuple[Array, Array]:
+        """β and value of a segment of each facet, shape (facets, points)."""
+        column = np.repeat(segment, self.points.shape[1])[:, None]
+        chosen = (np.take_along_axis(values, column, axis=1) for values in (self.law.slope, self.law.value))
+        slope, value = (values.reshape(self.points.shape) for values in chosen)
+        return slope, value
+
+    def trace_at(self, corner: Indices) -> Array:
+        """The u at a corner of each facet's law, shape (facets, points)."""
+        return self._at(self.law.p, corner)
+
+    def flux_at(self, corner: Indices) -> Array:
+        """σ·n there."""
+        return self._at(self.law.flux, corner)
+
+    def _at(self, values: Array, corner: Indices) -> Array:
+        column = np.repeat(corner, self.points.shape[1])[:, None]
+        return np.take_along_axis(values, column, axis=1).reshape(self.points.shape)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """The problem to whose solution a certificate bounds the distance.
+
+    Attributes:
+        parts: Each law and where it holds.
+        chains: The law of each facet by means, measured from `Data.psi_h` and `Data.q_Sh`.
+        flux_h: `Data.q_Sh`.
+        plain: Whether that is the Signorini problem of ψ and q_S.
+        of_penalty: Whether that is the problem of a penalty.
+    """
+
+    parts: tuple[PartLaw, ...]
+    chains: Chains
+    flux_h: Array
+    plain: bool
+    of_penalty: bool = False
+
+    @classmethod
+    def of(cls, solution: Solution, *, for_signorini: bool) -> Goal:
+        """The problem that a solution approximates, or the Signorini problem also for a penalty."""
+        laws, flux_h, penalty = solution.data.laws, solution.data.q_Sh, solution.method.penalty
+        if penalty is None or for_signorini:
+            return cls(laws.of_parts, laws.chains, flux_h, plain=not laws.listed)
+        slopes = penalty.slopes(solution.options.eps)
+        kept = np.isinf(slopes[0])  # ψ is still a bound
+        parts = tuple(
+            replace(
+                part,
+                law=Penalised(part.law.parts, 0.0, 0.0, *slopes),
+                bounds=part.bounds if kept else (None, None),
+            )
+            for part in laws.of_parts
+        )
+        return cls(parts, solution.law, flux_h, plain=False, of_penalty=True)
+
+    def at(self, spaces: Spaces, points: Array, weights: Array | None = None) -> LawPoints:
+        """Points in all facets of Γ_S with the law in each (collective)."""
+        of_parts, number = [], len(points)
+        for part in self.parts:
+            some = in_facets(spaces.mesh, spaces.facets[part.rows], points, weights)
+            rows = (number * part.rows[:, None] + np.arange(number)).ravel()
+            of_parts.append((rows, part.chains(some, None if weights is None else self.flux_h[part.rows])))
+        everywhere = in_facets(spaces.mesh, spaces.facets, points, weights)
+        return LawPoints(everywhere, joined(of_parts, number * len(spaces.facets)))
+
+    def degree(self) -> int:
+        """Degree of a quadrature on Γ_S."""
+        return max(quadrature_degree(*part.data.values(), power=2) for part in self.parts)
+
+    def pieces(self, segment: Indices, flux: Array, rigid: Mask) -> Indices:
+        """The segment near which v is on each facet: its own, or that beside a rigid one which σ·n is nearer to."""
+        law, rows = self.chains, np.arange(len(segment))
+        left, right = np.maximum(segment - 1, 0), np.minimum(segment, law.corners - 1)
+        above, below = law.flux[rows, left] - flux, flux - law.flux[rows, right]
+        before = (segment > 0) & ((segment == law.count) | (above < below))
+        beside = np.where(before, segment - 1, np.minimum(segment + 1, law.count))
+        return np.where(rigid[rows, segment], beside, segment)
+
+
+@dataclass(frozen=True)
+class LawGap:
+    """What the laws add to the gap and to the oscillation.
+
+    Attributes:
+        points: Points of a quadrature in the facets of Γ_S.
+        density: φ(v) + φ*(−η) + ηv there, shape (facets, points).
+        load: η − y·n.
+    """
+
+    points: FacetPoints
+    density: Array
+    load: FacetLoad
+
+    @classmethod
+    def of(
+        cls,
+        spaces: Spaces,
+        metric: CellMetric,
+        at: LawPoints,
+        v: Array,
+        flux: Array,
+        ends: tuple[Array, Array],
+        piece: tuple[Array, Array],
+        area: Area = gap,
+    ) -> LawGap:
+        """Choose η.
+
+        Args:
+            spaces: The discrete spaces.
+            metric: Metric of the owned cells.
+            at: Points of a quadrature in all facets of Γ_S.
+            v: v there, shape (facets, points).
+            flux: y·n per facet.
+            ends: The least and the largest η in the points.
+            piece: β and s(v) on the segment near which v is, in the points; 0 for vertical ones.
+            area: The density.
+        """
+        points = at.points
+        constant = facet_constants(metric, points.cells, spaces.facet_measure)
+        slope, wanted = piece
+        theta = 1 / (1 + slope.mean(axis=1) * constant**2)
+        eta = with_mean(theta[:, None] * wanted, *ends, flux, points.weights)
+        density = area(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
+        return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(points.shape[0])))
+
+    def loads(self, spaces: Spaces) -> list[FacetLoad]:
+        """The load, and the opposite one on the other sides of facets inside the domain (collective)."""
+        if not spaces.inner.present:
+            return [self.load]
+        across, order = self.points.across(spaces.inner.rows, spaces.inner.facets)
+        values = -np.take_along_axis(self.load.values[spaces.inner.rows], np.argsort(order, axis=1), axis=1)
+        return [self.load, FacetLoad(across, values, np.zeros(len(values)))]
+
+    def per_cell(self, number: int) -> Array:
+        """Twice its integral, per owned cell of so many."""
+        return self.points.per_cell(2 * self.points.integrals(self.density), number)
+
+
+def not_polynomial(goal: Goal) -> set[str]:
+    """The data of the laws whose integrals are by quadrature only."""
+    data = {part.key(name): datum for part in goal.parts for name, datum in part.data.items()}
+    return {name for name, datum in data.items() if datum.polynomial is None or 2 * datum.polynomial > DEGREES[1]}

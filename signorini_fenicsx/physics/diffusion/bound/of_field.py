@@ -1,0 +1,52 @@
+"""How wrong a function is: a bound of its distance to an admissible one, and of what that leaves; see `of_field`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.certificate.of_field import FieldBound, joined
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
+from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, FluxOf, gap_parts, mismatches, summed
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal
+from signorini_fenicsx.physics.diffusion.bound.relaxation import all_edges
+from signorini_fenicsx.physics.diffusion.solution import Solution
+
+
+def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
+    """The bounds of a scalar v (collective)."""
+    goal = Goal.of(solution, for_signorini=True)
+    comm, kappa = solution.spaces.mesh.comm, solution.data.kappa
+    with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
+        own = Admissible.of(solution, goal)
+        certificate = summed(own, gap_parts(own, own, goal))
+        field = _in_nodes(v)
+        repaired = Admissible.of(solution, goal, field)
+        parts = gap_parts(repaired, repaired, goal)
+        of_repaired = summed(repaired, parts)
+        all_edges(field.function_space).to_bernstein(field.x.array)
+        flux, given = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
+        squares = mismatches(own, given, flux)
+        seen = mismatches(replace(own, deviation=np.zeros_like(own.deviation)), given, flux)
+        moved = np.sqrt(mismatches(own, repaired.trace, FluxOf(field, kappa))) + parts.hidden
+    repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
+    return joined(solution, certificate, (squares, seen), own.size, repair, of_repaired)
+
+
+def _in_nodes(v: fem.Function) -> fem.Function:
+    """The function by its values in the nodes of quadratics (collective)."""
+    quadratic, mesh = fem.Function(bernstein(v.function_space.mesh), name="v"), v.function_space.mesh
+    nodes = quadratic.function_space.dofmap.list
+    number, corners = nodes.shape[0], mesh.topology.dim + 1
+    values = v.x.array[v.function_space.dofmap.list[:number]]
+    if values.shape[1] == corners:
+        ends = all_edges(quadratic.function_space)
+        quadratic.x.array[nodes[:, :corners]] = values
+        quadratic.x.array[ends.middle] = quadratic.x.array[ends.ends].mean(axis=1)
+    else:
+        quadratic.x.array[nodes] = values
+    quadratic.x.scatter_forward()
+    return quadratic

@@ -1,0 +1,40 @@
+"""How wrong a displacement is, by a stress that is near the exact one; see `certificate.of_field`."""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.of_field import FieldBound, joined
+from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.physics.elasticity.bound.certify import certificate_of
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite, to_entries, to_matrices
+from signorini_fenicsx.physics.elasticity.residuals import energy_squares
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+
+
+def field_bound(solution: ElasticSolution, v: fem.Function) -> FieldBound:
+    """The bounds of a displacement (collective).
+
+    Raises:
+        InputError: If the material varies within cells: ℂ(ε(v) − ε₀) is then not linear on each cell.
+    """
+    spaces, data = solution.spaces, solution.data
+    material = data.material
+    if not material.uniform or material.degree is None or material.degree > 1:
+        raise InputError("v: with elastic data that vary within regions there is no bound of displacements")
+    mesh, dim = spaces.mesh, spaces.dim
+    certificate = certificate_of(solution)
+    cells = np.arange(len(spaces.order), dtype=np.int32)
+    corners = np.vstack([np.zeros(dim), np.eye(dim), np.full(dim, 1 / (dim + 1))])
+    points = CellPoints(mesh, cells, corners, np.empty(0))
+    strain = to_entries(points.of_ufl(ufl.grad(v))) - material.strain(points)
+    stress = to_matrices(np.linalg.solve(material.compliance(points), strain[..., None])[..., 0])
+    in_order = np.take_along_axis(stress, spaces.order[:, :, None, None], axis=1)
+    at_subcells = np.empty((len(cells), dim + 1, dim + 1, dim, dim))
+    at_subcells[:, :, :dim] = in_order[:, opposite(dim)]
+    at_subcells[:, :, dim] = stress[:, None, dim + 1]
+    squares = np.maximum(energy_squares(spaces, data, at_subcells - solution.stresses), 0.0)
+    return joined(solution, certificate, (squares, squares), solution.norms()["energy"])
