@@ -138,6 +138,8 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Qua
     width(first)
     scale = tried[first].scale
     tau = float(2.0 ** round(math.log2(scale))) if 0 < scale < math.inf else first
+    if not math.isfinite(width(tau)):  # such as one with which u_D is beyond a bound
+        tau = first
     if math.isfinite(width(tau)):
         for factor in (0.5, 2.0):
             while len(tried) < MOST and width(tau * factor) < ENOUGH * width(tau):

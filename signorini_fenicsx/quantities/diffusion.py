@@ -135,7 +135,7 @@ class _Shifted:
                 below, above = self._admissible(-tau), self._admissible(tau)
                 (lower, one), (upper, other) = self.sides(below, above, tau)
                 shares = (_half(below, below, below.goal).of_cells + _half(above, above, above.goal).of_cells) / tau
-        except NumericalFailure as failure:
+        except (NumericalFailure, InputError) as failure:
             return Ends(-math.inf, math.inf, 0.0, f"a problem beside it: {failure}")
         size, metric = above.size, above.metric
         moved = distance(above.solution.spaces, metric, above.solution.sigma, below.solution.sigma) / (2 * tau)

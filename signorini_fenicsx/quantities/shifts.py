@@ -147,8 +147,9 @@ def _on_part(domain: Domain, part: str, given: Given) -> Given:
         return given
     dim, comm = domain.mesh.geometry.dim, domain.mesh.comm
     x = facet_corners(domain.mesh, domain.facets[part]).reshape(-1, dim)
-    x = np.concatenate(comm.allgather(np.stack([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])))
-    return decided(given, {name: Interval(x[:, i].min(), x[:, i].max()) for i, name in enumerate("xyz"[:dim])})
+    ends = comm.allgather([x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
+    lo, hi = np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)
+    return decided(given, {name: Interval(*np.array([lo[i], hi[i]])[:, None]) for i, name in enumerate("xyz"[:dim])})
 
 
 def moved(domain: Domain, law: Law, u: Given, flux: Given, factor: float) -> Law:

@@ -316,6 +316,12 @@ def test_refusals_in_python():
     walls = Neumann(["left", "right", "bottom", "top"])
     with pytest.raises(InputError, match="with the laws before it no u is left in some cells"):
         on_square(f=1, conditions=[Obstacle(region="all", psi=1), Obstacle(region="all", psi_upper=0), walls])
+    above = Obstacle(region="all", psi=0)
+    with pytest.raises(InputError, match=r"law.0.psi: is above all u that law.1 allows on Γ_S, as at \(0.5, 0\)"):
+        on_square(f=1, conditions=[above, TwoSided("bottom", psi=-1, psi_upper="x*(x - 1)")])
+    below = Obstacle(region="all", psi_upper="x*(1 - x)*y")
+    with pytest.raises(InputError, match=r"law.0.psi_upper: is below all u that psi allows on Γ_S, as at \(0.5, 1\)"):
+        on_square(f=1, conditions=[below, Signorini("top", psi="2*x*(1 - x)")])
     with pytest.raises(InputError, match="alg3 does not take laws in Ω; alg1, alg2 and qp do"):
         on_square(f=1, options=Options(algorithm="alg3"), conditions=[Corners([[0, 0], [0, 1]], region="all")])
     with pytest.raises(InputError, match="storage: this law is of problems in time"):

@@ -7,10 +7,11 @@ obstacle its force. What is linear in u, s = cu, is no condition: it stands in t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
@@ -73,11 +74,18 @@ class CellLaws:
         return np.where(held, np.inf, beta), np.where(held, self.means + values, values + beta * self.means)
 
 
-def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum) -> CellLaws | None:
+def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum, on_parts: Sequence[PartLaw]) -> CellLaws | None:
     """The laws in Ω, but for reactions; None if there are none (collective).
 
+    Args:
+        spaces: The discrete spaces.
+        problem: The problem.
+        u_D: u on Γ_D.
+        on_parts: The laws on Γ_S.
+
     Raises:
-        InputError: If data are not what their law allows, the laws of a cell leave no u, or u_D is beyond a bound.
+        InputError: If data are not what their law allows, the laws of a cell leave no u, or u_D or all u that a law on
+            Γ_S allows are beyond a bound.
     """
     laws: list[tuple[str, Law]] = [(f"law.{i}", law) for i, law in enumerate(problem.laws) if law.region]
     if problem.obstacle is not None:
@@ -100,7 +108,8 @@ def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum) -> CellLaws | None:
             chains = chains_of(graph, number)  # values that are exactly 0
         known[rows] = True
         of_regions.append(part)
-        _check_bounds(spaces, part, u_D)
+        for what, facets, allowed in _allowed(spaces, u_D, on_parts):
+            _check_bounds(spaces, part, what, facets, allowed)
     return CellLaws(tuple(of_regions), means, chains)
 
 
@@ -170,21 +179,35 @@ def _with(spaces: Spaces, chains: Chains, part: PartLaw, own: Chains, first: Mas
     )
 
 
-def _check_bounds(spaces: Spaces, part: PartLaw, u_D: Datum) -> None:
-    """Make sure that u_D is within the bounds in the vertices and edge midpoints on Γ_D (collective).
+type Allowed = tuple[Datum | None, Datum | None]
+"""The least and the largest u that are allowed, None where there is none."""
+
+
+def _allowed(
+    spaces: Spaces, u_D: Datum, on_parts: Sequence[PartLaw]
+) -> Iterator[tuple[str, npt.NDArray[np.int32], Allowed]]:
+    """What the boundary allows, in words and by facets: on Γ_D u_D alone, on Γ_S what is within the bounds of laws."""
+    yield "u_D", spaces.dirichlet_facets, (u_D, u_D)
+    for part in on_parts:
+        rows = np.setdiff1d(part.rows, spaces.inner.rows)
+        yield f"all u that {part.name or 'psi'} allows", spaces.facets[rows], part.bounds
+
+
+def _check_bounds(spaces: Spaces, part: PartLaw, what: str, facets: npt.NDArray[np.int32], allowed: Allowed) -> None:
+    """Make sure that what the boundary allows is within the bounds, in vertices and edge midpoints (collective).
 
     Raises:
         InputError: On all ranks, with the place where it is worst.
     """
     mesh = spaces.mesh
-    points = in_facets(mesh, spaces.dirichlet_facets, quadratic_nodes(facet_type(mesh.topology.dim)))
+    points = in_facets(mesh, facets, quadratic_nodes(facet_type(mesh.topology.dim)))
     inside = np.zeros(len(spaces.cell_measures), dtype=bool)
     inside[part.rows] = True
     points = points.among(inside)
-    for bound, sign, side in zip(part.bounds, (1.0, -1.0), ("above", "below"), strict=True):
-        if bound is None:
+    for bound, farthest, sign, side in zip(part.bounds, allowed[::-1], (1.0, -1.0), ("above", "below"), strict=True):
+        if bound is None or farthest is None:
             continue
-        known, given = (datum.values(points).ravel() for datum in (bound, u_D))
+        known, given = (datum.values(points).ravel() for datum in (bound, farthest))
         excess = sign * (known - given)
         worst: tuple[float, tuple[float, ...]] = (0.0, ())
         if len(excess) > 0:
@@ -195,9 +218,10 @@ def _check_bounds(spaces: Spaces, part: PartLaw, u_D: Datum) -> None:
         if most > ROUNDING * size:
             at = ", ".join(f"{coordinate:.4g}" for coordinate in x)
             key = next((name for name, datum in part.data.items() if datum is bound), "psi")
+            where = "on Γ_D" if what == "u_D" else "on Γ_S"
             raise InputError(
-                f"{in_problem(part.key(key))}: is {side} u_D on Γ_D, as at ({at}) by {most:.3g}; u cannot be both u_D "
-                f"and {side} it"
+                f"{in_problem(part.key(key))}: is {side} {what} {where}, as at ({at}) by {most:.3g}; u cannot be both "
+                f"{what if what == 'u_D' else 'one of these'} and {side} it"
             )
 
 

@@ -285,7 +285,7 @@ def _boundary(spaces: Spaces, problem: Problem) -> dict[str, Any]:
     for lift in (u_lift, sigma_lift):
         lift.x.scatter_forward()
     spaces.carry_across(sigma_lift)
-    inside = cell_laws(spaces, problem, u_D)
+    inside = cell_laws(spaces, problem, u_D, laws.of_parts)
     given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws, "inside": inside}
     return given | {"psi_h": psi_h, "q_Sh": q_Sh, "u_lift": u_lift, "sigma_lift": sigma_lift}
 
