@@ -406,8 +406,7 @@ class BestDisplacement:
         It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
         """
         values = linear_from_means(self.spaces.along(self._data.slipped)[self.rough[1]])
-        found: Array = self._hats_of_rough() @ values
-        return found
+        return np.asarray(self._hats_of_rough() @ values)
 
     def _hats_of_rough(self) -> Array:
         """The hats of the vertices at the places of the coefficients on the facets with friction.
