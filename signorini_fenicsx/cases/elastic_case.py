@@ -68,7 +68,8 @@ NORMAL = tuple(name for name, kind in LAWS.items() if kind not in (Friction, Riv
 class ContactTexts(Section):
     """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, or by μ, Coulomb's number.
 
-    Other kinds are laws between the opening gap − u_n and the pressure, with their keys in scalar problems.
+    With `force` and `moment` the foundation is a rigid tool that moves along and about these axes. Other kinds are laws
+    between the opening gap − u_n and the pressure, with their keys in scalar problems.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -78,19 +79,21 @@ class ContactTexts(Section):
     gap: Expression | None = None
     g: Expression | None = None
     mu: Expression | None = None
+    force: Annotated[dict[str, Expression], Field(default={}, exclude_if=lambda given: not given)]
+    moment: Annotated[dict[str, Expression], Field(default={}, exclude_if=lambda given: not given)]
 
     @model_validator(mode="after")
     def _own_keys(self) -> Self:
         extra = list(self.model_extra or {})
         if self.kind in WITH_CONTACT:
-            known = ["kind", "parts", "gap"] + (["g", "mu"] if self.kind == "friction" else [])
+            known = ["kind", "parts", "gap", "force", "moment"] + (["g", "mu"] if self.kind == "friction" else [])
             for key in extra:
                 listed = f"{', '.join(known)}{did_you_mean(key, known)}"
                 raise ValueError(f"unknown key '{key}' of the law '{self.kind}'; known are {listed}")
             return self
-        for key in ("g", "mu"):
-            if getattr(self, key) is not None:
-                raise ValueError(f"unknown key '{key}' of the law '{self.kind}', which has no friction")
+        for key, what in (("g", "friction"), ("mu", "friction"), ("force", "tool"), ("moment", "tool")):
+            if getattr(self, key):
+                raise ValueError(f"unknown key '{key}' of the law '{self.kind}', which has no {what}")
         try:
             self._normal()
         except ValidationError as error:
@@ -107,6 +110,12 @@ class ContactTexts(Section):
             raise ValueError(f"unknown key '{key}' of the law 'contact', which has no friction; use kind \"friction\"")
         return self
 
+    @model_validator(mode="after")
+    def _one_part(self) -> Self:
+        if (self.force or self.moment) and len(self.parts) > 1:
+            raise ValueError("force: a tool is on one part; give each part a [[law]] of its own")
+        return self
+
     def _normal(self) -> LawTexts:
         return LawTexts.model_validate({"kind": self.kind, "parts": self.parts, **(self.model_extra or {})})
 
@@ -114,6 +123,7 @@ class ContactTexts(Section):
         """Each expression with the name of its key."""
         found = (("gap", self.gap), ("g", self.g), ("mu", self.mu))
         own = [(key, text) for key, text in found if text is not None]
+        own += [entry for key in ("force", "moment") for entry in texts_of(key, getattr(self, key))]
         return own if self.kind in WITH_CONTACT else own + self._normal().texts()
 
     def law(self) -> ElasticLaw | None:
@@ -245,5 +255,7 @@ class ElasticCase(CaseFile):
         own = {part: law.gap for law in self.law for part in law.parts if law.gap is not None}
         if own:
             values["gap"] = {part: own.get(part, self.problem.gap) for part in self.parts.contact}
+        for key in ("force", "moment"):
+            values[key] = {law.parts[0]: getattr(law, key) for law in self.law if getattr(law, key)}
         laws = [found for law in self.law if (found := law.law()) is not None]
         return ElasticProblem(**values, exact=self.exact.u, laws=laws)

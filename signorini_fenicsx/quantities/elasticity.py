@@ -61,6 +61,8 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
     """
     if any(isinstance(law, CoulombLaw) for law in posed[1].laws):
         raise InputError("quantities have no bounds under Coulomb's friction, as its solution may not be unique")
+    if posed[1].force or posed[1].moment:
+        raise InputError("quantities have no bounds where a tool moves under a given force")
     if not isinstance(kind, Integral | Force):
         raise InputError(f"{type(kind).__name__}: elastic contact has Integral, Mean, Force and Moment")
     _moved(domain, posed, kind, 0.0)

@@ -32,6 +32,7 @@ from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, STIFF, Elas
 from signorini_fenicsx.physics.elasticity.normal_laws import Springs
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
+from signorini_fenicsx.physics.elasticity.tools import Moving
 
 MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
@@ -97,6 +98,7 @@ class ElasticBackend:
         self._x.set(0.0)
         self._held = self._x.duplicate()
         self._held.set(0.0)
+        self.tools = Moving(spaces, data.tools)
         self._springs: Springs | None = None
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
@@ -114,7 +116,7 @@ class ElasticBackend:
     @property
     def inexact(self) -> Inexact | None:
         """The backend itself if its linear solver iterates."""
-        return self if self._solver.iterates else None
+        return self if self._solver.iterates and not self.tools else None
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -148,7 +150,11 @@ class ElasticBackend:
 
     def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
-        return self._cleaned(conditions, self._signs * x.array_r[self._unknowns], self.flux(x, self.system.load))
+        return self._cleaned(conditions, self._beside_tools(x), self.flux(x, self.system.load))
+
+    def _beside_tools(self, x: PETSc.Vec) -> Array:
+        """The means of −(û_n − r_n) and û_t − r_t at the sites, r the motions of tools."""
+        return np.asarray(self._signs * (x.array_r[self._unknowns] - self.tools.at_sites))
 
     def flux(self, x: PETSc.Vec, load: Array) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
@@ -210,7 +216,28 @@ class ElasticBackend:
             self._solve_anew(load, self._x, contact, sprung=free & loose)
         self._imposed = conditions
         self._x.axpy(1.0, self._held)
-        self._applied, self._sprung = conditions, loose
+        self._sprung = loose
+        if self.tools:
+            self._respond(conditions, free & loose)
+            rho, moved = self.tools.follow((self._image(self._x) - self.system.load)[self._unknowns], loaded=True)
+            self.tools.rho, self._x.array_w[:] = rho, self._x.array_r + moved
+        self._applied = conditions
+
+    def _respond(self, conditions: SiteConditions, sprung: Mask) -> None:
+        """Find how the body follows the tools under the conditions of the present matrix (collective)."""
+        contact, at_rest = conditions.kind == Condition.ZERO_TRACE, self._given_forces(conditions)
+
+        def response(move: Array) -> Array:
+            load, lift = np.zeros((2, len(self.system.load)))
+            pulled = self._given_forces(conditions, -self._signs * move) - at_rest + self._weak * sprung * move
+            load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
+            return np.array(self._at_rest(conditions, load, lift).array_r)
+
+        def pulls(x: Array) -> Array:
+            self._b.array_w[:] = x
+            return self._image(self._b)[self._unknowns]
+
+        self.tools.respond(response, pulls)
 
     def _take_springs(self, conditions: SiteConditions) -> None:
         """Take the springs under these conditions; no factors of other ones serve with springs (collective)."""
@@ -235,11 +262,21 @@ class ElasticBackend:
     def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
         """Solve with any right side of the owned unknowns, and values where û is given, by default 0 (collective).
 
-        The last solution stays. Springs pull with their stiffness alone.
+        The last solution stays. Springs pull with their stiffness alone, and nothing acts on tools but the body.
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
+        new = not conditions.same(self._imposed, self.comm)
+        x = self._at_rest(conditions, load, lift)
+        if self.tools:
+            if new:
+                self._respond(conditions, np.zeros(self.sites, dtype=bool))
+            x.array_w[:] += self.tools.follow(self._image(x)[self._unknowns], loaded=False)[1]
+        return x
+
+    def _at_rest(self, conditions: SiteConditions, load: Array, lift: Array | float) -> PETSc.Vec:
+        """`solve_homogeneous` with tools at rest (collective)."""
         contact, x, given = conditions.kind == Condition.ZERO_TRACE, self._x.duplicate(), self._x.duplicate()
         x.set(0.0)
         given.array_w[:] = lift
@@ -248,7 +285,7 @@ class ElasticBackend:
         if not present:
             self._applied = None
             self._take_springs(conditions)
-        if present and (self._springs is not None or self._turns or self._solver.iterates):
+        if present and (self._springs is not None or self._turns or self._sprung or self._solver.iterates):
             load[np.concatenate([self._data.fixed, self._unknowns[contact]])] = 0.0
             self._b.array_w[:] = load
             self._solver.solve(self._b, x)
@@ -281,54 +318,19 @@ class ElasticBackend:
         self._applied = self._imposed = None
 
     def state(self) -> Array:
-        """The unknowns of the last solve."""
-        return np.array(self._x.array_r)
+        """The unknowns of the last solve, and the motions of tools."""
+        return np.append(self._x.array_r, self.tools.rho)
 
     def energy_along(self, x: Array, step: Array) -> tuple[float, float]:
         """The first and the second derivative of the energy without friction at x along a step (collective)."""
-        moved, found = self._x.duplicate(), []
+        moved, found, size = self._x.duplicate(), [], len(self.system.load)
         for direction in (x, step):
-            moved.array_w[:] = direction
+            moved.array_w[:] = direction[:size]
             found.append(self._image(moved))
-        first, second = self.comm.allreduce(np.array([(found[0] - self.system.load) @ step, found[1] @ step])).tolist()
+        slopes = np.array([(found[0] - self.system.load) @ step[:size], found[1] @ step[:size]])
+        first, second = self.comm.allreduce(slopes).tolist()
         moved.destroy()
-        return first, second
-
-    @property
-    def stiffness_of_slips(self) -> Array:
-        """The diagonal entries of the vertices with friction over their measure, shape (facets, d)."""
-        number = len(self.spaces.sites)
-        diagonal = self.system.matrix.getDiagonal().array_r[self._unknowns[number:]] / self._measure[number:]
-        return diagonal.reshape(-1, self.spaces.dim, self.spaces.dim - 1).mean(axis=2)
-
-    def reactions(self) -> tuple[Array, Array]:
-        """The flux at the sites of this rank as `matrix @ p + force`, for any p at the sites of all (collective).
-
-        Costs a factorisation, and a linear solve for each site.
-
-        Returns:
-            The matrix, with the sites of all ranks one rank after another, and the force.
-        """
-        counts, held = self.comm.allgather(self.sites), np.ones(self.sites, dtype=bool)
-        x = self._x.duplicate()
-        x.set(0.0)
-        self._applied = None
-        self._factors.forget()
-        self._solve_anew(self.system.load.copy(), x, held, sprung=~held)
-        force = self.flux(x, self.system.load)
-        columns = []
-        for rank, count in enumerate(counts):
-            for site in range(count):
-                own = slice(site, site + 1) if rank == self.comm.rank else slice(0)
-                moved = x.duplicate()
-                moved.set(0.0)
-                moved.array_w[self._unknowns[own]] = self._signs[own]
-                self._factors.solve(-self._image(moved), x, held)
-                x.axpy(1.0, moved)
-                columns.append(self.flux(x, np.zeros_like(self.system.load)))
-                moved.destroy()
-        self._factors.forget()
-        return np.column_stack([*columns, np.empty((self.sites, 0))]), force
+        return first - self.tools.work(step[size:]), second
 
     @property
     def is_contact(self) -> bool:
@@ -371,11 +373,9 @@ class ElasticBackend:
         stresses, displacements = self.system.recover(self.everywhere(self._x.array_r) + self._data.lift)
         if not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
-        owned = self._x.array_r
-        trace = np.concatenate([-owned[spaces.sites], owned[spaces.slip_sites]])
         traction = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
         traction[: len(spaces.sites)] -= self._data.laws.pressure
-        p, flux = self._cleaned(conditions, trace, traction)
+        p, flux = self._cleaned(conditions, self._beside_tools(self._x), traction)
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
         return Iterate(
             p=p,
@@ -404,7 +404,7 @@ class ElasticBackend:
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
             left = self.system.tractions - forces
-            left[self._unknowns] += self._given_forces(conditions, self._signs * self._x.array_r[self._unknowns])
+            left[self._unknowns] += self._given_forces(conditions, self._beside_tools(self._x))
             left[essential] = 0.0
             size, scale = self._extent(np.abs(left), np.abs(forces))
             if size <= TIE * scale or not size < before:

@@ -92,6 +92,7 @@ def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
         or backend.inexact is not None
         or not backend.is_contact
         or backend.spaces.dim == 3
+        or backend.tools
         or comm.allreduce(backend.sites) > MOST_SITES
     ):
         return outcome.ended(
@@ -111,7 +112,7 @@ def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
     vertex = (spaces.rough_rows[:, None] * spaces.dim + np.arange(spaces.dim)).ravel()
     zeros = np.zeros(normal)
     own = (
-        *backend.reactions(),
+        *_reactions(backend),
         _shares(backend),
         np.concatenate([np.full(normal, -1), first + vertex]),
         np.concatenate([zeros, np.where(coulomb, friction.mu.ravel(), 0.0)]),
@@ -135,6 +136,25 @@ def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
     if changes[-1] > CHANGE:
         return outcome.ended(f"the bound of the friction still changes by {changes[-1]:.1e} at the end of a path")
     return outcome
+
+
+def _reactions(backend: ElasticBackend) -> tuple[Array, Array]:
+    """The flux at the sites of this rank as `matrix @ p + force`, for any p at the sites of all (collective).
+
+    The matrix has the sites of all ranks one rank after another. Costs a linear solve for each.
+    """
+    spaces, none = backend.spaces, np.zeros_like(backend.system.load)
+    unknowns = np.concatenate([spaces.sites, spaces.slip_sites])
+    held = SiteConditions.everywhere(Condition.ZERO_TRACE, backend.sites)
+    force = backend.flux(backend.solve_homogeneous(held, backend.system.load), backend.system.load)
+    columns = [np.empty((backend.sites, 0))]
+    for rank, count in enumerate(backend.comm.allgather(backend.sites)):
+        for site in range(count):
+            lift = none.copy()
+            if rank == backend.comm.rank:
+                lift[unknowns[site]] = -1.0 if site < len(spaces.sites) else 1.0
+            columns.append(backend.flux(backend.solve_homogeneous(held, none, lift), none)[:, None])
+    return np.concatenate(columns, axis=1), force
 
 
 def _shares(backend: ElasticBackend) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import basix.ufl
@@ -30,6 +30,7 @@ from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaws, normal_
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.tools import MovedGap, Tool, moves_at_sites, tools_at, tools_of
 from signorini_fenicsx.physics.elasticity.vector_datum import (
     PressureDatum,
     VectorDatum,
@@ -63,6 +64,9 @@ class ElasticData:
         friction: Bounds of the shear; None without friction.
         slipped: u_t at the sites with friction at the end of the last step in time, 0 without one; the slip is what
             comes after it.
+        tools: Foundations that move under given forces; in the end with their motions, by which gap and lift are
+            changed, too.
+        moved: The means of these motions at the sites.
         given: The constants and functions in the data, with the values that they had.
     """
 
@@ -80,7 +84,23 @@ class ElasticData:
     fixed: npt.NDArray[np.int32]
     friction: FrictionBounds | None
     slipped: Array
+    tools: tuple[Tool, ...]
+    moved: Array
     given: Values = ()
+
+    def after(self, spaces: ElasticSpaces, rho: Array) -> ElasticData:
+        """The data after a further motion of the tools (collective)."""
+        if not self.tools:
+            return self
+        moves, gap = la.vector(spaces.traces.dofmap.index_map, spaces.dim**2), self.gap
+        at_sites = moves_at_sites(spaces, self.tools) @ rho
+        moves.array[np.concatenate([spaces.sites, spaces.slip_sites])] = at_sites
+        moves.scatter_forward()
+        for tool in tools_at(self.tools, rho, anew=True):
+            gap = MovedGap.of(spaces, gap, tool)
+        return replace(
+            self, gap=gap, lift=self.lift + moves.array, tools=tools_at(self.tools, rho), moved=self.moved + at_sites
+        )
 
     def points(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> CellPoints:
         """The points of the quadrature."""
@@ -179,6 +199,8 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
         fixed=fixed,
         friction=friction_bounds(spaces, problem.laws),
         slipped=slipped,
+        tools=tools_of(spaces, problem),
+        moved=np.zeros(len(spaces.sites) + len(spaces.slip_sites)),
         given=values_in(problem),
     )
     _check_cells(spaces, data)

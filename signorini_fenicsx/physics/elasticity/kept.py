@@ -83,6 +83,7 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
     if data.friction is not None:
         by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
         data = replace(data, friction=replace(data.friction, bound=by_pressure))
+    data = data.after(spaces, np.array(stored.own["moved"]))
     along = slip[rough].ravel()
     segment = state[rough].ravel()
     if data.friction is not None and spaces.dim == 3:
@@ -128,7 +129,7 @@ KEEPING = Keeping(
     in_cells=lambda solution: {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)},
     on_facets=_on_facets,
     read=_read,
-    own=("bound_changes",),
+    own=("bound_changes", "moved"),
     of_some={
         "facet_slipped": (np.float64, "facets", "dim"),
         "facet_slip_vector": (np.float64, "facets", "dim", "dim"),

@@ -314,8 +314,10 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
     Raises:
-        InputError: If a bound of friction or a datum of a law is not linear.
+        InputError: If a bound of friction or a datum of a law is not linear, or a tool moves under a given force.
     """
+    if solution.data.tools:
+        raise InputError("derivatives are not there where a tool moves under a given force")
     system = None if solution.system is None else solution.system()
     backend = None if system is None else system.backend_of(solution.outcome)
     if backend is None:

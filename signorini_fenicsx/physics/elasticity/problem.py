@@ -101,18 +101,27 @@ class Contact(OnParts):
         parts: Name of a part, or a list of names.
         gap: The distance to the foundation along the outer normal.
         friction: `Tresca` or `Coulomb`; None for σ_t = 0.
+        force: For a rigid tool that moves: what acts on it along each axis along which it can, such as {"y": -1}. The
+            gap is that before it moves, and the part is one. Along other axes it is held.
+        moment: For each axis about which it turns the moment about the middle of the part, in the plane {"z": 0}.
 
     Raises:
-        InputError: If the friction is something else.
+        InputError: If the friction is something else, or several parts have one tool.
     """
 
     gap: Given = 0.0
     friction: Tresca | Coulomb | None = None
+    force: Mapping[str, Given] = field(default_factory=dict)
+    moment: Mapping[str, Given] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse another friction."""
+        """Refuse another friction, and a tool on several parts."""
         super().__post_init__()
         check_kind("friction", self.friction, Tresca, Coulomb, NoneType)
+        for name, given in (("force", self.force), ("moment", self.moment)):
+            check_kind(name, given, Mapping, hint='; an example is {"y": -1}')
+        if (self.force or self.moment) and len(self.parts) != 1:
+            raise InputError("force: a tool is on one part; give each part a condition of its own")
 
 
 @dataclass(frozen=True)
@@ -217,6 +226,8 @@ class Elasticity:
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
             gap=one_value(gaps, 0.0),
+            force={part: each.force for each in touching if each.force for part in each.parts},
+            moment={part: each.moment for each in touching if each.moment for part in each.parts},
             plane=self.plane,
             exact=self.exact,
             laws=(*(each.friction.law(each.parts) for each in touching if each.friction is not None), *normal),
@@ -246,6 +257,9 @@ class ElasticProblem:
         axes: Directions of the axes of the material.
         eigenstrain: ε₀.
         initial_stress: σ₀.
+        force: For parts of Γ_C whose foundation is a tool that moves: what acts on it along each axis along which it
+            can.
+        moment: Likewise about each axis about which it turns.
     """
 
     young: GivenModulus
@@ -262,6 +276,8 @@ class ElasticProblem:
     axes: Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]] | None = None
     eigenstrain: GivenStrain | None = None
     initial_stress: GivenStrain | None = None
+    force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
+    moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse what is neither strain nor stress, other laws, and parts with two laws."""

@@ -39,7 +39,7 @@ def quantities(solution: ElasticSolution) -> dict[str, Any]:
         "displacement": _largest(comm, size, spaces.vertices.reshape(-1, dim)),
         "balance": balance(spaces, data, solution.stresses)[1],
         "contact": {name: _of_part(solution, index) for index, name in enumerate(spaces.part_names)},
-    }
+    } | ({"tools": {tool.part: tool.motion() for tool in data.tools}} if data.tools else {})
 
 
 def _largest(comm: MPI.Comm, values: Array, places: Array) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_no
 from signorini_fenicsx.physics.elasticity.material import mean_compliances
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.tools import unbalanced
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class ElasticKKT(Residuals):
         complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also the distance of u_t and σ_t
             to its graph; under other laws that of p and −σ_nn to theirs.
         tractions: (Σ |e|^(1/(d − 1)) ‖r‖²_e)^½/S, where r is the jump of σn inside Ω, what is left of σn − g_N where
-            the traction is given, and the shear on Γ_C without friction.
+            the traction is given, and the shear on Γ_C without friction; with what is left of the forces on tools,
+            spread over their parts.
         equilibrium: ‖h_T (∇·σ + f_h)‖/S, by the moments of both against linear functions on each cell.
     """
 
@@ -66,6 +68,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         unbalanced += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
     sums = np.array([volume, square, unbalanced, _jumps(spaces, data, stresses)])
     volume, square, unbalanced, jumps = comm.allreduce(sums).tolist()
+    jumps += _left_on_tools(spaces, data, stresses)
     norm, length = np.sqrt(square), volume ** (1 / dim)
     norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
     if norm == 0:
@@ -152,6 +155,15 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     squares = (left**2).sum(axis=(1, 2)) + (left.sum(axis=1) ** 2).sum(axis=1)
     weighted = size ** (1 + 1 / (dim - 1)) * squares / (dim * (dim + 1))
     return float(weighted[: index_map.size_local].sum())
+
+
+def _left_on_tools(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
+    """What tools add to the sum of `_jumps` (collective)."""
+    total = 0.0
+    for tool, left in unbalanced(spaces, data.tools, stresses):
+        area = spaces.mesh.comm.allreduce(float(spaces.part(tool.part).measure.sum()))
+        total += area ** (1 / (spaces.dim - 1) - 1) * float(left @ left)
+    return total
 
 
 def _drop_normal(values: Array, facets: BoundaryFacets) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -16,6 +17,13 @@ from signorini_fenicsx.physics.elasticity.friction import STICKS
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.tools import (
+    Tool,
+    loads_of,
+    means_at_sites,
+    moves_along,
+    normal_and_tangential,
+)
 
 FREE = 1e-8
 """A motion of size 1 that moves what is given by less is free."""
@@ -65,19 +73,13 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
 
     Collective. Both are those of a unit translation, or of the rotation by a unit angle.
     """
-    bodies = Bodies.of(spaces)
+    bodies = Bodies.of(spaces, data.tools)
     free = bodies.not_given()
     if free.shape[1] == 0:
         return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0)), None
     work, most = bodies.work(data)
     work = work @ free / most
-    rough = spaces.rough_rows
-    into = bodies.relative(_at(spaces.contact.normals, spaces.dim)) @ free
-    along = np.empty((len(rough), spaces.dim, spaces.dim - 1, free.shape[1]))
-    for k in range(spaces.dim - 1):
-        tangents = np.zeros_like(spaces.contact.normals)
-        tangents[rough] = spaces.tangents[:, k]
-        along[:, :, k] = (bodies.relative(_at(tangents, spaces.dim)) @ free)[rough]
+    into, along = normal_and_tangential(spaces, lambda directions: bodies.relative(directions) @ free)
     slips, shears = along.reshape(-1, spaces.dim - 1, free.shape[1]), np.empty(0)
     if data.friction is not None:
         shears = (spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most
@@ -88,11 +90,7 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
         words, unit = bodies.in_words(free @ motion)
         rubbed = float(limits.shears @ np.linalg.norm(limits.slips @ motion, axis=1)) if len(limits.shears) else 0.0
         told = words, float(work @ motion) * most / unit, spaces.mesh.comm.allreduce(rubbed) * most / unit
-    means = [
-        ((found + found.sum(axis=1, keepdims=True)) / (spaces.dim + 1)).reshape(-1, free.shape[1])
-        for found in (into, along)
-    ]  # weighted by the hats
-    return np.concatenate(means), told
+    return means_at_sites(into, along), told
 
 
 def _limits(
@@ -146,6 +144,7 @@ class Bodies:
         number: Number of bodies.
         middle: The middle of the domain.
         size: Its size, by which rotations are scaled.
+        tools: Tools that move freely; their motions come after those of the bodies.
     """
 
     spaces: ElasticSpaces
@@ -153,14 +152,15 @@ class Bodies:
     number: int
     middle: Array
     size: float
+    tools: Sequence[Tool]
 
     @classmethod
-    def of(cls, spaces: ElasticSpaces) -> Self:
+    def of(cls, spaces: ElasticSpaces, tools: Sequence[Tool]) -> Self:
         """The bodies of a mesh (collective)."""
         of_cell, comm = bodies(spaces), spaces.mesh.comm
         low, high = spaces.domain.box()[:, : spaces.dim]
         number = comm.allreduce(int(of_cell.max(initial=-1)), MPI.MAX) + 1
-        return cls(spaces, of_cell, number, (low + high) / 2, float((high - low).max()))
+        return cls(spaces, of_cell, number, (low + high) / 2, float((high - low).max()), tools)
 
     def _moved(self, x: Array) -> Array:
         """The basis of the motions of one body in points of shape (…, d): shape (…, d, motions)."""
@@ -189,12 +189,18 @@ class Bodies:
             kept = vectors[:, sizes <= FREE**2 * max(float(total), 1e-300)]
             free.append(np.zeros((self.number, size, kept.shape[1])))
             free[-1][body] = kept
-        return np.concatenate(free, axis=2).reshape(self.number * size, -1)
+        of_bodies = np.concatenate(free, axis=2).reshape(self.number * size, -1)
+        tools = len(loads_of(self.tools))
+        found = np.zeros((len(of_bodies) + tools, of_bodies.shape[1] + tools))
+        found[: len(of_bodies), : of_bodies.shape[1]] = of_bodies
+        found[len(of_bodies) :, of_bodies.shape[1] :] = np.eye(tools)
+        return found
 
     def relative(self, directions: Array) -> Array:
-        """The motions along directions at the vertices of the facets of Γ_C, shape (facets, d, motions of all bodies).
+        """The motions along directions at the vertices of the facets of Γ_C, shape (facets, d, all motions).
 
-        On a part inside the domain they are those of the named side less those of the other one.
+        On a part inside the domain they are those of the named side less those of the other one, and less those of the
+        tool on the part of one.
 
         Args:
             directions: One for each vertex, shape (facets, d, d).
@@ -205,10 +211,11 @@ class Bodies:
         each = np.arange(len(along))
         found[each, :, self.of_cell[spaces.contact.cells]] = along
         found[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
-        return found.reshape(*along.shape[:2], self.number * along.shape[2])
+        of_bodies = found.reshape(*along.shape[:2], self.number * along.shape[2])
+        return np.concatenate([of_bodies, -moves_along(spaces, self.tools, directions)], axis=2)
 
     def work(self, data: ElasticData) -> tuple[Array, float]:
-        """What f and g_N do on the motions, and what they could do, 1 if they are 0 (collective)."""
+        """What all loads do on the motions, and what they could do, 1 if they are 0 (collective)."""
         spaces, neumann = self.spaces, self.spaces.neumann
         pairs = [(self.of_cell[neumann.cells], neumann.vertices, data.tractions)]
         for cells in blocks_of_cells(spaces):
@@ -218,10 +225,17 @@ class Bodies:
         rows = [np.einsum("nvi,nvir->nr", moments, self._moved(x)) for _, x, moments in pairs]
         work = self._summed(np.concatenate([of for of, _, _ in pairs]), np.concatenate(rows)).ravel()
         most = spaces.mesh.comm.allreduce(sum(float(np.abs(moments).sum()) for _, _, moments in pairs))
-        return work, most if most > 0 else 1.0
+        on_tools = loads_of(self.tools)
+        most += float(np.abs(on_tools).sum())
+        return np.append(work, on_tools), most if most > 0 else 1.0
 
     def in_words(self, motion: Array) -> tuple[str, float]:
         """The motion of the body that moves most, in words, and its length or its angle (collective)."""
+        motion, of_tools = np.split(motion, [len(motion) - len(loads_of(self.tools))])
+        if np.abs(of_tools).max(initial=0.0) > np.abs(motion).max(initial=0.0):
+            ends = np.cumsum([len(tool.load) for tool in self.tools])[:-1]
+            largest = [float(np.abs(each).max()) for each in np.split(of_tools, ends)]
+            return f"that is the tool on '{self.tools[int(np.argmax(largest))].part}'", max(largest)
         by_body = motion.reshape(self.number, -1)
         body = int(np.abs(by_body).max(axis=1).argmax())
         words, unit = _in_words(by_body[body], self.middle, self.size)

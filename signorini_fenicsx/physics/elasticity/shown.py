@@ -258,6 +258,8 @@ def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, st
     }
     for part, about in summary["quantities"]["contact"].items():
         found[f"on {part}"] = _pressed(about)
+    for part, about in summary["quantities"].get("tools", {}).items():
+        found[f"on {part}"] += f"; the tool has moved by {_moved(about)}"
     if "least_gap" in summary:
         least = f"negative, down to {summary['least_gap']:.4g}"
         other = "another body" if any(solution.boundary.inner) else "the foundation"
@@ -294,6 +296,13 @@ def _pressed(about: Mapping[str, Any]) -> str:
     if "center_of_pressure" in about:
         found.append(f"center ({', '.join(f'{x:.4g}' for x in about['center_of_pressure'])})")
     return ", ".join(found)
+
+
+def _moved(about: Mapping[str, Any]) -> str:
+    """The motion of a tool."""
+    found = [f"{length:.5g} along {axis}" for axis, length in about["displacement"].items()]
+    found += [f"the angle {angle:.5g} about {axis}" for axis, angle in about.get("rotation", {}).items()]
+    return " and ".join(found)
 
 
 def _at(largest: Mapping[str, Any]) -> str:

@@ -85,7 +85,7 @@ def _pairs(backend: ElasticBackend, outcome: Outcome) -> tuple[Array, Array]:
 
 def _following(backend: ElasticBackend, friction: FrictionBounds, slip: Array, shear: Array) -> FrictionBounds:
     """The linear law at u_t and σ_t."""
-    stiffness, size = backend.stiffness_of_slips, np.linalg.norm(slip, axis=2)
+    stiffness, size = _stiffness(backend), np.linalg.norm(slip, axis=2)
     wanted = stiffness[:, :, None] * slip - shear
     pull = np.linalg.norm(wanted, axis=2)
     slips = (pull > friction.bound) & (pull > 0)
@@ -95,6 +95,13 @@ def _following(backend: ElasticBackend, friction: FrictionBounds, slip: Array, s
     size = np.where(still, (pull - np.minimum(friction.bound, pull)) / stiffness, size)
     slipping = Slipping(np.where(slips[:, :, None], direction, 0.0), np.where(slips, size, 1.0))
     return replace(friction, slipping=slipping)
+
+
+def _stiffness(backend: ElasticBackend) -> Array:
+    """The diagonal entries of the vertices with friction over their measure, shape (facets, 3)."""
+    spaces = backend.spaces
+    diagonal = backend.system.matrix.getDiagonal().array_r[spaces.slip_sites] / spaces.slip_measure
+    return np.asarray(diagonal.reshape(-1, 3, 2).mean(axis=2))
 
 
 def _same(backend: ElasticBackend, before: FrictionBounds, after: FrictionBounds, slip: Array, shear: Array) -> bool:

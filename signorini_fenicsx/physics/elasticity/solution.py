@@ -154,6 +154,11 @@ class ElasticSolution(Solved):
         return (kind != Condition.NO_FLUX).reshape(-1, self.spaces.dim)
 
     @property
+    def moved(self) -> list[float]:
+        """How far tools under given forces have moved, one motion after another."""
+        return [distance for tool in self.data.tools for distance in tool.moved.tolist()]
+
+    @property
     def slip(self) -> Array:
         """u_t on the facets with friction, in means weighted by the hats of their vertices, shape (facets, d).
 

@@ -160,7 +160,7 @@ class ElasticRun:
         else:
             first = _first(backend, start, held_by_contact=held)
         outcome, self.changes = _run(backend, options, first, watch, self.wish.on_step, predict=large)
-        self.data = replace(self.data, friction=backend.friction)
+        self.data = replace(self.data.after(self.spaces, backend.tools.rho), friction=backend.friction)
         return outcome
 
     def judged(self, outcome: Outcome) -> tuple[Outcome, ElasticKKT]:

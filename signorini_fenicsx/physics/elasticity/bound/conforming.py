@@ -401,11 +401,13 @@ class BestDisplacement:
         return self._in_coefficients(bound, self.contact.facets.measure[rough])
 
     def _slipped(self) -> Array:
-        """The slip of the last step in time on the facets with friction, by its coefficients.
+        """The slip of the last step in time and of tools on the facets with friction, by its coefficients.
 
         It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
         """
-        values = linear_from_means(self.spaces.along(self._data.slipped)[self.rough[1]])
+        data = self._data
+        slipped = data.slipped + data.moved[len(self.spaces.sites) :]
+        values = linear_from_means(self.spaces.along(slipped)[self.rough[1]])
         return np.asarray(self._hats_of_rough() @ values)
 
     def _hats_of_rough(self) -> Array:
