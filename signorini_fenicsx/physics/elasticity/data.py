@@ -88,6 +88,11 @@ class ElasticData:
     moved: Array
     given: Values = ()
 
+    @property
+    def slip_before(self) -> Array:
+        """What of û_t at the sites with friction is no slip: that of the last step, and of tools."""
+        return self.slipped + self.moved[len(self.laws.opening) :]
+
     def after(self, spaces: ElasticSpaces, rho: Array) -> ElasticData:
         """The data after a further motion of the tools (collective)."""
         if not self.tools:

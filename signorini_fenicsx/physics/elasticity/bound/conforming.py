@@ -405,9 +405,7 @@ class BestDisplacement:
 
         It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
         """
-        data = self._data
-        slipped = data.slipped + data.moved[len(self.spaces.sites) :]
-        values = linear_from_means(self.spaces.along(slipped)[self.rough[1]])
+        values = linear_from_means(self.spaces.along(self._data.slip_before)[self.rough[1]])
         return np.asarray(self._hats_of_rough() @ values)
 
     def _hats_of_rough(self) -> Array:
