@@ -39,6 +39,8 @@ from signorini_fenicsx.base.errors import InputError
 
 MOST = 7
 """Largest number of τ that are tried."""
+SMALLER, AGAIN = 16.0, 3
+"""If the problems beside that of a solution have none, τ is made smaller by this factor, so often at most."""
 ENOUGH = 0.98
 """A factor of 2 in τ that leaves more than this share of the interval is the last one."""
 UNBOUNDED = "this flux is unbounded on the energy space"
@@ -135,7 +137,8 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Qua
             tried[tau] = ends(tau)
         return tried[tau].upper - tried[tau].lower
 
-    width(first)
+    while not math.isfinite(width(first)) and tried[first].scale == 0 and len(tried) < AGAIN:
+        first /= SMALLER
     scale = tried[first].scale
     tau = float(2.0 ** round(math.log2(scale))) if 0 < scale < math.inf else first
     if not math.isfinite(width(tau)):  # such as one with which u_D is beyond a bound
