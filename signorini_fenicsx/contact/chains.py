@@ -154,13 +154,14 @@ class Chains:
             scales: Sizes > 0 of both.
             tolerance: What is less than this share of them is 0.
         """
-        near = np.abs(self.residuals(p, flux, scales[1] / scales[0])) <= tolerance * scales[1][:, None]
-        near &= np.arange(self.corners + 1) <= self.count[:, None]
+        of_p, of_flux = (scale[:, None] for scale in scales)
+        off = np.maximum(np.abs(p[:, None] - self.p) / of_p, np.abs(flux[:, None] - self.flux) / of_flux)
+        near = np.pad(off <= tolerance, ((0, 0), (1, 1)))  # no corner is before the first segment nor after the last
         found = np.zeros_like(present)
-        for step in (-1, 1):
+        for step, corner in ((-1, present), (1, present + 1)):
             other = np.clip(present + step, 0, self.corners)
             same = [_chosen(values, other) == _chosen(values, present) for values in (self.slope, self.value)]
-            found[_chosen(near, other) & ~(same[0] & same[1])] = step
+            found[_chosen(near, corner) & ~(same[0] & same[1])] = step  # a corner may have no bend
         return found
 
     def extent(self) -> tuple[Array, Array, Array, Array]:

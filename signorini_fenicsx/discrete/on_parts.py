@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.law import OnParts
 from signorini_fenicsx.meshes.domain import Domain, other_side
 
@@ -32,13 +33,26 @@ def check_conditions(conditions: object, *kinds: type[OnParts], example: str) ->
 
 
 def names_all(domain: Domain, conditions: Sequence[OnParts]) -> bool:
-    """Whether the parts of the conditions are the whole boundary (collective)."""
-    parts = [part for condition in conditions for part in condition.parts]
-    named = [*parts, *map(other_side, parts)]
-    outer = dolfinx.mesh.exterior_facet_indices(domain.mesh.topology)
-    facets = [domain.facets[part] for part in named if part in domain.facets]
-    left = np.setdiff1d(outer, np.concatenate([*facets, np.empty(0, dtype=np.int32)]))
-    return not domain.mesh.comm.allreduce(len(left) > 0, MPI.LOR)
+    """Whether the parts of the conditions are the whole boundary (collective).
+
+    Raises:
+        InputError: If two of these parts have facets in common.
+    """
+    parts = dict.fromkeys(part for condition in conditions for part in condition.parts)
+    named = [part for part in dict.fromkeys([*parts, *map(other_side, parts)]) if part in domain.facets]
+    comm, topology = domain.mesh.comm, domain.mesh.topology
+    owner = np.full(topology.index_map(topology.dim - 1).size_local, -1)
+    for number, part in enumerate(named):
+        before = owner[domain.facets[part]]
+        shared, other = comm.allreduce(np.count_nonzero(before >= 0)), comm.allreduce(before.max(initial=-1), MPI.MAX)
+        if shared > 0:
+            raise InputError(
+                f"conditions: parts '{named[other]}' and '{part}' have {counted(shared, 'facet')} in common; each "
+                "facet needs one condition"
+            )
+        owner[domain.facets[part]] = number
+    left = owner[dolfinx.mesh.exterior_facet_indices(topology)] < 0
+    return not comm.allreduce(bool(left.any()), MPI.LOR)
 
 
 def same_value(one: object, other: object) -> bool:

@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import ufl
 from ufl.core.expr import Expr
+from ufl.domain import extract_domains
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import TREES, Tree, exactly, read, substituted
+from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly, read, substituted, to_ufl
 
 type Rows = Sequence[Sequence[Tree]]
 type Entries = Sequence[Sequence[float | str | Tree]]
@@ -47,6 +49,24 @@ def at_time(given: Any, t: float) -> Any:
     if isinstance(given, tuple | list):
         return type(given)(at_time(entry, t) for entry in given)
     return substituted(given, "t", exactly(t)) if isinstance(given, TREES) else given
+
+
+def combined(one: Given, other: Given, factor: float, where: str) -> Tree | Expr:
+    """The sum one + factor·other: a tree of trees, UFL if one of them is UFL.
+
+    Raises:
+        InputError: If one of them is a function of points; `where` says which data they are.
+    """
+    number = ufl.constantvalue.ScalarValue
+    one, other = (exactly(float(each)) if isinstance(each, number) else each for each in (one, other))
+    if isinstance(one, TREES) and isinstance(other, TREES):
+        return Binary("+", one, Binary("*", exactly(factor), other))
+    if not isinstance(one, TREES | Expr) or not isinstance(other, TREES | Expr):
+        raise InputError(f"{where} must be numbers, texts or UFL, not functions of points")
+    meshes = [mesh for each in (one, other) if isinstance(each, Expr) for mesh in extract_domains(each)]
+    x = ufl.SpatialCoordinate(meshes[0])
+    one, other = (each if isinstance(each, Expr) else to_ufl(each, x) for each in (one, other))
+    return one + factor * other
 
 
 def is_fixed(given: Any) -> bool:

@@ -8,8 +8,6 @@ from typing import Any
 
 import dolfinx.mesh
 import numpy as np
-import ufl
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
@@ -26,8 +24,8 @@ from signorini_fenicsx.contact.laws import (
     Wall,
 )
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
-from signorini_fenicsx.expressions import TREES, Binary, decided, exactly, to_ufl
-from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.expressions import TREES, Binary, decided
+from signorini_fenicsx.expressions.given import Given, combined, parsed
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -52,15 +50,9 @@ def added(domain: Domain, one: Given, other: Given, factor: float) -> Given:
     Raises:
         InputError: If one of them is a function of points.
     """
-    x = ufl.SpatialCoordinate(domain.mesh)
     names = "xyz"[: domain.mesh.geometry.dim]
     one, other = (parsed(given, names, "weight") for given in (one, other))
-    if isinstance(one, TREES) and isinstance(other, TREES):
-        return Binary("+", one, Binary("*", exactly(factor), other))
-    if not all(isinstance(given, TREES | Expr) for given in (one, other)):
-        raise InputError("quantities need data that are numbers, texts or UFL, not functions of points")
-    one, other = (to_ufl(given, x) if isinstance(given, TREES) else given for given in (one, other))
-    return one + factor * other
+    return combined(one, other, factor, "data of a problem with quantities")
 
 
 def with_load(domain: Domain, posed: Posed, weight: Given, region: Sequence[str], factor: float) -> Posed:

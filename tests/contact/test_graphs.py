@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Graph, Law, Values
 from signorini_fenicsx.contact.laws import Corners, TwoSided
 from signorini_fenicsx.expressions.given import Given
@@ -85,6 +86,19 @@ def test_graphs_are_checked(law: Law, message: str):
     domain = build_domain(COMM, "square", 0.25, mesh="structured")
     with pytest.raises(InputError, match=message):
         solve(domain, (Boundary([]), Problem("20*(x - 0.6)", laws=[law])))
+
+
+def test_beside():
+    """A site is on two segments at the corner between them alone, not where one goes on in the line of the other."""
+    p, flux = np.array([[0.0, 0.1, 0.2, 0.3]]), np.array([[0.0, -1.3, -1.65, -2.0]])  # the third and fourth in one line
+    chains = Chains.through(p, flux, np.array([np.inf]), np.array([1.0]))
+    scales = np.ones(1), np.ones(1)
+
+    def beside(segment: int, *at: float) -> int:
+        return int(chains.beside(np.array([segment]), *(np.array([x]) for x in at), scales, 1e-8)[0])
+
+    assert [beside(2, 0.15, -1.475), beside(2, 0.1, -1.3), beside(1, 0.1, -1.3)] == [0, -1, 1]
+    assert [beside(0, 0.0, 1e-9), beside(0, 0.0, 1.0), beside(4, 0.3, -2.0), beside(4, 5.0, -6.7)] == [1, 0, -1, 0]
 
 
 def test_many_corners(folder: Path):

@@ -22,6 +22,7 @@ from signorini_fenicsx import (
     Neumann,
     Obstacle,
     Options,
+    Reaction,
     Regulator,
     River,
     Signorini,
@@ -98,13 +99,14 @@ def many_laws(comm: MPI.Comm) -> Controlled:
 
 
 def in_the_domain(comm: MPI.Comm) -> Controlled:
-    """Two laws in Ω that add up, and c > 0."""
+    """Two laws in Ω that add up, and c > 0 with a reaction beside it."""
     domain = build_domain(comm, "square", 0.15, mesh="structured")
     x = ufl.SpatialCoordinate(domain.mesh)
     k, psi, slope, theta, c, upper = given = constants(domain, 1.2, -0.1, 2.0, 3.0, 0.7, 0.1)
     conditions = [
         Obstacle(region="all", psi=psi * (1 + x[1])),  # type: ignore[call-arg]
         Corners(region="all", corners=[(0.0, 0.0), (0.02, theta)], before=slope, beyond=slope),  # type: ignore[call-arg]
+        Reaction(region="all", c=slope * x[1]),  # type: ignore[call-arg]
         TwoSided("bottom", psi=-0.05, psi_upper=upper * x[0]),
         Dirichlet(["top", "left", "right"], 0.0),
     ]

@@ -55,6 +55,29 @@ def block(comm: MPI.Comm, friction: str, plane: str = "strain") -> Controlled:
     return Controlled(domain, problem, [*given, stiffness] if friction else [*given[:-1], stiffness])
 
 
+def material(comm: MPI.Comm) -> Controlled:
+    """A block of an orthotropic material whose axes turn, with strain and stress of its own."""
+    domain = build_domain(comm, "square", 0.36, mesh="structured")
+    x = ufl.SpatialCoordinate(domain.mesh)
+    E, nu, shear, turn, strain, stress = given = constants(domain, 1.5, 0.3, 0.5, 0.4, 0.05, 0.03)
+    own = ufl.as_matrix([[strain * x[0], 0.2 * strain], [0.2 * strain, strain**2]])
+    conditions = [
+        Contact("bottom", gap=0.02, friction=Coulomb(0.3)),
+        Dirichlet("top", ["0.05*x", "-0.15"]),
+        Neumann(["left", "right"]),
+    ]
+    problem = Elasticity(
+        young=[E, 2 * E * (1 + x[1]), 1.5],
+        poisson=[nu, 0.2, nu],
+        shear=[shear, 0.5, shear],
+        axes=[[1.0, turn * (1 + x[1])]],
+        eigenstrain=own,
+        initial_stress=stress * (1 + x[0]),
+        conditions=conditions,
+    )
+    return Controlled(domain, problem, given)
+
+
 def on_laws(comm: MPI.Comm, law: str) -> Controlled:
     """A block that a sloping displacement presses onto something with a law, and tears off it."""
     domain = build_domain(comm, "square", 0.36, mesh="structured")
@@ -112,6 +135,7 @@ PROBLEMS: dict[str, Callable[[MPI.Comm], Controlled]] = {
     "stress": lambda comm: block(comm, "", "stress"),
     "tresca": lambda comm: block(comm, "tresca"),
     "coulomb": lambda comm: block(comm, "coulomb"),
+    "material": material,
     **{law: partial(on_laws, law=law) for law in ("wall", "joint", "regulator", "layer", "steps")},
     "wall in space": lambda comm: in_space(comm, ""),
     "tresca in space": lambda comm: in_space(comm, "tresca"),

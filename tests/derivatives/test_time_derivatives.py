@@ -30,7 +30,9 @@ def test_in_time(scheme: str):
     k, psi, u_D = given = constants(domain, 0.8, -0.4, 0.1)
     m = function(domain, lambda x: -20 + 10 * x[0])
     x = ufl.SpatialCoordinate(domain.mesh)
-    problem = Diffusion(f=m, kappa=k, u_D=u_D * x[0], conditions=[Signorini("bottom", psi=psi * (1 + x[0]))])
+    problem = Diffusion(
+        f=m, kappa=k, c=k * x[1], u_D=u_D * x[0], conditions=[Signorini("bottom", psi=psi * (1 + x[0]))]
+    )
     first = function(domain, lambda x: 0.1 * x[0])
     evolution = Evolution(end=0.2, steps=4, scheme=scheme, capacity="1 + y", initial=(1 + k) * first)
     controls = [*given, m, first]

@@ -16,6 +16,7 @@ from signorini_fenicsx import (
     Options,
     Regulator,
     Signorini,
+    Solver,
     TwoSided,
     Wall,
     domain_of,
@@ -123,3 +124,23 @@ def test_three_components(folder: Path):
     friction = 'kind = "friction", g = 0.3'
     with pytest.raises(InputError, match=r"2 components of the domain, one of them around .*, have together no part"):
         solve_case(load_case(case_file(folder, THREE, LAW=friction, LOAD=0.45, TWO=0.45)))
+
+
+def test_solved_again_and_again():
+    """A solver that has solved often enough to condense its matrix does not where a body is held by laws alone."""
+    mesh = dolfinx.mesh.create_unit_square(COMM, 6, 6, ghost_mode=dolfinx.mesh.GhostMode.none)
+    sides = {
+        "fault": lambda x: np.isclose(x[1], 0.5),
+        "bottom": lambda x: np.isclose(x[1], 0),
+        "sides": lambda x: np.isclose(x[0] * (1 - x[0]), 0),
+    }
+    domain = domain_of(mesh, sides, inner=["fault"])
+    free = [Signorini("bottom", psi=-0.01), Neumann("sides", 0.03)]
+    problems = [
+        Diffusion(f="15*(x - 0.5)", conditions=[TwoSided("fault", psi=-0.05, psi_upper=upper), *free])
+        for upper in np.linspace(0.02, 0.03, 8).tolist()
+    ]
+    solver = Solver(domain, problems[0])
+    for problem in problems:
+        kept, fresh = solver.solve(problem), solve(domain, problem)
+        assert kept.u.x.array == pytest.approx(fresh.u.x.array, abs=1e-10)

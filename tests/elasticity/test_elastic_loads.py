@@ -1,11 +1,12 @@
 """Pressures on parts of an elastic body: exact states, Lamé's tube, the bound, what is refused."""
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 from elastic import box
 from mpi4py import MPI
 
-from signorini_fenicsx.api import Contact, Dirichlet, Elasticity, Neumann, Pressure
+from signorini_fenicsx.api import Contact, Diffusion, Dirichlet, Elasticity, Neumann, Pressure, domain_of
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -77,3 +78,15 @@ def test_two_loads_on_a_part():
     """In Python a part has one condition."""
     with pytest.raises(InputError, match="part 'y1' has two conditions"):
         Elasticity(1.0, 0.3, conditions=[Contact("y0"), Pressure("y1", 1.0), Neumann("y1", ["0", "-1"])])
+
+
+def test_parts_that_overlap():
+    """A facet in two parts has no two conditions: u given on one of them was passed over."""
+    mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4, ghost_mode=dolfinx.mesh.GhostMode.none)
+    parts = {"low": lambda x: np.isclose(x[1], 0), "some": lambda x: np.isclose(x[1] * (1 - x[0]), 0)}
+    domain = domain_of(mesh, parts)
+    message = "parts 'low' and 'some' have 4 facets in common"
+    with pytest.raises(InputError, match=message):
+        solve(domain, Elasticity(1.0, 0.3, conditions=[Dirichlet("low", ["0", "0.1"]), Neumann("some")]))
+    with pytest.raises(InputError, match=message):
+        solve(domain, Diffusion(1.0, conditions=[Dirichlet("low"), Neumann("some")]))

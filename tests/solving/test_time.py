@@ -193,7 +193,7 @@ def test_bad_input():
             r"\[problem\] f: cannot be evaluated: .* by zero",
         ),
         ({"end": 1.0, "steps": 1}, {"psi": "(-2)^(t/2)"}, r"\[problem\] psi: cannot be evaluated: math domain"),
-        ({"end": 1.0, "steps": 2}, {"c": lambda x: x[0]}, r"\[time\]: c and capacity must be numbers or texts"),
+        ({"end": 1.0, "steps": 2}, {"c": lambda x: x[0]}, r"\[time\]: c and capacity must be numbers, texts or UFL"),
     ]:
         with pytest.raises(InputError, match=message):
             list(evolve(domain, (BOTTOM, Problem(**({"f": 1} | problem))), Evolution(**evolution)))

@@ -25,8 +25,8 @@ from signorini_fenicsx.discrete.data_values import in_problem
 from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.part_laws import SHORT, PartLaw, chains_of, checked, data_of_law, means_of
 from signorini_fenicsx.discrete.points import facet_type, in_facets, owned_cells, quadratic_nodes
-from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
-from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.expressions import exactly
+from signorini_fenicsx.expressions.given import Given, combined, parsed
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -226,10 +226,10 @@ def _check_bounds(spaces: Spaces, part: PartLaw, what: str, facets: npt.NDArray[
 
 
 def with_reactions(spaces: Spaces, problem: Problem) -> Problem:
-    """The problem with the factors of all reactions in c, as trees by region.
+    """The problem with the factors of all reactions in c.
 
     Raises:
-        InputError: If a region is unknown, or c and a reaction are not both numbers or texts.
+        InputError: If a region is unknown, or c or a reaction is a function of points.
     """
     names = "xyz"[: spaces.mesh.geometry.dim]
     for i, law in enumerate(problem.laws):
@@ -248,23 +248,17 @@ def with_reactions(spaces: Spaces, problem: Problem) -> Problem:
 
 def plus(
     c: Given | Mapping[str, Given], more: Given | Mapping[str, Given], factor: float, where: str
-) -> dict[str, Tree] | Tree:
-    """The sum c + factor·more of trees, or of tables of them by region.
+) -> dict[str, Given] | Given:
+    """The sum c + factor·more of data, or of tables of them by region.
 
     Raises:
-        InputError: If one of them was given in Python; `where` says which data they are.
+        InputError: If one of them is a function of points; `where` says which data they are.
     """
     if isinstance(c, Mapping) or isinstance(more, Mapping):
         names = dict.fromkeys(name for table in (c, more) if isinstance(table, Mapping) for name in table)
-        return {name: _sum(_of(c, name), _of(more, name), factor, where) for name in names}
-    return _sum(c, more, factor, where)
+        return {name: combined(_of(c, name), _of(more, name), factor, where) for name in names}
+    return combined(c, more, factor, where)
 
 
 def _of(given: Given | Mapping[str, Given], region: str) -> Given:
     return given.get(region, exactly(0.0)) if isinstance(given, Mapping) else given
-
-
-def _sum(c: Given, more: Given, factor: float, where: str) -> Tree:
-    if not isinstance(c, TREES) or not isinstance(more, TREES):
-        raise InputError(f"{where} must be numbers or texts")
-    return Binary("+", c, Binary("*", exactly(factor), more))

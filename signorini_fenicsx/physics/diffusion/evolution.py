@@ -30,7 +30,7 @@ from signorini_fenicsx.discrete.datum import Datum, regional_datum
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.seen import seen_in_cells
 from signorini_fenicsx.expressions import TREES, Binary, exactly
-from signorini_fenicsx.expressions.given import Given, at_time, parsed
+from signorini_fenicsx.expressions.given import Given, at_time, is_fixed, parsed
 from signorini_fenicsx.physics.diffusion.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.data import cell_means
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -101,7 +101,7 @@ class DiffusionSteps:
         """The problem of a step, without what it takes from those before.
 
         Raises:
-            InputError: If c or C was given in Python.
+            InputError: If C was given in Python, or c is a function of points.
         """
         return _of_step(self._problem, self._evolution, step, self.spaces.mesh.geometry.dim)
 
@@ -212,7 +212,7 @@ def problem_of_step(problem: Problem, evolution: Evolution, step: int, dim: int)
     """The problem of a step, without what it takes from those before, from one that `Problem.in_time` has read.
 
     Raises:
-        InputError: If c or C was given in Python.
+        InputError: If C was given in Python, or c is a function of points.
     """
     return _of_step(with_storage(problem, evolution, dim), evolution, step, dim)
 
@@ -222,6 +222,8 @@ def _of_step(problem: Problem, evolution: Evolution, step: int, dim: int) -> Pro
     now, (a, _) = problem.at(evolution.time(step)), evolution.formula(step)
     laws = tuple(_scaled(law, a) if isinstance(law, Storage) else law for law in now.laws)
     capacity = parsed(_capacity(evolution, problem), "xyz"[:dim], "[time] capacity")
+    if not is_fixed(capacity):
+        raise InputError("[time] capacity: must be numbers or texts; data in Python may be in c and the other data")
     return replace(now, c=plus(now.c, capacity, a, "[time]: c and capacity"), laws=laws)
 
 

@@ -22,6 +22,7 @@ from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem, Loads
 from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.patch import Patch
+from signorini_fenicsx.physics.diffusion.solvability import floating_cells
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 FACTORISATION = 10
@@ -118,8 +119,8 @@ class HybridBackend(FacetBackend):
         return factorised and self._can_be_condensed() and self._regret >= self._facets_of_gamma_s()
 
     def _can_be_condensed(self) -> bool:
-        possible = self.data.holds(self.spaces) and self.data.inside is None
-        return possible and self._facets_of_gamma_s() <= self._tuning.condense_up_to
+        possible = self.data.inside is None and self._facets_of_gamma_s() <= self._tuning.condense_up_to
+        return possible and floating_cells(self.spaces, self.data)[1] == 0
 
     def _facets_of_gamma_s(self) -> int:
         number: int = self.spaces.Lambda.dofmap.index_map.size_global

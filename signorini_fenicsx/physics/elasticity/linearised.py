@@ -35,12 +35,12 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1
-from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb import pressure_of
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
+from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, entries, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.moments import Moments, of_laws, on_boundary
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -64,8 +64,6 @@ class Linearised:
         """
         self._solution, self._backend = solution, backend
         self._spaces, self._data = spaces, data = solution.spaces, solution.data
-        if not data.material.plain:
-            raise InputError("elastic solutions have derivatives only if they are isotropic, without stress at rest")
         self._conditions = solution.outcome.conditions
         normal, friction = len(spaces.sites), backend.friction
         self._held = self._conditions.kind == Condition.ZERO_TRACE
@@ -76,6 +74,7 @@ class Linearised:
         shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
         weights = np.broadcast_to(data.quadrature.weights, (spaces.dim + 1, len(data.quadrature.weights)))
         self._weights = shares * weights  # of the points of the quadrature, shape (cells, d + 1, points)
+        self._materials = {name: moved for name, _, moved in data.material.moved()}
         self._in_cells = dict(self._points())
         self._moments = {name: (kind, moments) for kind, name, moments in on_boundary(spaces, data, solution.problem)}
         self._moments |= self._of_laws(self._segment)
@@ -111,16 +110,16 @@ class Linearised:
     def _points(self) -> Iterator[tuple[str, Seen]]:
         """The data that are seen by their values in the points of the quadrature (collective)."""
         mesh, rule = self._spaces.mesh, self._data.quadrature
-        forces = {f"f.{r}": component for r, component in enumerate(self._data.f.components)}
-        given = {"young": self._data.material.young[0], "poisson": self._data.material.poisson[0], **forces}
-        if any(datum.pieces is None for datum in given.values()):
+        forces = enumerate(self._data.f.components)
+        given = {f"f.{r}": component.ufl for r, component in forces if component.pieces is None}
+        given |= {name: number for name, number, _ in self._data.material.moved()}
+        if given:
             whole = basix.make_quadrature(mesh.basix_cell(), 0)[1].sum()  # the measure of the reference cell
             weights = np.tile(rule.weights, self._spaces.dim + 1) * whole / (self._spaces.dim + 1)
             element = basix.ufl.quadrature_element(mesh.basix_cell(), points=rule.points, weights=weights)
             space = fenicsx.function_space(mesh, element)
-            for name, datum in given.items():
-                if datum.pieces is None:
-                    yield name, Seen(_in_points(datum), space, space.dofmap.list.ravel(), self._weights.ravel())
+            for name, number in given.items():
+                yield name, Seen(_in_points(number), space, space.dofmap.list.ravel(), self._weights.ravel())
 
     def places(self) -> Array:
         """The vertices of the biactive sites of this rank, shape (sites, dim)."""
@@ -174,15 +173,10 @@ class Linearised:
     def _by_changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:
         """The functional of τ and the moments of f that the changes of data in cells give (collective)."""
         spaces, rule, shape = self._spaces, self._data.quadrature, self._weights.shape
-        sigma = self._at_points(self._solution.stresses)
-        by_inverse, by_both = np.zeros(shape), np.zeros(shape)
-        for name, (inverse, both) in zip(("young", "poisson"), self._by_moduli(), strict=True):
-            if name in changes:
-                by_inverse += inverse.reshape(shape) * changes[name].reshape(shape)
-                by_both += both.reshape(shape) * changes[name].reshape(shape)
-        strain = by_inverse[..., None, None] * sigma
-        strain -= (by_both * np.einsum("nsqii->nsq", sigma))[..., None, None] * np.eye(spaces.dim)
-        stresses = -np.einsum("nsq,qa,nsqij->nsaij", self._weights, rule.local, strain, optimize=True)
+        strain = np.zeros((*shape, len(entries(spaces.dim))))
+        for name, by_number in self._changes_of_strain():
+            strain += changes[name].reshape(shape)[..., None] * by_number
+        stresses = -np.einsum("nsq,qa,nsqij->nsaij", self._weights, rule.local, to_matrices(strain), optimize=True)
         none = np.zeros(shape)
         f = np.stack([changes.get(f"f.{r}", none).reshape(shape) for r in range(spaces.dim)], axis=-1)
         moments = np.einsum("nsq,sqv,nsqr->nvr", self._weights, rule.hats, f, optimize=True)
@@ -255,12 +249,10 @@ class Linearised:
         if not self._in_cells:
             return {}
         spaces, rule = self._spaces, self._data.quadrature
-        sigma, lam = (self._at_points(values) for values in (self._solution.stresses, adjoint))
-        inner = np.einsum("nsqij,nsqij->nsq", sigma, lam)
-        traces = np.einsum("nsqii->nsq", sigma) * np.einsum("nsqii->nsq", lam)
+        lam = self._at_points(adjoint)
         found = {
-            name: -self._weights * (by_inverse.reshape(inner.shape) * inner - by_both.reshape(inner.shape) * traces)
-            for name, (by_inverse, by_both) in zip(("young", "poisson"), self._by_moduli(), strict=True)
+            name: -self._weights * np.einsum("nsqe,nsqe->nsq", by_number, lam)
+            for name, by_number in self._changes_of_strain()
         }
         u = spaces.displacement(of_u)
         values = u.x.array.reshape(-1, spaces.dim)[u.function_space.dofmap.list]
@@ -268,21 +260,24 @@ class Linearised:
         found |= {f"f.{r}": -self._weights * at_points[..., r] for r in range(spaces.dim)}
         return {name: values.ravel() for name, values in found.items()}
 
-    def _by_moduli(self) -> list[tuple[Array, Array]]:
-        """The derivatives of 1/2μ and θ/2μ by E and by ν in the points, shape (cells, points) (collective)."""
-        cells = np.arange(len(self._spaces.order), dtype=np.int32)
-        points = self._data.points(self._spaces, cells)
-        material = self._data.material
-        young, poisson = material.young[0].values(points), material.poisson[0].values(points)
-        share = poisson if material.in_strain else np.zeros_like(poisson)  # θ/2μ = ν(1 + share)/E
-        of_young = [-(1 + poisson) / young**2, -poisson * (1 + share) / young**2]
-        return [(of_young[0], of_young[1]), (1 / young, (1 + 2 * share) / young)]
+    def _changes_of_strain(self) -> Iterator[tuple[str, Array]]:
+        """How the strain changes with each number of the material, shape (cells, d + 1, points, entries)."""
+        if not self._materials:
+            return
+        spaces, sigma = self._spaces, self._at_points(self._solution.stresses)
+        for name, moved in self._materials.items():
+            changes = np.empty_like(sigma)
+            for cells in blocks_of_cells(spaces):
+                points, stress = self._data.points(spaces, cells), sigma[cells]
+                changed = moved.change_of_strain(points, stress.reshape(*points.shape, -1))
+                changes[cells] = changed.reshape(stress.shape)
+            yield name, changes
 
     def _at_points(self, values: Array) -> Array:
-        """A stress in the points of the quadrature, shape (cells, d + 1, points, d, d), from its values at vertices."""
+        """The entries of a stress in the points, shape (cells, d + 1, points, entries), from its values at vertices."""
         there = np.empty_like(values)
         there[self._spaces.as_dolfinx(np.arange(len(values), dtype=np.int32))] = values
-        return np.einsum("qa,nsaij->nsqij", self._data.quadrature.local, there)
+        return np.einsum("qa,nsae->nsqe", self._data.quadrature.local, to_entries(there))
 
     @property
     def _pressure(self) -> Array:
@@ -305,9 +300,9 @@ class Linearised:
         return self._backend.solve_homogeneous(self._conditions, np.zeros_like(lift), lift)
 
 
-def _in_points(datum: Datum) -> Callable[[Expr], Form]:
-    """∫ datum · v, v in a quadrature element, whose points are taken."""
-    return lambda v: datum.ufl * v * ufl.dx
+def _in_points(number: Expr) -> Callable[[Expr], Form]:
+    """∫ number · v, v in a quadrature element, whose points are taken."""
+    return lambda v: number * v * ufl.dx
 
 
 def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:

@@ -8,16 +8,18 @@ strain, ε_zz = 0, σ_zz is eliminated: 𝔸_ij − 𝔸_iz 𝔸_zj/𝔸_zz, and
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, extent
 from signorini_fenicsx.discrete.datum import Datum, largest_degree, regional_datum
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.johnson_mercier import entries, symmetric, to_entries
@@ -50,11 +52,29 @@ class Strain:
         values, dim = self.datum.values(points), points.mesh.geometry.dim
         if not self.datum.shape:
             values = values[..., None, None] * np.eye(dim)
-        found = np.zeros((*points.shape, 3, 3))
+        beyond = self.beyond.values(points) if dim == 2 else values[..., 2, 2]
+        found = np.zeros((*points.shape, 3, 3), dtype=np.result_type(values, beyond))
+        found[..., 2, 2] = beyond
         found[..., :dim, :dim] = values
-        if dim == 2:
-            found[..., 2, 2] = self.beyond.values(points)
         return to_entries(found)
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A datum, or the entry of a matrix, with an imaginary step."""
+
+    datum: Datum
+    entry: tuple[int, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.datum.shape
+
+    def values(self, points: CellPoints) -> Array:
+        step = np.zeros(self.datum.shape)
+        step[self.entry] = COMPLEX_STEP
+        found: Array = self.datum.values(points) + 1j * step
+        return found
 
 
 @dataclass(frozen=True)
@@ -86,11 +106,6 @@ class Material:
         return largest_degree([*self.young, *self.poisson, *self.shear, *axes]) == 0
 
     @property
-    def plain(self) -> bool:
-        """Whether it is isotropic, and without strain or stress of its own."""
-        return not (len(self.young) > 1 or len(self.poisson) > 1 or self.shear or self.own)
-
-    @property
     def in_strain(self) -> bool:
         """Whether it is in plane strain."""
         return self.dim == 2 and self.plane == Plane.STRAIN
@@ -118,6 +133,15 @@ class Material:
         if self.in_strain:
             own = own - in_space[..., BEYOND] * (own[..., BEYOND] / in_space[..., BEYOND, BEYOND])[..., None]
         return own[..., self._kept]
+
+    def moved(self) -> Iterator[tuple[str, Expr, Material]]:
+        """For each number in UFL a name, what it is, and the material in which it has an imaginary step."""
+        return _moved(self, "material")
+
+    def change_of_strain(self, points: CellPoints, stress: Array) -> Array:
+        """How ε = 𝔸σ + ε₀ changes with the number that has an imaginary step, for the entries of σ (collective)."""
+        strain = np.einsum("nqef,nqf->nqe", self.compliance(points), stress) + self.strain(points)
+        return np.asarray(strain.imag / COMPLEX_STEP)
 
     def out_of_plane(self, points: CellPoints) -> tuple[Array, Array]:
         """In plane strain σ_zz by the entries of σ, shape (cells, points, 3), and without σ (collective)."""
@@ -154,27 +178,28 @@ class Material:
 
     def _own(self, points: CellPoints) -> Array:
         """ε₀ in space."""
-        found = np.zeros((*points.shape, len(SPACE)))
+        found: Array = np.zeros((*points.shape, len(SPACE)))
         for strain in self.own:
             values = strain.values(points)
             if strain.name == "initial_stress":
                 values = -np.einsum("nqij,nqj->nqi", self._in_space(points), values)
-            found += values
+            found = found + values
         return found
 
     def _in_space(self, points: CellPoints) -> Array:
         """𝔸 in space, shape (cells, points, 6, 6)."""
         E, nu = self.constants(points)
-        found = np.zeros((*points.shape, len(SPACE), len(SPACE)))
+        shear = [datum.values(points) for datum in self.shear]
+        found = np.zeros((*points.shape, len(SPACE), len(SPACE)), dtype=np.result_type(E, nu, *shear))
         for k, (i, j) in enumerate(SPACE):
             if i == j:
                 found[..., k, k] = 1 / E[..., i]
                 continue
             found[..., i, j] = found[..., j, i] = -nu[..., k - 3] / E[..., i]
             found[..., k, k] = (1 + nu[..., k - 3]) / E[..., i]
-            if self.shear:
-                G = self.shear[k - 3].values(points)
-                found[..., k, k] = np.where(G == 0, found[..., k, k], 1 / np.where(G == 0, 1.0, 2 * G))
+            if shear:
+                G, free = shear[k - 3], shear[k - 3].real == 0
+                found[..., k, k] = np.where(free, found[..., k, k], 1 / np.where(free, 1.0, 2 * G))
         if not self.axes:
             return found
         turn = self._turn(points)
@@ -187,20 +212,22 @@ class Material:
 
     def directions(self, points: CellPoints) -> Array:
         """The axes in points as rows, orthogonal and of length 1, or NaN, shape (cells, points, 3, 3) (collective)."""
-        given = np.zeros((*points.shape, 2, 3))
+        components = [[component.values(points) for component in axis] for axis in self.axes]
+        given = np.zeros(
+            (*points.shape, 2, 3), dtype=np.result_type(float, *(each for axis in components for each in axis))
+        )
         given[..., 1, 1] = 1.0
-        for k, axis in enumerate(self.axes):
-            for i, component in enumerate(axis):
-                given[..., k, i] = component.values(points)
+        for k, axis in enumerate(components):
+            for i, values in enumerate(axis):
+                given[..., k, i] = values
         if self.dim == 2:
             given[..., 1, :] = np.stack([-given[..., 0, 1], given[..., 0, 0], 0 * given[..., 0, 0]], axis=-1)
         first, second = given[..., 0, :], given[..., 1, :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            first = first / np.linalg.norm(first, axis=-1, keepdims=True)
-            second = second / np.linalg.norm(second, axis=-1, keepdims=True)
+            first, second = first / _length(first), second / _length(second)
             second = second - (second * first).sum(axis=-1, keepdims=True) * first
-            size = np.linalg.norm(second, axis=-1, keepdims=True)
-            second = np.where(size > DEPENDENT, second / size, np.nan)
+            size = _length(second)
+            second = np.where(size.real > DEPENDENT, second / size, np.nan)
         return np.stack([first, second, np.cross(first, second)], axis=-2)
 
     def _turn(self, points: CellPoints) -> Array:
@@ -208,6 +235,26 @@ class Material:
         axes, units = self.directions(points), np.moveaxis(symmetric(np.eye(len(SPACE)), 3), -1, 0)
         turned = np.einsum("nqki,bkl,nqlj->nqbij", axes, units, axes, optimize=True)
         return to_entries(turned).swapaxes(-1, -2)
+
+
+def _length(vectors: Array) -> Array:
+    """The lengths of vectors, also of those with an imaginary step."""
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1, keepdims=True)))
+
+
+def _moved(given: Any, name: str) -> Iterator[tuple[str, Expr, Any]]:
+    """For each number in UFL in what is given: its name, it, and what is given where it has an imaginary step."""
+    if isinstance(given, Datum):
+        for entry in np.ndindex(given.shape) if given.pieces is None else ():
+            yield ".".join([name, *map(str, entry)]), given.ufl[entry] if entry else given.ufl, _Moved(given, entry)
+    elif isinstance(given, tuple):
+        for i, each in enumerate(given):
+            for key, number, changed in _moved(each, f"{name}.{i}"):
+                yield key, number, (*given[:i], changed, *given[i + 1 :])
+    elif is_dataclass(given) and not isinstance(given, type):
+        for field in fields(given):
+            for key, number, changed in _moved(getattr(given, field.name), f"{name}.{field.name}"):
+                yield key, number, replace(given, **{field.name: changed})
 
 
 def mean_compliances(compliance: Array) -> tuple[Array, Array]:
