@@ -13,13 +13,13 @@ Solving it:
 - `solve(domain, problem, options)` and `solve_case(case)` give a `Solution`: u, σ, its contact set, norms, values at
   points, `certify`, `plot`, `write`; `Options` names the algorithm and its parameters;
 - `Solver(domain, problem)` is set up once and solves one problem after another on its mesh, several times faster;
-- `evolve(domain, problem, evolution)`, with an `Evolution`, and `evolve_case(case)` solve problems in time, one
-  `Instant` after another; `StepBounds` bounds the error of each step;
+- `evolve(domain, problem, evolution)`, with an `Evolution`, and `evolve_case(case)` solve problems in time, one step
+  after another; `StepBounds` bounds the error of each step;
 - `certify(solution)` bounds its error; `adapt` and `adapt_case` refine the mesh where that bound is large;
-- `Solution.gradient` gives a `Gradient` by the data and `Solution.derivative` a `Change`, `gradient_in_time` goes back
-  through steps; where there is no gradient they warn with `NotDifferentiable`;
+- `Solution.gradient` and `Solution.derivative` give derivatives by the data; `signorini_fenicsx.derivatives` has that
+  through steps in time, and `signorini_fenicsx.quantities` proves quantities from both sides;
 - `compare` compares two solutions;
-- `load_solution` reads what `Solution.write` or the command line has written; `write_solution` does so file by file;
+- `load_solution` reads what `Solution.write` or the command line has written;
 - `collect_garbage` is for programs on several ranks that solve often.
 
 `signorini_fenicsx.extend` has what your own algorithms, discretisations and laws need.

@@ -87,16 +87,13 @@ from signorini_fenicsx.contact.laws import (
     TwoSided,
     Wall,
 )
-from signorini_fenicsx.derivatives.gradient import Change, Gradient, NotDifferentiable, gradient_in_time
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.old_names import taking_old_calls
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Pressure, Tresca
 from signorini_fenicsx.solving.evolution import Evolution
-from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.evolving import evolve as evolve_problem
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved as Solution
@@ -108,7 +105,6 @@ solve = taking_old_calls(solve_problem)
 Solver.__init__ = taking_old_calls(Solver.__init__)  # type: ignore[method-assign]
 
 __all__ = [
-    "Change",
     "Contact",
     "Corners",
     "Coulomb",
@@ -118,11 +114,8 @@ __all__ = [
     "Elasticity",
     "Evolution",
     "Friction",
-    "Gradient",
     "InputError",
-    "Instant",
     "Neumann",
-    "NotDifferentiable",
     "NumericalFailure",
     "Obstacle",
     "Options",
@@ -147,10 +140,8 @@ __all__ = [
     "domain_of",
     "evolve",
     "evolve_case",
-    "gradient_in_time",
     "load_case",
     "load_solution",
     "solve",
     "solve_case",
-    "write_solution",
 ]

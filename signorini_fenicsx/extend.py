@@ -19,6 +19,9 @@ Your own law is a class with a `Graph`, see `contact.laws`. Your own discretisat
 solves one linear problem under given conditions on its sites. With `FacetBackend` it needs `name`, `dofs`, `solver` and
 `solve`. Your own method is a `Method`, whose `run` gets a `Task` and returns an `Outcome`. All of them are options:
 `Options(algorithm=…, backend=…)`.
+
+`Instant` is what `evolve` yields, and `write_solution` writes a solution file by file; a program that only solves needs
+neither name.
 """
 
 from signorini_fenicsx.contact.backend import Backend, Iterate
@@ -28,9 +31,11 @@ from signorini_fenicsx.contact.law import Graph, Law
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.solving.evolving import Instant
 
 __all__ = [
     "METHODS",
@@ -39,6 +44,7 @@ __all__ = [
     "Data",
     "FacetBackend",
     "Graph",
+    "Instant",
     "Iterate",
     "Law",
     "Method",
@@ -49,4 +55,5 @@ __all__ = [
     "Spaces",
     "Step",
     "Task",
+    "write_solution",
 ]

@@ -155,7 +155,7 @@ class _Shifted:
         self.solution, self.spaces, self.kind = solution, solution.spaces, kind
         self.domain, self.comm = solution.spaces.domain, solution.spaces.mesh.comm
         self.posed: Posed = (solution.boundary, solution.problem)
-        self._solver = Solver(self.domain, self.posed)
+        self._solver: Solver[ElasticSolution] = Solver(self.domain, self.posed)
         self._options = Options(tuning=solution.options.tuning)
 
     def interval(self) -> Quantity:

@@ -1,6 +1,6 @@
 """One solver for all physics: spaces, data, method, residuals."""
 
-from typing import Any
+from typing import Any, cast
 
 from petsc4py import PETSc
 
@@ -12,10 +12,10 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.evolution import Evolution, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.system import Remesh, Wish, sorted_on, system_on
+from signorini_fenicsx.solving.system import Posed, Remesh, Wish, sorted_on, system_on
 
 
-class Solver:
+class Solver[S: Solved]:
     """A domain with the boundary of a problem, set up once and solved on for one problem after another.
 
     Spaces, forms, matrices and, as long as κ stays, factorisations are kept. The results are those of `solve`.
@@ -31,7 +31,7 @@ class Solver:
     """
 
     @collector_off()
-    def __init__(self, domain: Domain, problem: Any):
+    def __init__(self, domain: Domain, problem: Posed[S] | tuple[Any, Any]):
         """Set up the spaces (collective).
 
         Args:
@@ -58,7 +58,7 @@ class Solver:
     @collector_off()
     def solve(
         self,
-        problem: Any,
+        problem: Posed[S] | tuple[Any, Any],
         options: Options | None = None,
         *,
         start: Any = None,
@@ -69,7 +69,7 @@ class Solver:
         watch: Stopwatch | None = None,
         on_step: OnStep = lambda step: None,
         memory: Any = None,
-    ) -> Any:
+    ) -> S:
         """Solve a problem with conditions of these kinds on these parts, see `solve` (collective).
 
         `start` may also be segments alone. One is added: `memory`, what the step of a problem in time takes from those
@@ -93,19 +93,19 @@ class Solver:
             outcome, kkt = run.judged(outcome)
             PETSc.garbage_cleanup(comm)  # in parallel PETSc frees objects only here
         timings = wish.watch.longest(comm)
-        solution = run.solution(
+        solution: Any = run.solution(
             outcome, kkt, name=name, title=title, source=source, timings=timings, peak_memory=peak_memory(comm)
         )
         if not solution.converged:
             system.forget()
             raise NumericalFailure(solution.outcome.reason, solution)
-        return solution
+        return cast("S", solution)
 
 
 @collector_off()
-def solve(
+def solve[S: Solved](
     domain: Domain,
-    problem: Any,
+    problem: Posed[S] | tuple[Any, Any],
     options: Options | None = None,
     *,
     start: Any = None,
@@ -115,7 +115,7 @@ def solve(
     source: object = None,
     watch: Stopwatch | None = None,
     on_step: OnStep = lambda step: None,
-) -> Any:
+) -> S:
     """Solve a contact problem (collective).
 
     Args:
@@ -138,7 +138,7 @@ def solve(
     with watch.phase("assembly"):
         check_kind("domain", domain, Domain)
         problem = sorted_on(domain, problem)
-        solver = Solver(domain, problem)
+        solver: Solver[S] = Solver(domain, problem)
     return solver.solve(
         problem,
         options,

@@ -52,6 +52,17 @@ class Wish:
     on_step: OnStep = lambda step: None
 
 
+class Posed[S: Solved](Protocol):
+    """A problem with conditions on parts, such as `Diffusion`, and what its solutions are."""
+
+    @property
+    def solution_type(self) -> type[S]:
+        """The class of its solutions."""
+
+    def on(self, domain: Domain) -> tuple[Any, Any]:
+        """The parts of each kind of boundary, and the problem sorted by them (collective)."""
+
+
 class Run(Protocol):
     """A problem on its mesh, ready to be solved."""
 

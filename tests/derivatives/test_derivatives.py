@@ -35,7 +35,7 @@ from signorini_fenicsx import (
     solve_case,
 )
 from signorini_fenicsx.cases.domains import mesh_case
-from signorini_fenicsx.derivatives.gradient import NotDifferentiable
+from signorini_fenicsx.derivatives import NotDifferentiable
 from signorini_fenicsx.meshes.meshing import build_domain
 
 COMM = MPI.COMM_WORLD

@@ -24,11 +24,10 @@ from signorini_fenicsx import (
     TwoSided,
     Wall,
     evolve,
-    gradient_in_time,
     solve,
 )
 from signorini_fenicsx.contact.laws import Corners
-from signorini_fenicsx.derivatives.gradient import NotDifferentiable
+from signorini_fenicsx.derivatives import NotDifferentiable, gradient_in_time
 from signorini_fenicsx.discrete.seen import parts_of
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.solving.evolving import Instant

@@ -12,12 +12,12 @@ from signorini_fenicsx import (
     Diffusion,
     Evolution,
     InputError,
-    Instant,
     Signorini,
     Storage,
     evolve,
-    gradient_in_time,
 )
+from signorini_fenicsx.derivatives import gradient_in_time
+from signorini_fenicsx.extend import Instant
 from signorini_fenicsx.meshes.meshing import build_domain
 
 COMM = MPI.COMM_WORLD

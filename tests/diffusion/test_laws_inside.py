@@ -27,7 +27,6 @@ from signorini_fenicsx import (
     evolve,
     load_solution,
     solve,
-    write_solution,
 )
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.base.tolerances import KKT
@@ -37,6 +36,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Given, Graph, Law
+from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine

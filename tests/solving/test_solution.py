@@ -12,8 +12,8 @@ from dolfinx import fem, mesh
 from dolfinx.fem.petsc import LinearProblem
 from mpi4py import MPI
 
-from signorini_fenicsx import InputError, NumericalFailure, Solution, domain_of, load_solution, solve, write_solution
-from signorini_fenicsx.extend import Step
+from signorini_fenicsx import InputError, NumericalFailure, Solution, domain_of, load_solution, solve
+from signorini_fenicsx.extend import Step, write_solution
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion import solution as module
 from signorini_fenicsx.physics.diffusion.problem import Problem

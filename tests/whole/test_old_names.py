@@ -87,3 +87,15 @@ def test_every_old_name_is_in_the_table_or_moved() -> None:
 def test_old_names_warn(name: str) -> None:
     with pytest.warns(DeprecationWarning, match=f"signorini_fenicsx.{name} is "):
         assert getattr(signorini_fenicsx, name) is not None
+
+
+def test_the_top_level() -> None:
+    """It has the names that programs need, at most 40."""
+    assert len(signorini_fenicsx.__all__) <= 40
+
+
+def test_problems_know_their_solutions(names: Names) -> None:
+    """By the class that a problem names editors know what `solve` gives."""
+    for kind, solution in (("Diffusion", "solution"), ("Elasticity", "body")):
+        problem = value(f"{kind}(1.0, 0.3)", names)
+        assert type(names[solution]) is problem.solution_type

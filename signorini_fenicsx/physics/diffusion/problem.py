@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
@@ -9,6 +10,9 @@ from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, Signori
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,13 @@ class Diffusion:
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
         check_conditions(self.conditions, Law, example='[Signorini("bottom"), Neumann("left", 1)]')
+
+    @property
+    def solution_type(self) -> "type[Solution]":
+        """The class of its solutions."""
+        from signorini_fenicsx.physics.diffusion.solution import Solution  # which knows problems
+
+        return Solution
 
     def on(self, domain: Domain) -> "tuple[Boundary, Problem]":
         """The problem on a domain, sorted by the kinds of its boundary (collective).

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
 from types import NoneType
-from typing import Any, ClassVar, TypeGuard
+from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
 
 import numpy.typing as npt
 from ufl.core.expr import Expr
@@ -20,6 +20,9 @@ from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.expressions.given import Given, at_time, parsed
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
 """A number, text or UFL expression for each component; a UFL vector on the mesh; or a function of points of shape
@@ -195,6 +198,13 @@ class Elasticity:
             for part in other.parts
         }
         return isinstance(condition, Neumann | Pressure) and set(condition.parts) <= fixed
+
+    @property
+    def solution_type(self) -> type[ElasticSolution]:
+        """The class of its solutions."""
+        from signorini_fenicsx.physics.elasticity.solution import ElasticSolution  # which knows problems
+
+        return ElasticSolution
 
     def on(self, domain: Domain) -> tuple[ElasticBoundary, ElasticProblem]:
         """The problem on a domain, sorted by the kinds of its boundary (collective)."""
