@@ -107,6 +107,7 @@ def interval(found: Quantity) -> str:
     if not math.isfinite(found.width):
         return f"{found.value:.8g}, without bounds: {found.reason}"
     words = f"{found.value:.8g}, in [{below(found.lower, 8)}, {above(found.upper, 8)}]"
+    words += f" for {found.of}" if found.of else ""
     return words if found.guaranteed else f"{words}; not guaranteed: {found.reason}"
 
 

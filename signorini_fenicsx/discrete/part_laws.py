@@ -85,12 +85,17 @@ class PartLaw:
             flux_h: κ∇u·n at the reference of each facet. If it is a mean of one of the data, the graphs in the points
                 of a facet are moved to have this mean: another quadrature of a kink has another one.
         """
+        return chains_of(replace(self.falling(points, flux_h), reference=(0.0, 0.0)), points.shape[0] * points.shape[1])
+
+    def falling(self, points: Points, flux_h: Array | None = None) -> Graph:
+        """The graph in points, with κ∇u·n at its reference as an array, moved as `chains` says."""
         values = {name: datum.values(points).ravel() for name, datum in self.data.items()}
         graph, origin = self.law.falling(values), np.zeros(points.shape)
         reference = graph.reference[1]
         if flux_h is not None and any(reference is each for each in values.values()):
             origin[:] = (points.means(np.reshape(reference, points.shape)) - flux_h)[:, None]
-        return chains_of(replace(graph, reference=(0.0, origin.ravel())), origin.size)
+        moved = [(u, flux - origin.ravel()) for u, flux in (graph.reference, *graph.corners)]
+        return replace(graph, reference=moved[0], corners=moved[1:])
 
 
 def checked(spaces: MeshSpaces, part: PartLaw) -> tuple[PartLaw, Graph]:

@@ -57,6 +57,7 @@ class Quantity:
         upper: Upper bound.
         guaranteed: Whether both are proved: all data are enclosed and resolved.
         reason: Why they are not; empty if they are.
+        of: Of which solution it is a quantity, in words; empty if it is that of the problem itself.
         shares: What each owned cell adds to the length of the interval; None where there is none.
     """
 
@@ -65,6 +66,7 @@ class Quantity:
     upper: float
     guaranteed: bool
     reason: str = ""
+    of: str = ""
     shares: Array | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -84,8 +86,11 @@ class Quantity:
         return replace(self, value=self.value / total, lower=lower, upper=upper)
 
     def summary(self) -> dict[str, float | bool | str]:
-        """All of it, ready for JSON."""
-        return {key: value for key, value in vars(self).items() if key != "shares"}
+        """All of it, ready for JSON; what is not of the problem itself is guaranteed only with its name."""
+        found = {key: value for key, value in vars(self).items() if key not in ("shares", "of")}
+        if not self.of:
+            return found
+        return found | {"guaranteed": False} | ({"guaranteed_for": self.of} if self.guaranteed else {})
 
 
 @dataclass(frozen=True)
@@ -96,11 +101,13 @@ class Half:
         value: Their sum.
         reason: Why it is not guaranteed; empty if it is.
         of_cells: What each owned cell adds.
+        unseen: What is added to the bound, whatever τ is.
     """
 
     value: float
     reason: str
     of_cells: Array
+    unseen: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,35 +119,45 @@ class Ends:
         upper: Upper bound; ∞ for none.
         scale: ‖σ_h‖ divided by the size of what changes it, a τ that may well be the best.
         reason: Why they are not guaranteed, or infinite; empty for neither.
-        shares: What each owned cell adds to their distance.
+        shares: Gives what each owned cell adds to their distance (collective).
     """
 
     lower: float
     upper: float
     scale: float
     reason: str
-    shares: Array | None = None
+    shares: Callable[[], Array] | None = None
+
+    @property
+    def width(self) -> float:
+        """Their distance."""
+        return self.upper - self.lower
 
 
-def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Quantity:
+def bracket(ends: Callable[[float], Ends], first: float, discrete: Callable[[], float]) -> Quantity:
     """The interval from several τ: that which the first one suggests, and others by factors of 2 (collective).
 
     Args:
         ends: Bounds from one τ.
         first: The first τ, of the right size but for a factor.
-        discrete: The quantity of the discrete solution.
+        discrete: Gives the quantity of the discrete solution (collective).
     """
     tried: dict[float, Ends] = {}
 
     def width(tau: float) -> float:
         if tau not in tried:
             tried[tau] = ends(tau)
-        return tried[tau].upper - tried[tau].lower
+            least = min(each.width for each in tried.values())
+            for other, each in tried.items():  # of those that are not the best nothing else is kept
+                tried[other] = each if each.width == least else replace(each, shares=None)
+        return tried[tau].width
 
     while not math.isfinite(width(first)) and tried[first].scale == 0 and len(tried) < AGAIN:
         first /= SMALLER
     scale = tried[first].scale
     tau = float(2.0 ** round(math.log2(scale))) if 0 < scale < math.inf else first
+    while not math.isfinite(width(tau)) and tau > 2 * first and math.isfinite(width(first)) and len(tried) < MOST:
+        tau = 2.0 ** round(math.log2(tau * first) / 2)  # too far from the problem itself for its solver
     if not math.isfinite(width(tau)):  # such as one with which u_D is beyond a bound
         tau = first
     if math.isfinite(width(tau)):
@@ -151,5 +168,6 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: float) -> Qua
     lower, upper = sorted((best[0].lower, best[1].upper))  # where a quantity is known they are equal but for rounding
     reason = best[0].reason or best[1].reason
     finite = math.isfinite(upper - lower)
-    middle = (lower + upper) / 2 if finite else discrete
-    return Quantity(middle, lower, upper, finite and not reason, reason, tried[tau].shares)
+    middle = (lower + upper) / 2 if finite else discrete()
+    shares = min(tried.values(), key=lambda each: each.width).shares if finite else None
+    return Quantity(middle, lower, upper, finite and not reason, reason, shares=shares() if shares else None)

@@ -1,56 +1,61 @@
 """Intervals for quantities of elastic contact, see `bracket` for the theorem.
 
 With ε(v), 𝔸 and g − v_n in the places of ∇v, κ⁻¹ and v − ψ, and the work of the friction as one more law, it is the
-same. A force F = ⟨σn, w⟩ on parts where u is given, w a translation or a rotation, moves u_D there by ±τw.
+same. For forces see `motions`. Under Coulomb's friction it is Tresca's problem with the last bound of the shear.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.certify import TRESCA, gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.discrete.datum import datum_of, quadrature_degree
 from signorini_fenicsx.expressions import TREES, to_ufl
-from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.elasticity.bound.certify import gap_of_cells, not_in_the_spaces
-from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
-from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
-from signorini_fenicsx.quantities.kinds import Force, Integral, Kind, Mean, Moment
-from signorini_fenicsx.quantities.shifts import added
-from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import Solver
+from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.quantities.beside import Beside
+from signorini_fenicsx.quantities.bracket import Half, Quantity
+from signorini_fenicsx.quantities.elastic_energy import energy, indicator
+from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
+from signorini_fenicsx.quantities.motions import Posed, components, direction_of, moved, moved_slip
+from signorini_fenicsx.quantities.shifts import added, in_regions
 
-type Posed = tuple[ElasticBoundary, ElasticProblem]
-"""A problem with the parts of each kind of its boundary."""
 QUADRATIC = 2
 """Degree of v."""
+STEP = "the exact solution of the step after the computed slip of the last one"
+"""Of what the quantities of a step in time with friction are."""
 
 
 def quantity(solution: ElasticSolution, kind: Kind) -> Quantity:
-    """The interval for a quantity (collective).
-
-    Raises:
-        InputError: If it is a step of a problem in time.
-    """
-    if solution.step is not None:
-        raise InputError("quantities of a step of a problem in time have no bounds")
-    return _Shifted(solution, kind).interval()
+    """The interval for a quantity (collective)."""
+    if isinstance(kind, Energy):
+        found = energy(solution)
+    elif isinstance(kind, Force):
+        found = _Forces(solution, kind).interval()
+    else:
+        assert isinstance(kind, Integral)
+        found = _Integrals(solution, kind).interval()
+    friction = solution.data.friction
+    if friction is None:
+        return found
+    of = [STEP] if solution.step is not None else []
+    return replace(found, of=" and ".join([*of, *([TRESCA] if friction.by_pressure else [])]))
 
 
 def check(domain: Domain, posed: Posed, kind: Kind) -> None:
@@ -59,76 +64,48 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
-    if any(isinstance(law, CoulombLaw) for law in posed[1].laws):
-        raise InputError("quantities have no bounds under Coulomb's friction, as its solution may not be unique")
     if posed[1].force or posed[1].moment:
         raise InputError("quantities have no bounds where a tool moves under a given force")
-    if not isinstance(kind, Integral | Force):
-        raise InputError(f"{type(kind).__name__}: elastic contact has Integral, Mean, Force and Moment")
-    _moved(domain, posed, kind, 0.0)
+    if isinstance(kind, Energy):
+        return
+    if isinstance(kind, Force):
+        moved(domain, posed, kind, 0.0)
+    elif isinstance(kind, Integral):
+        _loaded(domain, posed, kind, 0.0)
+    else:
+        raise InputError(f"{type(kind).__name__}: elastic contact has Integral, Mean, Force, Moment and Energy")
 
 
-def _moved(domain: Domain, posed: Posed, kind: Integral | Force, tau: float) -> Posed:
-    """The problem with data that differ by τ (collective).
+def _loaded(domain: Domain, posed: Posed, kind: Integral, tau: float) -> Posed:
+    """The problem whose load is larger by τ weight·direction (collective).
 
     Raises:
-        InputError: As `check`.
+        InputError: If a name is unknown, or no traction is given on a part.
     """
     boundary, problem = posed
     dim = domain.mesh.geometry.dim
-    if isinstance(kind, Integral):
-        if kind.region or kind.parts:
-            raise InputError("integrals of displacements are over all of Ω")
-        along = _direction(kind.direction, dim)
+    along = direction_of(kind.direction, dim)
+    if not isinstance(parsed(kind.weight, "xyz"[:dim], "weight"), TREES):
+        raise InputError("weight: must be a number or a text")
+    if not kind.parts:
+        own = components(problem.f, dim)
         f = [
-            added(domain, component, kind.weight, tau * share)
-            for component, share in zip(_components(problem.f, dim), along, strict=True)
+            in_regions(domain, each, kind.weight, kind.region, tau * share)
+            for each, share in zip(own, along, strict=True)
         ]
         return boundary, replace(problem, f=f)
-    motion = _motion(kind, dim)
-    u_D = dict(problem.u_D) if isinstance(problem.u_D, Mapping) else {"": problem.u_D}
+    given = problem.g_N
+    g_N: dict[str, Any] = dict(given) if isinstance(given, Mapping) else dict.fromkeys(boundary.neumann, given)
     for part in kind.parts:
         if part not in domain.facets:
             raise InputError(f"unknown part '{part}'; there are {', '.join(domain.facets)}")
-        if part in boundary.touching_on(problem.touching).contact or part in boundary.neumann:
-            raise InputError(f"forces have bounds on parts where u is given, and '{part}' is none")
-        own = _components(u_D.get(part, u_D.get("")), dim)
-        u_D[part] = [added(domain, given, rigid, tau) for given, rigid in zip(own, motion, strict=True)]
-    return boundary, replace(problem, u_D=u_D)
-
-
-def _direction(given: Sequence[float] | None, dim: int) -> list[float]:
-    """The direction as numbers.
-
-    Raises:
-        InputError: If there is not one for each coordinate.
-    """
-    if given is None or len(given) != dim:
-        raise InputError(f"direction: needs {dim} numbers, such as [{', '.join(['1', *'0' * (dim - 1)])}]")
-    return [float(each) for each in given]
-
-
-def _motion(kind: Force, dim: int) -> list[Given]:
-    """The rigid motion that belongs to a force or a moment."""
-    if not isinstance(kind, Moment):
-        return list(_direction(kind.direction, dim))
-    if dim == 2:
-        return ["-y", "x"]
-    a, b, c = _direction(kind.direction, dim)
-    return [f"{b!r}*z - {c!r}*y", f"{c!r}*x - {a!r}*z", f"{a!r}*y - {b!r}*x"]
-
-
-def _components(given: Any, dim: int) -> list[Given]:
-    """A vector as a list.
-
-    Raises:
-        InputError: If it is a function of points.
-    """
-    if given is None:
-        return [0.0] * dim
-    if callable(given) and not hasattr(given, "ufl_shape"):
-        raise InputError("quantities need data that are numbers, texts or UFL, not functions of points")
-    return [given[i] for i in range(dim)]
+        if part not in boundary.neumann or part in problem.pressure:
+            raise InputError(
+                f"integrals of displacements are over parts where a traction is given, and '{part}' is none"
+            )
+        own = components(g_N.get(part), dim)
+        g_N[part] = [added(domain, each, kind.weight, tau * share) for each, share in zip(own, along, strict=True)]
+    return boundary, replace(problem, g_N=g_N)
 
 
 @dataclass(frozen=True)
@@ -147,102 +124,142 @@ class _Side:
     v: fem.Function
     past: str
 
-
-class _Shifted:
-    """Problems on either side of that of a solution, with data that differ by ±τ, and what they say."""
-
-    def __init__(self, solution: ElasticSolution, kind: Any):
-        self.solution, self.spaces, self.kind = solution, solution.spaces, kind
-        self.domain, self.comm = solution.spaces.domain, solution.spaces.mesh.comm
-        self.posed: Posed = (solution.boundary, solution.problem)
-        self._solver: Solver[ElasticSolution] = Solver(self.domain, self.posed)
-        self._options = Options(tuning=solution.options.tuning)
-
-    def interval(self) -> Quantity:
-        """The interval (collective)."""
-        size = self.solution.norms()["energy"]
-        first = 2.0 ** round(math.log2(size)) if size > 0 else 1.0
-        found = bracket(self.ends, first, self._of_discrete())
-        if not math.isfinite(found.width) and isinstance(self.kind, Force):
-            return replace(found, reason=f"{UNBOUNDED}: {found.reason}")
-        if isinstance(self.kind, Mean):
-            return found.divided(self._integral(None))
-        return found
-
-    def _of_discrete(self) -> float:
-        """The quantity of the discrete solution (collective)."""
-        if isinstance(self.kind, Force):
-            return self._force(self.solution, self.solution.stresses)
-        return math.nan
-
-    def ends(self, tau: float) -> Ends:
-        """The bounds from one τ (collective)."""
-        try:
-            below, above = self._side(-tau), self._side(tau)
-        except (NumericalFailure, InputError) as failure:
-            return Ends(-math.inf, math.inf, 0.0, f"a problem beside it: {failure}")
-        found = []
-        for sign in (-1.0, 1.0):
-            of_y, of_v = (above, below) if (sign > 0) is not isinstance(self.kind, Force) else (below, above)
-            half = self._half(of_v, of_y)
-            value = (
-                self._force(of_y.solution, of_y.y.stresses) if isinstance(self.kind, Force) else self._integral(of_v.v)
-            )
-            found.append((value + sign * half.value / tau, half))
-        (lower, one), (upper, other) = found
-        size = above.solution.norms()["energy"]
-        apart = above.solution.stresses - below.solution.stresses
-        squares = self.comm.allreduce(float(energy_squares(self.spaces, self.solution.data, apart).sum()))
-        PETSc.garbage_cleanup(self.comm)
-        shares = (self._half(below, below).of_cells + self._half(above, above).of_cells) / tau
-        scale = 2 * tau * size / math.sqrt(squares) if squares > 0 else 0.0
-        return Ends(lower, upper, scale, one.reason or other.reason, shares)
-
-    def _side(self, tau: float) -> _Side:
-        """The problem with data that differ by τ, solved (collective)."""
-        solution = self._solver.solve(_moved(self.domain, self.posed, self.kind, tau), self._options)
+    @classmethod
+    def of(cls, solution: ElasticSolution) -> _Side:
+        """The admissible fields of a solution (collective)."""
         y = admissible_stress(solution)
         v, past = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC).minimum()
-        return _Side(solution, y, v, past)
+        return cls(solution, y, v, past)
 
-    def _half(self, of_v: _Side, of_y: _Side) -> Half:
-        """The right side of the theorem for the v and the y of two problems (collective).
+
+class _Beside(Beside[_Side]):
+    """Elastic problems beside that of a solution."""
+
+    def memory(self, tau: float) -> FromBefore:
+        """The slip of the last step in time, and Coulomb's bounds of the shear."""
+        friction = self.solution.data.friction
+        fixed = friction.fixed() if friction is not None and friction.by_pressure else None
+        return FromBefore(self.solution.data.slipped, fixed)
+
+    def start(self, posed: Posed) -> ElasticSegments | None:
+        """The segments of the solution; in space none with friction, as directions of slip are no segments."""
+        in_space = self.spaces.dim == 3 and self.solution.data.friction is not None
+        return None if in_space else self.solution.segments()
+
+    def fields(self, tau: float) -> _Side:
+        """The admissible fields of the problem with data that differ by τ (collective)."""
+        return _Side.of(self.solved(tau))
+
+    def half(self, of_v: _Side, of_y: _Side) -> Half:
+        """The right side of the theorem, with the laws that v obeys (collective).
 
         What the linear solver leaves of the jumps of y counts like a load.
         """
-        solution, y = of_y.solution, of_y.y
+        solution, y = of_v.solution, of_y.y
         if of_v.past or not math.isfinite(y.distance):
             why = of_v.past or "the linear solver leaves too much of the balance of the stress"
             return Half(math.inf, why, np.zeros(len(self.spaces.order)))
         problem = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC)
-        mismatch, contact = gap_of_cells(solution, y, problem, of_v.v)
-        oscillation = load_oscillation(solution.spaces, solution.data, y.stresses)
+        mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, half=True)
+        oscillation = load_oscillation(solution.spaces, of_y.solution.data, y.stresses)
         squares = (np.sqrt(np.maximum(mismatch, 0.0)) + oscillation) ** 2
         total, at_sites = self.comm.allreduce(np.array([squares.sum(), contact.sum()])).tolist()
-        missing = not_in_the_spaces(solution.data)
+        data = solution.data, of_y.solution.data
+        missing = sorted({name for each in data for name in not_in_the_spaces(each)})
         reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
         value = (math.sqrt(total) + y.distance) ** 2 / 4 + max(at_sites, 0.0)
         return Half(value, reason, squares / 4 + np.maximum(contact, 0.0))
 
-    def _force(self, solution: ElasticSolution, stresses: Array) -> float:
-        """⟨σn, w⟩ on the parts (collective)."""
+    def apart(self, one: _Side, other: _Side) -> float:
+        """The energy norm of the difference of both stresses (collective)."""
+        difference = one.solution.stresses - other.solution.stresses
+        return math.sqrt(self.comm.allreduce(float(energy_squares(self.spaces, self.solution.data, difference).sum())))
+
+    def size(self) -> float:
+        """‖σ_h‖ (collective)."""
+        norms: dict[str, float] = self.solution.norms()
+        return norms["energy"]
+
+    def softness(self) -> float:
+        """The root of 𝔸, about: the energy of σ_h by its norm (collective)."""
+        norms = self.solution.norms()
+        return float(norms["energy"] / norms["sigma_L2"]) if norms["sigma_L2"] > 0 else 1.0
+
+
+class _Forces(_Beside):
+    """A force, or a moment."""
+
+    of_flux = True
+
+    def posed(self, tau: float) -> Posed:
+        """The problem with data that differ by τ (collective)."""
+        return moved(self.domain, (self.solution.boundary, self.solution.problem), self.kind, tau)
+
+    def memory(self, tau: float) -> FromBefore:
+        """The slip of the last step in time moves with the foundations."""
+        more = moved_slip(self.spaces, (self.solution.boundary, self.solution.problem), self.kind, tau)
+        return replace(super().memory(tau), slipped=self.solution.data.slipped + more)
+
+    def value(self, of_v: _Side, of_y: _Side) -> float:
+        """⟨yn, w⟩ (collective)."""
+        return self._of(of_y.solution, of_y.y.stresses)
+
+    def discrete(self) -> float:
+        """⟨σ_h n, w⟩ (collective)."""
+        return self._of(self.solution, self.solution.stresses)
+
+    def response(self) -> float:
+        """The size of the stress for a support that is moved by w (collective)."""
+        length, dim = self.spaces.length, self.spaces.dim
+        arm = length if isinstance(self.kind, Moment) else 1.0
+        return float(length ** (dim / 2 - 1) * arm / self.softness())
+
+    def _of(self, solution: ElasticSolution, stresses: Array) -> float:
         found = resultants(solution.spaces, solution.data, stresses)
         total = np.sum([found[part] for part in self.kind.parts], axis=0)
         dim = self.spaces.dim
         if not isinstance(self.kind, Moment):
-            return float(total[:dim] @ _direction(self.kind.direction, dim))
-        return float(total[2] if dim == 2 else total[3:] @ _direction(self.kind.direction, dim))
+            return float(total[:dim] @ direction_of(self.kind.direction, dim))
+        return float(total[2] if dim == 2 else total[3:] @ direction_of(self.kind.direction, dim))
 
-    def _integral(self, v: fem.Function | None) -> float:
-        """∫ weight·v·direction, or for None ∫ weight (collective)."""
-        dim, mesh = self.spaces.dim, self.spaces.split.mesh if v is None else v.function_space.mesh
+
+class _Integrals(_Beside):
+    """The integral of a component of the displacement with a weight, or its mean."""
+
+    of_flux = False
+
+    def posed(self, tau: float) -> Posed:
+        """The problem with data that differ by τ (collective)."""
+        return _loaded(self.domain, (self.solution.boundary, self.solution.problem), self.kind, tau)
+
+    def value(self, of_v: _Side, of_y: _Side) -> float:
+        """The integral of v (collective)."""
+        return self._integral(of_v.v)
+
+    def discrete(self) -> float:
+        """The integral of the v of the solution (collective)."""
+        return self._integral(_Side.of(self.solution).v)
+
+    def response(self) -> float:
+        """The size of the stress under the weight as a load (collective)."""
+        length, size = self.spaces.length, float(np.linalg.norm(self.kind.direction))
+        return math.sqrt(self._integral(None, power=2) * (length if self.kind.parts else 1.0)) * (
+            size * length * self.softness() / 4
+        )
+
+    def of_weight(self) -> float:
+        """The integral of the weight (collective)."""
+        return self._integral(None)
+
+    def _integral(self, v: fem.Function | None, power: int = 1) -> float:
+        """∫ weight·v·direction, or for None ∫ weight to a power (collective)."""
+        dim, split = self.spaces.dim, self.spaces.split
+        mesh = split.mesh if v is None else v.function_space.mesh
         weight = parsed(self.kind.weight, "xyz"[:dim], "weight")
-        if not isinstance(weight, TREES):
-            raise InputError("weight: must be a number or a text")
-        degree = QUADRATIC + quadrature_degree(datum_of(self.spaces, "weight", weight))
-        dx = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": degree})
-        of_v = fem.Constant(mesh, 1.0)
-        if v is not None:
-            of_v = ufl.dot(v, ufl.as_vector(_direction(self.kind.direction, dim)))
-        form = fenicsx.form(to_ufl(weight, ufl.SpatialCoordinate(mesh)) * of_v * dx)
+        degree = QUADRATIC + power * quadrature_degree(datum_of(self.spaces, "weight", weight))
+        measure = ufl.ds if self.kind.parts else ufl.dx
+        where = indicator(self.spaces, mesh, self.kind.parts, self.kind.region)
+        of_v = 1.0 if v is None else ufl.dot(v, ufl.as_vector(direction_of(self.kind.direction, dim)))
+        value = to_ufl(weight, ufl.SpatialCoordinate(mesh)) ** power * of_v * where
+        form = fenicsx.form(value * measure(domain=mesh, metadata={"quadrature_degree": degree}))
         return float(self.comm.allreduce(fem.assemble_scalar(form)))

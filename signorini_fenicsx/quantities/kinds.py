@@ -17,7 +17,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Integral(Kind):
-    """∫ weight·u over regions, or over parts of the boundary.
+    """∫ weight·u over regions, or over parts of the boundary; over parts inside the domain of the jump of u.
 
     Attributes:
         weight: The weight.
@@ -49,11 +49,11 @@ class Mean(Integral):
 
 @dataclass(frozen=True)
 class Flux(Kind):
-    """∫ weight·κ∇u·n over parts of the boundary, where u or a law is given.
+    """∫ weight·κ∇u·n over parts of the boundary, or inside the domain, where u or a law is given.
 
     Attributes:
         parts: Name of a part, or a list of names.
-        weight: The weight, 1 on parts with a law. One that is 0 where the parts end makes a flux bounded that is not.
+        weight: The weight. One that is 0 where the parts end makes a flux bounded that is not.
 
     Raises:
         InputError: If there is no part.
@@ -98,4 +98,8 @@ class Moment(Force):
 
 @dataclass(frozen=True)
 class Energy(Kind):
-    """The least energy, ½(κ∇u, ∇u) + ½(cu, u) − (f, u) − ⟨g_N, u⟩ on Γ_N − ⟨q_S, u⟩ on Γ_S."""
+    """The least energy: ½(κ∇u, ∇u) + ½(cu, u) − (f, u) − ⟨g_N, u⟩ on Γ_N, and those of the laws.
+
+    Under the law of Signorini this is −⟨q_S, u⟩, under others see `laws.energies`. Of elastic bodies it is ½(ℂε, ε)
+    with ε = ε(u) − ε₀, less the work of the loads, and g|u_t| of friction.
+    """

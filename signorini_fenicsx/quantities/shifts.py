@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.expressions import TREES, Binary, decided
 from signorini_fenicsx.expressions.given import Given, combined, parsed
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
 MOVED: Mapping[type[Law], tuple[Sequence[str], Sequence[str]]] = {
@@ -62,24 +62,35 @@ def with_load(domain: Domain, posed: Posed, weight: Given, region: Sequence[str]
         InputError: If a region is unknown.
     """
     boundary, problem = posed
-    f, regions = problem.f, domain.regions
+    return boundary, replace(problem, f=in_regions(domain, problem.f, weight, region, factor))
+
+
+def in_regions(
+    domain: Domain, f: Given | Mapping[str, Given], weight: Given, region: Sequence[str], factor: float
+) -> Given | Mapping[str, Given]:
+    """A load that is larger by a multiple of a weight in some regions, none for all of Ω.
+
+    Raises:
+        InputError: If a region is unknown.
+    """
+    regions = domain.regions
     for name in region:
         if name not in regions:
             known = f"its regions are {', '.join(regions)}" if regions else "it has none"
             raise InputError(f"unknown region '{name}' of the mesh; {known}")
     if not region and not isinstance(f, Mapping):
-        return boundary, replace(problem, f=added(domain, f, weight, factor))
-    table = {
-        name: added(domain, f[name] if isinstance(f, Mapping) else f, weight, factor)
-        if not region or name in region
-        else (f[name] if isinstance(f, Mapping) else f)
-        for name in regions
+        return added(domain, f, weight, factor)
+    of_region = {name: f[name] if isinstance(f, Mapping) else f for name in regions}
+    return {
+        name: added(domain, own, weight, factor) if not region or name in region else own
+        for name, own in of_region.items()
     }
-    return boundary, replace(problem, f=table)
 
 
 def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str], factor: float) -> Posed:
     """The problem whose flux on some parts of Γ_N and Γ_S is larger by a multiple of a weight (collective).
+
+    On parts inside the domain the jump of u is integrated.
 
     Raises:
         InputError: If a part is unknown, or u is given on it.
@@ -89,7 +100,7 @@ def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str],
     def more(given: Given) -> Given:
         return added(domain, given, weight, factor)
 
-    names = [_known(domain, part) for part in parts]
+    names = [_known(domain, boundary, part) for part in parts]
     if set(boundary.neumann) and set(boundary.neumann) <= set(names):
         problem = replace(problem, g_N=more(problem.g_N))
         names = [part for part in names if part not in boundary.neumann]
@@ -108,20 +119,18 @@ def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str],
 def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], weight: Given, amount: float) -> Posed:
     """The problem whose u_D on some parts is larger by a multiple of a weight, and laws on others so in u (collective).
 
+    On parts inside the domain the jump of u takes the place of u.
+
     Raises:
-        InputError: If a part is unknown, inside the domain, or one of Γ_N, or has a law and a weight other than 1.
+        InputError: If a part is unknown, one of Γ_N, or the other side of one inside the domain.
     """
     boundary, problem = posed
     fixed, even = [], isinstance(weight, int | float) and weight == 1
-    for part in (_known(domain, name) for name in parts):
-        if part in boundary.inner:
-            raise InputError(f"the part '{part}' is inside the domain; the flux is that through the boundary")
+    for part in (_known(domain, boundary, name) for name in parts):
         if part in boundary.neumann:
             raise InputError(f"the flux through the part '{part}' is given")
-        if part in boundary.signorini and not even:
-            raise InputError(f"weight: must be 1 on the part '{part}', which has a law")
         if part in boundary.signorini:
-            problem = _with_law(boundary, problem, part, lambda law: moved(domain, law, amount, 0.0, 1.0))
+            problem = _with_law(boundary, problem, part, lambda law: moved(domain, law, weight, 0.0, amount))
         else:
             fixed.append(part)
     if fixed and even and _are_all(domain, boundary, fixed):
@@ -205,20 +214,24 @@ def _with_law(boundary: Boundary, problem: Problem, part: str, change: Callable[
     return replace(problem, laws=[*problem.laws, plain])
 
 
-def _known(domain: Domain, part: str) -> str:
+def _known(domain: Domain, boundary: Boundary, part: str) -> str:
     """The part, which has to be one of the domain.
 
     Raises:
-        InputError: If it is not.
+        InputError: If it is not, or the other side of one inside the domain.
     """
     if part not in domain.facets:
         raise InputError(f"unknown part '{part}'; there are {', '.join(domain.facets)}")
+    for named in boundary.inner:
+        if part == other_side(named):
+            raise InputError(f"the part '{part}' has no law; take '{named}', for which n has the other direction")
     return part
 
 
 def _are_all(domain: Domain, boundary: Boundary, parts: Sequence[str]) -> bool:
     """Whether these parts are all of Γ_D (collective)."""
     outer = dolfinx.mesh.exterior_facet_indices(domain.mesh.topology)
-    named = [domain.facets[part] for part in (*boundary.signorini, *boundary.neumann, *parts)]
+    across = [other_side(part) for part in boundary.inner]
+    named = [domain.facets[part] for part in (*boundary.signorini, *boundary.neumann, *across, *parts)]
     left = np.setdiff1d(outer, np.concatenate(named))
     return bool(domain.mesh.comm.allreduce(len(left)) == 0)

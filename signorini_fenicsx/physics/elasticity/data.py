@@ -23,7 +23,7 @@ from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
-from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, friction_bounds
+from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, FromBefore, friction_bounds
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.material import Material, check_material, material_of, mean_compliances
 from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaws, normal_laws
@@ -162,7 +162,7 @@ def blocks_of_cells(spaces: ElasticSpaces) -> Iterator[npt.NDArray[np.int32]]:
     yield from np.array_split(np.arange(size, dtype=np.int32), parts)
 
 
-def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array | None = None) -> ElasticData:
+def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBefore | None = None) -> ElasticData:
     """Read the data and check them; in a step in time with the slip of the last step (collective).
 
     Raises:
@@ -186,7 +186,8 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
     tractions = _traction_moments(spaces, g_N)
     _add_tractions(spaces, tractions, load)
     load.array[spaces.sites] -= spaces.site_measure * laws.pressure
-    slipped = np.zeros(len(spaces.slip_sites)) if slipped is None else slipped
+    before = before or FromBefore()
+    slipped = np.zeros(len(spaces.slip_sites)) if before.slipped is None else before.slipped
     lift.x.array[spaces.slip_sites] = slipped
     lift.x.scatter_forward()
     data = ElasticData(
@@ -202,7 +203,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, slipped: Array 
         lift=lift.x.array.astype(np.float64),
         load=load.array,
         fixed=fixed,
-        friction=friction_bounds(spaces, problem.laws),
+        friction=friction_bounds(spaces, problem.laws) if before.friction is None else before.friction,
         slipped=slipped,
         tools=tools_of(spaces, problem),
         moved=np.zeros(len(spaces.sites) + len(spaces.slip_sites)),

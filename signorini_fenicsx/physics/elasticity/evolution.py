@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.physics.elasticity.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -43,9 +44,9 @@ class ElasticSteps:
         """The problem at the time of a step."""
         return self._problem.at(self._evolution.time(step))
 
-    def memory(self, _step: int, before: Sequence[Array]) -> Array:
+    def memory(self, _step: int, before: Sequence[Array]) -> FromBefore:
         """The slip at the end of the last step."""
-        return before[0]
+        return FromBefore(before[0])
 
     def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
         """The derivatives by the slip of the last step, see `solving.evolution.Steps`."""

@@ -135,6 +135,11 @@ class FrictionBounds:
         size, left = np.linalg.norm(shear, axis=2), shear + shortened(unit[:, :, None] * slip - shear, self.bound)
         return np.maximum(size - self.bound, 0.0), np.asarray(np.linalg.norm(left, axis=2))
 
+    def fixed(self) -> FrictionBounds:
+        """The friction with these bounds, whatever the pressure is: Tresca's."""
+        slipping = None if self.slipping is None else Slipping.nowhere(len(self.bound))
+        return replace(self, coulomb=np.zeros_like(self.coulomb), by_pressure=False, slipping=slipping)
+
     def following(self, pressure: Array) -> FrictionBounds:
         """The bounds by Coulomb's law under this pressure at the vertices, shape (facets, d)."""
         return self.with_bounds(self.mu * np.maximum(pressure, 0.0))
@@ -181,6 +186,19 @@ class FrictionBounds:
         sums = spaces.mesh.comm.allreduce(np.array([weights @ values for values in squares]))
         change, size = np.sqrt(sums).tolist()
         return change, size
+
+
+@dataclass(frozen=True)
+class FromBefore:
+    """What an elastic problem takes from one that is solved.
+
+    Attributes:
+        slipped: u_t at the sites with friction at the end of the last step in time; None for 0.
+        friction: The bounds of the shear, in the place of those of the laws; None for these.
+    """
+
+    slipped: Array | None = None
+    friction: FrictionBounds | None = None
 
 
 def friction_chains(g: Array) -> Chains:

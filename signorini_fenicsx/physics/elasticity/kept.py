@@ -13,7 +13,7 @@ from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.evolution import spread
-from signorini_fenicsx.physics.elasticity.friction import Slipping, law_of_sites
+from signorini_fenicsx.physics.elasticity.friction import FromBefore, Slipping, law_of_sites
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
 from signorini_fenicsx.physics.elasticity.shown import STATES
@@ -79,7 +79,7 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
         slipped = stored.on_facets(spaces.mesh.comm, "slipped")[0][rough].ravel()
     elif "facet_slipped_vector" in stored.arrays:
         slipped = spaces.in_frames(stored.on_facets(spaces.mesh.comm, "slipped_vector")[0][rough])
-    data = elastic_data(spaces, problem, slipped)
+    data = elastic_data(spaces, problem, FromBefore(slipped))
     if data.friction is not None:
         by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
         data = replace(data, friction=replace(data.friction, bound=by_pressure))

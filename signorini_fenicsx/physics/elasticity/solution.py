@@ -21,7 +21,7 @@ from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity import shown
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, elastic_data, facet_moments
 from signorini_fenicsx.physics.elasticity.differences import differences
-from signorini_fenicsx.physics.elasticity.friction import law_of_sites
+from signorini_fenicsx.physics.elasticity.friction import FromBefore, law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, to_entries
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.quantities import quantities
@@ -98,7 +98,7 @@ class ElasticSolution(Solved):
 
     def of_problem(self, problem: ElasticProblem) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
-        data = elastic_data(self.spaces, problem, self.data.slipped)
+        data = elastic_data(self.spaces, problem, FromBefore(self.data.slipped))
         return replace(self, problem=problem, data=replace(data, friction=self.data.friction))
 
     def linearised(self, tolerance: float) -> Any:

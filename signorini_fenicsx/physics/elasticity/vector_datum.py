@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.datum import Datum, datum_of, datum_on_parts, largest_degree
+from signorini_fenicsx.discrete.datum import Datum, datum_of, datum_on_parts, largest_degree, regional_datum
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.expressions.given import parsed
@@ -76,15 +76,15 @@ class VectorDatum:
 def vector_datum_of(spaces: MeshSpaces, name: str, given: Any, *, continuous: bool = True) -> VectorDatum:
     """A vector from what was given, see `problem.GivenVector`; None is 0 (collective).
 
+    If it need not be continuous, a component may have a value for each region.
+
     Raises:
         InputError: If it cannot be read, has not a component per coordinate, or is UFL on another mesh.
     """
     dim = spaces.mesh.geometry.dim
-    components = (
-        datum_of(spaces, name, parsed(entry, "xyz"[:dim], f"[problem] {name}"), continuous=continuous)
-        for entry in _components(dim, name, given)
-    )
-    return VectorDatum(name, tuple(components))
+    entries = (parsed(entry, "xyz"[:dim], f"[problem] {name}") for entry in _components(dim, name, given))
+    read = datum_of if continuous else regional_datum
+    return VectorDatum(name, tuple(read(spaces, name, entry) for entry in entries))
 
 
 def vector_on_parts(spaces: MeshSpaces, name: str, given: Any) -> VectorDatum:

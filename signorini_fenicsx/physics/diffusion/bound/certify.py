@@ -196,7 +196,7 @@ def gap_parts(
     """
     solution, resolution, metric, inside, flux = of_y.solution, of_y.resolution, of_y.metric, of_y.inside, of_y.flux
     spaces, data, trace, comm = solution.spaces, solution.data, of_v.trace, solution.spaces.mesh.comm
-    contact, load, pressure = _on_gamma_s(of_v, of_y, goal, area)
+    contact, load, pressure = gap_on_gamma_s(of_v, of_y, goal, area)
     of_laws = None
     if inside is not None:
         gap_inside, of_laws = inside.gap(trace, metric, resolution, area)
@@ -226,7 +226,7 @@ def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Co
     return more * np.sqrt(metric.volume / volume)
 
 
-def _on_gamma_s(
+def gap_on_gamma_s(
     of_v: Admissible, of_y: Admissible, goal: Goal, area: Area
 ) -> tuple[Array, list[FacetLoad], Pressure | None]:
     """Twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""

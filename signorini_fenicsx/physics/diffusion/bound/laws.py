@@ -26,7 +26,7 @@ from signorini_fenicsx.contact.law import Graph, Values
 from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import PartLaw
-from signorini_fenicsx.discrete.points import FacetPoints, in_facets
+from signorini_fenicsx.discrete.points import FacetPoints, Points, in_facets
 from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, facet_constants
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -198,6 +198,22 @@ class LawGap:
     def per_cell(self, number: int) -> Array:
         """Twice its integral, per owned cell of so many."""
         return self.points.per_cell(2 * self.points.integrals(self.density), number)
+
+
+def energies(part: PartLaw, points: Points, u: Array, flux_h: Array | None = None) -> Array:
+    """φ(u) in points of a law, for u that it allows but for rounding; −κ∇u·n, in regions s, is the slope of φ.
+
+    φ is −σu at the reference (u, σ) of the graph, and for this σ nowhere less than −σu. So it is −q_S u under the law
+    of Signorini, g|u| of friction, and 0 where a wall is not touched.
+
+    Args:
+        part: The law.
+        points: Points of its facets or cells, as for `PartLaw.chains`.
+        u: Shape (n, points).
+        flux_h: As for `PartLaw.chains`.
+    """
+    flux = np.reshape(part.falling(points, flux_h).reference[1], points.shape)
+    return gap(part.chains(points, flux_h), u.ravel(), flux.ravel()).reshape(points.shape) - flux * u
 
 
 def not_polynomial(goal: Goal) -> set[str]:

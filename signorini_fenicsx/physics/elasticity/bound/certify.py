@@ -106,9 +106,9 @@ def _displacement(
 
 
 def gap_of_cells(
-    solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function
+    solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function, *, half: bool = False
 ) -> tuple[Array, Array]:
-    """‖ℂε(v) − y‖², and the gap on Γ_C, on each owned cell (collective)."""
+    """‖ℂε(v) − y‖², and the gap on Γ_C, with `half` as `LawOnFacets.integrals` has it, per owned cell (collective)."""
     spaces, split = solution.spaces, problem.split
     weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
     material = problem.material
@@ -117,7 +117,7 @@ def gap_of_cells(
     of_subcells = fem.assemble_vector(fenicsx.form(gaps)).array
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells[: len(split.subcells)])
-    np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v))
+    np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
     return mismatch, on_contact
 
 
@@ -140,7 +140,9 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     return np.flatnonzero(chosen)
 
 
-def _on_contact(solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function) -> Array:
+def _on_contact(
+    solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function, *, half: bool
+) -> Array:
     """∫ (−σ_nn)(g − v_n) over the facets of Γ_C, with friction and ∫ g|v_t − w| + σ_t (v_t − w), or a bit more.
 
     w is the slip of the last step in time (collective).
@@ -152,7 +154,7 @@ def _on_contact(solution: ElasticSolution, y: AdmissibleStress, problem: BestDis
     found = np.einsum("na,na->n", y.pressure[contact.rows], apart)
     for law in problem.laws:
         pressure = y.pressure[contact.rows[law.rows]]
-        found[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure)
+        found[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure, half=half)
     if data.friction is not None:
         rough, here = problem.rough
         found[rough] += problem.rubbed(v) + np.einsum("nam,nam->n", y.shear[here], problem.slips(v))

@@ -62,7 +62,7 @@ class BestDisplacement:
         degree: int,
         v: fem.Function | None = None,
     ):
-        """Assemble (collective).
+        """Collect the facets of Γ_C, and what is given (collective).
 
         Args:
             spaces: The spaces.
@@ -71,9 +71,6 @@ class BestDisplacement:
             split: The split mesh, or a part of it.
             degree: Of the polynomials.
             v: For a part, the displacement on the whole mesh that the one on the part has to continue.
-
-        Raises:
-            InputError: If PETSc refuses an option.
         """
         self.spaces, self._data, self._y, self.split = spaces, data, y, split
         self.comm, mesh, dim = spaces.mesh.comm, split.mesh, spaces.dim
@@ -87,8 +84,7 @@ class BestDisplacement:
         ]
         self.material = material_on_split(spaces, data, split, 2 * degree - 2)
         self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
-        self._collect_terms()
-        self._assemble()
+        self.openings = self.contact.openings(spaces.mesh, data)
 
     @cached_property
     def rough(self) -> tuple[Indices, Indices]:
@@ -112,7 +108,6 @@ class BestDisplacement:
     def _collect_terms(self) -> None:
         """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective)."""
         contact, (rough, here), dim = self.contact, self.rough, self.spaces.dim
-        self.openings = contact.openings(self.spaces.mesh, self._data)
         tangents = self._rubbing_frames()
         weights = np.repeat(self._rubbing_weights()[:, :, None], dim - 1, axis=2)
         rubs = weights > 0
@@ -332,6 +327,8 @@ class BestDisplacement:
 
     def minimum(self) -> tuple[fem.Function, str]:
         """The best v, and why it is not admissible; empty if it is (collective)."""
+        self._collect_terms()
+        self._assemble()
         x = minimise(self, self._forces)
         feet = np.isinf(self.high)
         lengths = (self._axes**2).sum(axis=(1, 2))

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.certificate.laws import gap
+from signorini_fenicsx.certificate.laws import gap, half_gap
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import chains_of
@@ -133,16 +133,18 @@ class LawOnFacets:
             found.append((self.chains.p[:, corner], np.where(upright, jump, 0.0), side))
         return found
 
-    def integrals(self, p: Array, pressure: Array) -> Array:
+    def integrals(self, p: Array, pressure: Array, *, half: bool = False) -> Array:
         """The integral of φ(p) + φ*(−λ) + λp over each facet, or a bit more, measured from the references.
 
         Args:
             p: Coefficients of p in Bernstein's basis, shape (facets, coefficients).
             pressure: λ at the vertices, shape (facets, d).
+            half: Whether half of it is taken where p and λ are on one slope, as for quantities, see `half_gap`.
         """
         at = np.einsum("fqk,fk->fq", self.basis, p), np.einsum("fqa,fa->fq", self.hats, pressure)
         if not self.law.moves_only():
-            density = gap(self.at_points, at[0].ravel(), at[1].ravel()).reshape(self.weights.shape)
+            area = half_gap if half else gap
+            density = area(self.at_points, at[0].ravel(), at[1].ravel()).reshape(self.weights.shape)
             return np.asarray((self.weights * density).sum(axis=1))
         total = (self.weights * at[0] * at[1]).sum(axis=1)
         exchanged = _exchanged(self.chains)
@@ -152,7 +154,32 @@ class LawOnFacets:
         ):
             share = np.einsum("fq,fqk->fk", self.weights, basis)
             total += _least_above(chains, values, share, inside, self.weights)
-        return np.maximum(total, 0.0)
+        return np.maximum(total, 0.0) * (np.where(self._on_one_slope(p, pressure), 0.5, 1.0) if half else 1.0)
+
+    def energies(self, p: Array) -> Array:
+        """The integral of φ(p) over each facet, or as much more as in `integrals`; φ ≥ 0 is 0 at the reference.
+
+        Args:
+            p: As for `integrals`, shape (facets, coefficients).
+        """
+        at = np.einsum("fqk,fk->fq", self.basis, p)
+        if not self.law.moves_only():
+            density = gap(self.at_points, at.ravel(), np.zeros(at.size)).reshape(at.shape)
+            return np.asarray((self.weights * density).sum(axis=1))
+        share = np.einsum("fq,fqk->fk", self.weights, self.basis)
+        return _least_above(self.chains, p, share, at, self.weights)
+
+    def _on_one_slope(self, p: Array, pressure: Array) -> Array:
+        """Mask of the facets on which all of p and λ are on one sloped segment."""
+        chains, found = self.chains, np.zeros(len(p), dtype=bool)
+        infinite = np.full((len(p), 1), np.inf)
+        ends, fluxes = np.hstack([-infinite, chains.p, infinite]), np.hstack([infinite, chains.flux, -infinite])
+        for segment in range(chains.corners + 1):
+            slope, (begin, end) = chains.slope[:, segment], (ends[:, [segment + k]] for k in (0, 1))
+            high, low = (fluxes[:, [segment + k]] for k in (0, 1))
+            inside = ((begin <= p) & (p <= end)).all(axis=1) & ((low <= pressure) & (pressure <= high)).all(axis=1)
+            found |= inside & (slope > 0) & np.isfinite(slope)
+        return found
 
 
 def _exchanged(chains: Chains) -> Chains:

@@ -1,0 +1,139 @@
+"""Problems on either side of that of a solution, with data that differ by ±τ, and what they say, see `bracket`."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
+from signorini_fenicsx.quantities.kinds import Mean
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import Solver
+
+FAILED = "a problem beside it"
+"""What the reason begins with if such a problem has no solution."""
+NEVER = 2.0**40
+"""The scale of τ if the solution does not change with it: the quantity is known, and its length is rounding."""
+
+
+class Beside[Fields](ABC):
+    """The problems beside that of a solution, for one quantity.
+
+    `Fields` are the admissible v and y of one of these problems.
+
+    Attributes:
+        solution: The solution.
+        kind: The quantity.
+        of_flux: Whether it is one of y; otherwise it is one of v.
+    """
+
+    of_flux: ClassVar[bool]
+
+    def __init__(self, solution: Any, kind: Any):
+        self.solution, self.kind, self.spaces = solution, kind, solution.spaces
+        self.domain: Domain = solution.spaces.domain
+        self.comm = self.spaces.mesh.comm
+        self._solver: Solver | None = None
+        self._options = Options(tuning=solution.options.tuning)
+
+    def interval(self) -> Quantity:
+        """The interval (collective)."""
+        found = bracket(self.ends, self.first(), self.discrete)
+        if not math.isfinite(found.width) and self.of_flux and not found.reason.startswith(FAILED):
+            found = replace(found, reason=f"{UNBOUNDED}: {found.reason}")
+        return found.divided(self.of_weight()) if isinstance(self.kind, Mean) else found
+
+    def ends(self, tau: float) -> Ends:
+        """The bounds from one τ (collective)."""
+        try:
+            with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
+                below, above = self.fields(-tau), self.fields(tau)
+                found = []
+                for sign in (-1.0, 1.0):
+                    of_v, of_y = (above, below) if (sign < 0) is not self.of_flux else (below, above)
+                    half = self.half(of_v, of_y)
+                    found.append((self.value(of_v, of_y) + sign * (half.value / tau + half.unseen), half.reason))
+        except (NumericalFailure, InputError) as failure:
+            return Ends(-math.inf, math.inf, 0.0, f"{FAILED}: {failure}")
+        apart, size = self.apart(below, above) / (2 * tau), self.size()
+        PETSc.garbage_cleanup(self.comm)
+        (lower, why), (upper, why_not) = found
+        return Ends(
+            lower, upper, size / apart if apart > 0 else NEVER, why or why_not, lambda: self._shares(below, above, tau)
+        )
+
+    def _shares(self, below: Fields, above: Fields, tau: float) -> Array:
+        """What each owned cell adds to the length of the interval: the gaps of both problems (collective)."""
+        with np.errstate(all="ignore"):
+            found: Array = (self.half(below, below).of_cells + self.half(above, above).of_cells) / tau
+        return found
+
+    def solved(self, tau: float) -> Any:
+        """The solution of the problem with data that differ by τ (collective).
+
+        Raises:
+            InputError: If it is no problem.
+            NumericalFailure: If it is not solved.
+        """
+        posed = self.posed(tau)
+        if self._solver is None:
+            self._solver = Solver(self.domain, posed)
+        return self._solver.solve(posed, self._options, start=self.start(posed), memory=self.memory(tau))
+
+    def first(self) -> float:
+        """A τ of the right size (collective)."""
+        response, size = self.response(), self.size()
+        found = size / response if response > 0 else 0.0
+        return 2.0 ** round(math.log2(found)) if 0 < found < math.inf else 1.0
+
+    @abstractmethod
+    def posed(self, tau: float) -> Any:
+        """The problem with data that differ by τ (collective)."""
+
+    @abstractmethod
+    def memory(self, tau: float) -> Any:
+        """What it takes from what was before, see `Solver.solve`."""
+
+    @abstractmethod
+    def start(self, posed: Any) -> Any:
+        """Where its solve starts."""
+
+    @abstractmethod
+    def fields(self, tau: float) -> Fields:
+        """The admissible fields of the problem with data that differ by τ (collective)."""
+
+    @abstractmethod
+    def half(self, of_v: Fields, of_y: Fields) -> Half:
+        """The right side of the theorem (collective)."""
+
+    @abstractmethod
+    def value(self, of_v: Fields, of_y: Fields) -> float:
+        """The quantity of v, or of y (collective)."""
+
+    @abstractmethod
+    def discrete(self) -> float:
+        """The quantity of the discrete solution (collective)."""
+
+    @abstractmethod
+    def apart(self, one: Fields, other: Fields) -> float:
+        """The energy norm of the difference of both fluxes (collective)."""
+
+    @abstractmethod
+    def size(self) -> float:
+        """‖σ_h‖ (collective)."""
+
+    @abstractmethod
+    def response(self) -> float:
+        """The size of the flux that belongs to τ = 1, about (collective)."""
+
+    def of_weight(self) -> float:
+        """The integral of the weight, for a mean (collective)."""
+        raise NotImplementedError
