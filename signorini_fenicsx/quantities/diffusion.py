@@ -9,17 +9,17 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
-from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, gap_on_gamma_s, gap_parts
-from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.certificate.laws import half_gap
-from signorini_fenicsx.physics.diffusion.bound.laws import Goal
-from signorini_fenicsx.physics.diffusion.bound.local_fields import positive_quadrature
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import facet_quadrature, in_cells, owned_cells
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, gap_on_gamma_s, gap_parts
+from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
+from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal
+from signorini_fenicsx.physics.diffusion.bound.local_fields import positive_quadrature
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity

@@ -19,14 +19,14 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
-from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.bound.certify import UNBALANCED, gap_of_cells, not_in_the_spaces
-from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.discrete.datum import DEGREES
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.forms.elasticity import square, strain, vector
+from signorini_fenicsx.physics.elasticity.bound.certify import UNBALANCED, gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.data import facet_moments
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution

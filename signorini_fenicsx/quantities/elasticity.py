@@ -18,14 +18,14 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
-from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.bound.certify import TRESCA, gap_of_cells, not_in_the_spaces
-from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.discrete.datum import datum_of, quadrature_degree
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.elasticity.bound.certify import TRESCA, UNBALANCED, gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
@@ -157,8 +157,7 @@ class _Beside(Beside[_Side]):
         """
         solution, y = of_v.solution, of_y.y
         if of_v.past or not math.isfinite(y.distance):
-            why = of_v.past or "the linear solver leaves too much of the balance of the stress"
-            return Half(math.inf, why, np.zeros(len(self.spaces.order)))
+            return Half(math.inf, of_v.past or UNBALANCED, np.zeros(len(self.spaces.order)))
         problem = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC)
         mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, half=True)
         oscillation = load_oscillation(solution.spaces, of_y.solution.data, y.stresses)

@@ -97,8 +97,7 @@ def moved_parts(domain: Domain, posed: Posed, kind: Force) -> tuple[list[str], f
     rest = [part for part in held if part not in (*kind.parts, *boundary.inner, *across)]
     if set(kind.parts) & set(boundary.inner) or not all(can_move(part) for part in rest):
         raise InputError(
-            f"the force on the part '{stuck[0]}' has no bounds: it is in contact and not flat, and neither are all other "
-            "foundations"
+            f"the force on the part '{stuck[0]}' has no bounds: this foundation is not flat, and so is another one"
         )
     return rest, -1.0
 

@@ -42,6 +42,7 @@ from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
+UNBALANCED = "the linear solver leaves too much of the balance of the stress"
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
 HIGHER = {2: 4, 3: 3}
 """Degree of v on the cells with the largest shares of the gap and on their neighbours, by dimension."""
@@ -79,7 +80,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         size=solution.norms()["energy"],
         v=v,
         hindrance=past,
-        unbalanced="the linear solver leaves too much of the balance of the stress",
+        unbalanced=UNBALANCED,
         unbounded="the numbers of the data are too large for it",
         by_quadrature=not_in_the_spaces(data),
     )
