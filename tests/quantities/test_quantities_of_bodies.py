@@ -140,6 +140,18 @@ def test_hertz():
     assert inside(found, area), found
 
 
+def test_a_load_that_would_lift_the_body():
+    """Where the first load beside a small one is larger than it, smaller ones are tried."""
+    top = Neumann("top", ["0", "-0.01"])
+    soft = Elasticity(
+        0.01, 0.0, conditions=[Contact("bottom"), top, Neumann("right"), Dirichlet("left", components="x")]
+    )
+    found = solve(build_domain(COMM, "square", 1 / 2, mesh="structured"), soft).quantity(Mean(direction=[0, 1]))
+    assert found.guaranteed, found.reason
+    assert found.lower - 1e-8 <= -0.5 <= found.upper + 1e-8
+    assert found.width < 1e-3
+
+
 @pytest.mark.parametrize(
     ("friction", "kind", "words"),
     [
