@@ -26,11 +26,13 @@ from signorini_fenicsx.output import sample
 from signorini_fenicsx.output.gather import Boundary, Fields, gather
 from signorini_fenicsx.output.pictures import caption, draw_all, gathered_scene, overview, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps, moves
-from signorini_fenicsx.output.pictures.elastic import foundation_of, without_rounding
+from signorini_fenicsx.output.pictures.cuts import SLANTED, Cut, outward
+from signorini_fenicsx.output.pictures.elastic import _pressure, foundation_of, without_rounding
 from signorini_fenicsx.output.pictures.evolution import draw_sets
 from signorini_fenicsx.output.pictures.page import plain
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet, _wrapped
+from signorini_fenicsx.output.pictures.space import Space
 from signorini_fenicsx.output.pictures.streams import on_grid
 from signorini_fenicsx.output.pictures.water import Water
 from signorini_fenicsx.output.writing import write_solution
@@ -325,6 +327,51 @@ def test_no_panel_without_iteration_errors(name: str):
     assert moves(drawn.history)
     without = replace(drawn, history=[replace(drawn.history[0], sigma_change=0.0, u_change=0.0)])
     assert len(overview(without).axes) == len(overview(drawn).axes) - 1
+
+
+@pytest.mark.parallel([1])
+def test_cuts_show_the_contact_set():
+    """The first cut of a ball with f = 5x crosses the contact set and the rest of Γ_S, and both are seen beside it."""
+    ball = scene("ball", h=0.5)
+    space = Space(ball)
+    first, second = space.cuts
+    assert np.flatnonzero(first.normal).tolist() == [1]  # contact and gap are left and right of it in a picture
+    assert first.normal @ second.normal == 0
+    for cut in space.cuts:
+        assert cut.view @ cut.normal > SLANTED[0]
+        corners = ball.fields.points[ball.facets.vertices]
+        normals = outward(ball, ball.facets.vertices)
+        np.testing.assert_array_less(0.7, np.sum(normals * corners.mean(axis=1), axis=1))  # away from the middle
+        inside = cut.shown_from_inside(corners, normals, space._is_inside)
+        seen = inside | (~cut.is_before(corners.mean(axis=1)) & (normals @ cut.view > 0))
+        assert ball.facets.measure[seen & ball.touching].sum() > 0.1 * ball.facets.measure[ball.touching].sum()
+        assert ball.facets.measure[seen & ~ball.touching].sum() > 0.1 * ball.facets.measure[~ball.touching].sum()
+    edges = space.gamma.slice(first.normal, origin=first.origin)
+    assert np.ptp(np.asarray(edges.points)[:, 0]) > 1.8  # Γ_S is cut from one end to the other
+
+
+def test_facets_that_would_hide_a_cut_are_left_out():
+    """Of two walls before a cut the one that stands before the domain itself is not drawn."""
+    cut = Cut(np.array([0.0, -1.0, 0.0]), np.zeros(3), np.array([0.6, -0.8, 0.0]))
+    wall = np.array([[0.0, -0.1, 0.0], [0.0, -0.2, 1.0], [0.0, -0.2, 0.0]])
+    corners = np.stack([wall + np.array([0.5, 0, 0]), wall - np.array([1.0, 0, 0])])
+    normals = np.tile([-1.0, 0.0, 0.0], (2, 1))
+    shown = cut.shown_from_inside(corners, normals, lambda x: np.abs(x[:, 0]) < 1)
+    assert shown.tolist() == [False, True]
+    assert not cut.shown_from_inside(corners, -normals, lambda x: np.abs(x[:, 0]) < 1).any()
+
+
+@pytest.mark.parallel([1])
+def test_pressures_are_labelled():
+    """The title of a part has its largest pressure, and the two axes have 0 at one height, also without any gap."""
+    body = gathered_scene(solve_case(load_case("hertz").with_values({"solve.h": 0.25})))
+    assert body is not None
+    for each in (body, replace(body, sites=replace(body.sites, gap=np.zeros_like(body.sites.gap)))):
+        pressure, gap = _pressure(each).axes
+        assert pressure.get_title() == f"bottom, pressure at most {body.sites.pressure.max():.4g}"
+        (low, high), (least, most) = pressure.get_ylim(), gap.get_ylim()
+        assert low / high == pytest.approx(least / most)
+        assert most >= each.sites.gap.max()
 
 
 def test_chains():

@@ -163,7 +163,7 @@ def _pressure(scene: Scene) -> Sheet:
         mine = table.part == index
         axes = sheet.panel(index, 0, aspect=4.6 / 2)
         axes.plot(table.along[mine], pressure[mine], color=style.CONTACT, label=r"pressure $-\sigma_{nn}$")
-        axes.set(xlabel=f"${scene.labels[name]}$", ylabel="pressure", title=name)
+        axes.set(xlabel=f"${scene.labels[name]}$", ylabel="pressure", title=_with_peak(name, pressure[mine]))
         other = axes.twinx()
         other.grid(False)
         other.plot(table.along[mine], table.gap[mine], color=style.FREE, label=r"gap $g - u_n$")
@@ -172,9 +172,25 @@ def _pressure(scene: Scene) -> Sheet:
             axes.plot(table.along[mine], table.shear[mine], color=style.SEGMENTS[1], label=r"shear $\sigma_t$")
             axes.set_ylabel("pressure, shear")
             _mark_states(axes, table, mine)
+        _align_zero(axes, other, table.gap[mine])
         lines |= {line.get_label(): line for line in (*axes.lines, *other.lines)}
     sheet.legend_below(list(lines.values()))
     return sheet
+
+
+def _align_zero(axes: Axes, other: Axes, values: Array) -> None:
+    """Put 0 of the second axis, which shows these values, at the height of 0 of the first one."""
+    low, high = axes.get_ylim()
+    if low < 0 < high:
+        top = 1.05 * max(values.max(initial=0.0), values.min(initial=0.0) * high / low) or 1.0
+        axes.set_ylim(low, high)
+        other.set_ylim(top * low / high, top)
+
+
+def _with_peak(part: str, pressure: Array) -> str:
+    """The title of a part: its name and its largest pressure."""
+    largest = pressure.max(initial=0.0)
+    return f"{part}, pressure at most {largest:.4g}" if largest > 0 else f"{part}, no contact"
 
 
 def without_rounding(values: Array) -> Array:

@@ -10,12 +10,13 @@ import numpy.typing as npt
 import pyvista
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize, to_rgb
 from matplotlib.patches import Patch
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.cuts import VIEWS, Cut, best_cuts, best_view, outward
 from signorini_fenicsx.output.pictures.plane import log_norm
 from signorini_fenicsx.output.pictures.rendering import cropped, offscreen, screen, triad
 from signorini_fenicsx.output.pictures.scene import Scene, creases
@@ -25,15 +26,8 @@ PIXELS = 700
 STREAMLINES = 70
 EDGES_UP_TO = 6_000
 """Edges of Γ_S are drawn up to this number of triangles; more cannot be distinguished."""
-USUAL_VIEW = np.array([1.0, -1.6, 0.9])
-VIEWS = [
-    np.array([np.cos(turn) * np.cos(up), np.sin(turn) * np.cos(up), np.sin(up)])
-    for up in np.radians([25, -25, 50, -50])
-    for turn in np.radians([-60, -30, 30, 60, 120, 150, 210, 240])
-]
-"""Possible directions of view, the usual ones first."""
-HALVES = ("half", "sigma", "certificate")
-"""Views of half of the domain."""
+HULL = "#c8c8c8"
+"""The colour of the boundary that is not in Γ_S."""
 SAME = 0.92
 """One view is enough if it shows this share of what all views show."""
 
@@ -90,30 +84,32 @@ class Space:
     @cached_property
     def views(self) -> list[Array]:
         """One direction from which Γ_S is seen, or two if one hides a part of it."""
-        if len(self.scene.facets.measure) == 0:
-            return [max(VIEWS, key=lambda view: float(view @ USUAL_VIEW))]
+        groups, directions = [group.facets for group in self.scene.groups], np.array(VIEWS)
         seen = np.array([self._seen(view) for view in VIEWS])
-        possible = seen.max(axis=0).sum()
-        preferred = 1 + 0.02 * np.array([view @ USUAL_VIEW / np.linalg.norm(USUAL_VIEW) for view in VIEWS])
-        first = int(np.argmax(seen.sum(axis=1) * preferred))
-        more = np.maximum(seen - seen[first], 0).sum(axis=1)
-        if more.max() < (1 - SAME) * possible:
+        first = best_view(seen, groups, directions)
+        more = np.maximum(seen - seen[first], 0)
+        if more.sum(axis=1).max(initial=0.0) <= (1 - SAME) * seen.max(axis=0).sum():
             return [VIEWS[first]]
-        return [VIEWS[first], VIEWS[int(np.argmax(more * preferred))]]
+        return [VIEWS[first], VIEWS[best_view(more, groups, directions)]]
+
+    @cached_property
+    def view_of_contact(self) -> Array:
+        """The first view, or another one if the first shows next to nothing of the contact set."""
+        seen = [self._seen(view)[self.scene.touching].sum() for view in self.views]
+        return self.views[0 if seen[0] >= 0.1 * max(seen) else int(np.argmax(seen))]
+
+    @cached_property
+    def cuts(self) -> list[Cut]:
+        """The two planes on which the inside is shown, the better one first."""
+        return best_cuts(self.scene, self._is_inside)
+
+    def _is_inside(self, x: Array) -> Mask:
+        """Which points are in the domain."""
+        return np.atleast_1d(self.grid.find_containing_cell(x)) >= 0 if len(x) else np.zeros(0, dtype=bool)
 
     def slices(self) -> pyvista.PolyData:
         """Three cuts through the middle, at right angles."""
         return self.grid.slice_orthogonal().combine().extract_surface(algorithm=None)
-
-    def half(self, *, whole_cells: bool = False) -> pyvista.PolyData:
-        """The surface of the half of the domain behind its middle, as seen from the best view of Γ_S."""
-        return self._behind(self.grid, crinkle=whole_cells).extract_surface(algorithm=None)
-
-    def _behind(self, data: pyvista.DataSet, **options: Any) -> pyvista.DataSet:
-        axis = int(np.argmax(np.abs(self.views[0][:2])))
-        normal = np.zeros(3)
-        normal[axis] = np.sign(self.views[0][axis])
-        return data.clip(normal, origin=self.grid.center, **options) if data.n_cells else data
 
     @cached_property
     def streamlines(self) -> pyvista.PolyData:
@@ -131,48 +127,44 @@ class Space:
         lines.points = np.asarray(lines.points, dtype=np.float64) + points[0]
         return lines
 
-    def draw_half(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """u_h on half of the domain, with contour lines."""
-        self._draw_u(sheet, axes, title, "half", self.half())
-
-    def draw_cuts(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """u_h on three cuts, with contour lines."""
-        self._draw_u(sheet, axes, title, "cuts", self.slices())
-
-    def _draw_u(self, sheet: Sheet, axes: Axes, title: str, key: str, surface: pyvista.PolyData) -> None:
+    def draw_u(self, sheet: Sheet, axes: Axes, title: str, number: int = 0) -> None:
+        """u_h on one of the cuts, with contour lines."""
         low, high = float(self.scene.u.min()), float(self.scene.u.max())
-        lines = surface.contour(self.scene.plot.levels or np.linspace(low, high, 12)[1:-1].tolist(), scalars="u")
+        section = self._section(self.cuts[number])
+        lines = section.contour(self.scene.plot.levels or np.linspace(low, high, 12)[1:-1].tolist(), scalars="u")
 
         def build(plotter: pyvista.Plotter) -> None:
-            _add_colours(plotter, surface, "u", style.U_MAP, (low, high))
+            _add_colours(plotter, section, "u", style.U_MAP, (low, high))
             if lines.n_points:
-                self._add_lines(plotter, lines, self.views[0], "white", 1.5)
+                self._add_lines(plotter, lines, self.cuts[number].view, "white", 1.5)
 
-        self._show(axes, title, key, build, self.views[0])
+        self._show_cut(axes, title, f"u{number}", build, self.cuts[number])
         _bar(sheet, axes, Normalize(low, high), style.U_MAP, self.scene.plot.u_label)
 
     def draw_sigma(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """|σ_h| on half of the domain."""
-        self._draw_strength(sheet, axes, title, "sigma", self.half())
+        """|σ_h| on the better one of the cuts."""
+        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
+        section = self._section(self.cuts[0])
+
+        def build(plotter: pyvista.Plotter) -> None:
+            _add_colours(plotter, section, "sigma_norm", style.FLUX_MAP, (low, high))
+
+        self._show_cut(axes, title, "sigma", build, self.cuts[0])
+        _bar(sheet, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
 
     def draw_outside(self, sheet: Sheet, axes: Axes, title: str, foundation: Array) -> None:
         """|σ_h| on the surface of the domain, and triangles of the foundation, shape (triangles, 3, 3)."""
         surface = self.grid.extract_surface(algorithm=None)
-        self._draw_strength(sheet, axes, title, "outside", surface, foundation)
-
-    def _draw_strength(
-        self, sheet: Sheet, axes: Axes, title: str, key: str, surface: pyvista.PolyData, foundation: Array | None = None
-    ) -> None:
         low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
 
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, surface, "sigma_norm", style.FLUX_MAP, (low, high))
-            if foundation is not None and len(foundation) > 0:
+            if len(foundation) > 0:
                 triangles = np.arange(3 * len(foundation)).reshape(-1, 3)
                 under = pyvista.PolyData.from_regular_faces(foundation.reshape(-1, 3), triangles)
                 plotter.add_mesh(under, color="grey", opacity=0.35, lighting=False)
 
-        self._show(axes, title, key, build, self.views[0])
+        self._show(axes, title, "outside", build, self.views[0])
         _bar(sheet, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
 
     def draw_streamlines(self, sheet: Sheet, axes: Axes, title: str) -> None:
@@ -190,17 +182,22 @@ class Space:
         _bar(sheet, axes, Normalize(low, high), style.STREAM_MAP, self.scene.plot.flux_label, extend)
 
     def draw_certificate(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """η_T on half of the domain, on a logarithmic scale."""
+        """η_T on the cells behind the better one of the cuts, on a logarithmic scale."""
         indicator = self.scene.fields.indicator
         assert indicator is not None
         norm = log_norm(indicator)
-        half = self.half(whole_cells=True)
+        cut = self.cuts[0]
+        half = self.grid.clip(cut.normal, origin=cut.origin, crinkle=True).extract_surface(algorithm=None)
         half.cell_data["log"] = np.log10(np.maximum(indicator, norm.vmin))[half.cell_data["cell"]]
 
         def build(plotter: pyvista.Plotter) -> None:
             _add_colours(plotter, half, "log", style.ERROR_MAP, np.log10([norm.vmin, norm.vmax]).tolist())
 
-        self._show(axes, title, "certificate", build, self.views[0])
+            rim = self.rim.clip(cut.normal, origin=cut.origin) if self.rim.n_cells else self.rim
+            if rim.n_cells:
+                self._add_lines(plotter, rim, cut.view, style.CONTACT, 4)
+
+        self._show(axes, title, "certificate", build, cut.view, rim=False)
         _bar(sheet, axes, norm, style.ERROR_MAP, r"$\eta_T$")
 
     def draw_trace(self, sheet: Sheet, axes: Axes, column: str, label: str, view: Array) -> None:
@@ -240,6 +237,40 @@ class Space:
         edge = [Patch(color=style.CONTACT, label=self.scene.edges)] if len(self.scene.free_boundary()) > 0 else []
         groups = self.scene.groups
         return [*(Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups), *edge]
+
+    def _section(self, cut: Cut) -> pyvista.PolyData:
+        """The values on a cut."""
+        return self.grid.slice(cut.normal, origin=cut.origin)
+
+    def _show_cut(self, axes: Axes, title: str, key: str, build: Callable[[pyvista.Plotter], None], cut: Cut) -> None:
+        """A cut in the shell of the domain, whose inner side is pale where it is before the cut."""
+
+        def with_shell(plotter: pyvista.Plotter) -> None:
+            build(plotter)
+            boundary, facets = self.scene.boundary, self.scene.facets
+            groups = [(group.colour, facets.vertices[group.facets]) for group in self.scene.groups]
+            for colour, vertices in [*groups, (HULL, boundary.vertices[boundary.kind != SIGNORINI])]:
+                self._add_shell(plotter, cut, colour, vertices)
+            sets = [*groups, (style.CONTACT, self.scene.free_boundary())]
+            for colour, vertices in (each for each in sets if len(each[1])):
+                edge = self._triangles(vertices).slice(cut.normal, origin=cut.origin)
+                if edge.n_cells:
+                    self._add_lines(plotter, edge, cut.view, colour, 5)
+
+        self._show(axes, title, key, with_shell, cut.view, rim=False)
+
+    def _add_shell(self, plotter: pyvista.Plotter, cut: Cut, colour: str, vertices: Indices) -> None:
+        """Triangles of the boundary behind a cut, and those before it that turn their inner side to the eye."""
+        if not len(vertices):
+            return
+        corners = self.scene.fields.points[vertices]
+        inner = cut.shown_from_inside(corners, outward(self.scene, vertices), self._is_inside)
+        parts = [(vertices, True, colour), (vertices[inner], False, _pale(colour))]
+        for triangles, is_behind, shown_in in parts:
+            if len(triangles):
+                clipped = self._triangles(triangles).clip(cut.normal, origin=cut.origin, invert=is_behind)
+                if clipped.n_cells:
+                    plotter.add_mesh(clipped, color=shown_in, ambient=0.6, diffuse=0.45, specular=0.0)
 
     def _triangles(self, vertices: Indices) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
@@ -283,10 +314,19 @@ class Space:
         visible = depth > nearest[where.ravel()] - 3 * size
         return scene.facets.measure * visible * np.minimum(slant, 0.35)
 
-    def _show(self, axes: Axes, title: str, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> None:
+    def _show(
+        self,
+        axes: Axes,
+        title: str,
+        key: str,
+        build: Callable[[pyvista.Plotter], None],
+        view: Array,
+        *,
+        rim: bool = True,
+    ) -> None:
         """Render into axes, with the edges of the domain and the coordinate directions; each image is rendered once."""
         if (key, tuple(view)) not in self.rendered:
-            self.rendered[key, tuple(view)] = self._render(key, build, view)
+            self.rendered[key, tuple(view)] = self._render(build, view, rim=rim)
         image = self.rendered[key, tuple(view)]
         height, width = image.shape[:2]
         axes.imshow(image, interpolation="antialiased")
@@ -295,15 +335,14 @@ class Space:
         axes.set_title(title)
         triad(axes, view)
 
-    def _render(self, key: str, build: Callable[[pyvista.Plotter], None], view: Array) -> npt.NDArray[np.uint8]:
+    def _render(self, build: Callable[[pyvista.Plotter], None], view: Array, *, rim: bool) -> npt.NDArray[np.uint8]:
         with offscreen():
             plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
             plotter.suppress_rendering = True  # otherwise each of the following calls renders
             plotter.set_background("white")
             build(plotter)
-            rim = self._behind(self.rim) if key in HALVES else self.rim
-            for lines, color, width in ((self.frame, "black", 1.5), (rim, style.CONTACT, 4)):
-                if lines.n_cells:
+            for lines, color, width in ((self.frame, "black", 1.5), (self.rim, style.CONTACT, 4)):
+                if lines.n_cells and (rim or lines is self.frame):
                     self._add_lines(plotter, lines, view, color, width)
             plotter.enable_parallel_projection()
             plotter.view_vector(view, (0, 0, 1))
@@ -318,6 +357,11 @@ def _lines(points: Array, edges: Indices) -> pyvista.PolyData:
     if not len(edges):
         return pyvista.PolyData()
     return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
+
+
+def _pale(colour: str) -> tuple[float, ...]:
+    """A colour, mixed with white."""
+    return tuple((1 + part) / 2 for part in to_rgb(colour))
 
 
 def _add_colours(

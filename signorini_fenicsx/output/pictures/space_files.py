@@ -20,12 +20,12 @@ def draw_files(folder: Path, scene: Scene) -> None:
     """Draw `overview.png`, `u.png`, `sigma.png`, `signorini.png`, `iterations.png` and `certificate.png`."""
     space = Space(scene)
     sheet, (left, right) = _row(2)
-    space.draw_half(sheet, left, f"(a) {space.scene.plot.u_label} on half of the domain")
-    space.draw_cuts(sheet, right, f"(b) {space.scene.plot.u_label} on cuts through the middle")
+    space.draw_u(sheet, left, f"(a) {space.scene.plot.u_label} on a cut")
+    space.draw_u(sheet, right, f"(b) {space.scene.plot.u_label} on a cut across (a)", number=1)
     _finish(sheet, space, folder / "u.png")
 
     sheet, (left, right) = _row(2)
-    space.draw_sigma(sheet, left, r"(a) $|\sigma_h|$ on half of the domain")
+    space.draw_sigma(sheet, left, rf"(a) {space.scene.strength} on a cut")
     space.draw_streamlines(sheet, right, f"(b) streamlines of {space.scene.plot.flux_name}")
     _finish(sheet, space, folder / "sigma.png")
 
@@ -51,8 +51,8 @@ def deformed(moved: Scene, foundation: Array, title: str) -> Sheet:
     sheet, (left, right) = _row(2, title)
     beside = " on its foundation" if len(foundation) else ""  # bodies that touch each other alone have none
     after.draw_outside(sheet, left, f"(a) deformed body{beside}", foundation)
-    after.draw_sigma(sheet, right, "(b) half of it")
-    sheet.legend_below([])
+    after.draw_sigma(sheet, right, "(b) on a cut")
+    sheet.legend_below(after.handles())
     return sheet
 
 
@@ -75,7 +75,7 @@ def draw_field_file(path: Path, scene: Scene) -> None:
 
 def _draw_half(path: Path, space: Space, title: str) -> None:
     sheet, (axes,) = _row(1)
-    space.draw_certificate(sheet, axes, f"{title}, half of the domain")
+    space.draw_certificate(sheet, axes, f"{title}, behind a cut")
     sheet.legend_below([])
     sheet.save(path)
 
@@ -121,17 +121,17 @@ def _overview(space: Space) -> Sheet:
         sheet.view(1, 0),
         sheet.view(1, 1),
     ]
-    space.draw_half(sheet, panels[0], f"(a) {space.scene.plot.u_label} on half of the domain")
+    space.draw_u(sheet, panels[0], f"(a) {space.scene.plot.u_label} on a cut")
     space.draw_streamlines(sheet, panels[1], f"(b) streamlines of {space.scene.plot.flux_name}")
     if scene.fields.indicator is None:
-        space.draw_sigma(sheet, panels[2], r"(c) $|\sigma_h|$ on half of the domain")
+        space.draw_sigma(sheet, panels[2], rf"(c) {scene.strength} on a cut")
     else:
         space.draw_certificate(sheet, panels[2], r"(c) error contributions $\eta_T$")
     if scene.labels:
         space.draw_trace(sheet, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
-        space.draw_trace(sheet, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.views[-1])
+        space.draw_trace(sheet, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.view_of_contact)
     else:
-        space.draw_cuts(sheet, panels[3], f"(d) {space.scene.plot.u_label} on cuts through the middle")
+        space.draw_u(sheet, panels[3], f"(d) {space.scene.plot.u_label} on a cut across (a)", number=1)
         space.draw_contact(panels[4], f"(e) {scene.edges}", space.views[0])
     handles = space.handles()
     if moves(scene.history):
