@@ -289,6 +289,12 @@ def test_rough_steps_are_hollow():
     assert not moves([Step(1, 3, 2, 0, 0, 0, 0.0, 0.0, 5, 0.1)])
 
 
+def test_an_axis_of_one_step_has_whole_numbers():
+    axes = Figure().add_subplot()
+    draw_steps(axes, [Step(1, 3, 2, 0, 0, 0, 0.1, 0.2, 5, 0.1)], "one step")
+    assert axes.get_xticks().tolist() == [0]
+
+
 def test_only_a_guaranteed_bound_is_called_certified():
     """Captions of pictures, those of `solution.html` among them, say "not guaranteed" where the certificate does."""
     solution = solve_case(load_case("example1").with_values({"solve.h": 1 / 4}))

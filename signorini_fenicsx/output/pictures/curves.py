@@ -55,7 +55,7 @@ def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
         (curve,) = axes.semilogy(n[positive], values[positive], **look)
         hollow = positive & (rough > 0)
         axes.plot(n[hollow], values[hollow], marker, color=curve.get_color(), markerfacecolor="white", markersize=4)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 @mpl.rc_context(style.STYLE)

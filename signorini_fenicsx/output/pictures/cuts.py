@@ -17,6 +17,8 @@ VIEWS = [
 """Possible directions of view, the usual ones first."""
 SLANTED = 0.6, 0.8
 """The cosine between the view of a cut and its normal: the surface beside the cut is seen too."""
+MARGIN = 0.1
+"""No cut is nearer to an end of the domain than this share of its size."""
 KEPT = 0.3
 """Not less of the domain than this, along the normal of a cut, stays behind it."""
 
@@ -68,8 +70,9 @@ class Cut:
 def best_cuts(scene: Scene, is_inside: Inside) -> list[Cut]:
     """Cuts along two coordinate planes, first along the one that the free boundary crosses most.
 
-    The free boundary is where facets of Γ_S in different states meet, or cells in different states of laws in Ω. A cut
-    has half of it on each side, so that it shows both states. It is seen from where most of each of them is visible.
+    The free boundary is where facets of Γ_S in different states meet, or cells in different states of laws in Ω. The
+    first cut has half of it on each side, so that it shows both states; the second one has half of the contact set on
+    each side. Both are seen from where most of each state is visible.
 
     Args:
         scene: A solution in space.
@@ -80,18 +83,23 @@ def best_cuts(scene: Scene, is_inside: Inside) -> list[Cut]:
     ends = points[_free_edges(scene)]
     steps, middles = np.abs(ends[:, 1] - ends[:, 0]), ends.mean(axis=1)
     crossings = steps.sum(axis=0) / (high - low)
-    axes = sorted(range(3), key=lambda axis: (-round(crossings[axis], 6), (1, 0, 2)[axis]))[:2]
-    origins = [_median(middles[:, axis], steps[:, axis], low, high, axis) for axis in axes]
+    axes = sorted(range(3), key=lambda axis: (-round(float(crossings[axis]), 6), (1, 0, 2)[axis]))[:2]
+    facets, held = scene.facets, scene.touching
+    places = (middles, steps), (facets.x[held], np.repeat(facets.measure[held, None], 3, axis=1))
+    origins = [
+        _median(x[:, axis], weights[:, axis], low, high, axis) for axis, (x, weights) in zip(axes, places, strict=True)
+    ]
     return [_seen_best(scene, axis, origin, is_inside) for axis, origin in zip(axes, origins, strict=True)]
 
 
 def _median(places: Array, weights: Array, low: Array, high: Array, axis: int) -> Array:
-    """The middle of the domain, moved along an axis to the weighted median of places."""
+    """The middle of the domain, moved along an axis to the weighted median of places, but not near the ends."""
     origin = (low + high) / 2
     if weights.sum() > 0:
         order = np.argsort(places)
         total = np.cumsum(weights[order])
-        origin[axis] = places[order][np.searchsorted(total, total[-1] / 2)]
+        share = (places[order][np.searchsorted(total, total[-1] / 2)] - low[axis]) / (high - low)[axis]
+        origin[axis] = low[axis] + np.clip(share, MARGIN, 1 - MARGIN) * (high - low)[axis]
     return origin
 
 

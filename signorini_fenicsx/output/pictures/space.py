@@ -23,6 +23,8 @@ from signorini_fenicsx.output.pictures.scene import Scene, creases
 from signorini_fenicsx.output.pictures.sheet import Sheet
 
 PIXELS = 700
+WITHIN = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [3, 0, 3], [0, 3, 3]]) / 6
+"""Barycentric coordinates of points of a triangle, which decide whether it is seen."""
 STREAMLINES = 70
 EDGES_UP_TO = 6_000
 """Edges of Γ_S are drawn up to this number of triangles; more cannot be distinguished."""
@@ -94,9 +96,9 @@ class Space:
 
     @cached_property
     def view_of_contact(self) -> Array:
-        """The first view, or another one if the first shows next to nothing of the contact set."""
+        """The first view, or another one if that shows much more of the contact set."""
         seen = [self._seen(view)[self.scene.touching].sum() for view in self.views]
-        return self.views[0 if seen[0] >= 0.1 * max(seen) else int(np.argmax(seen))]
+        return self.views[0 if seen[0] >= 0.5 * max(seen) else int(np.argmax(seen))]
 
     @cached_property
     def cuts(self) -> list[Cut]:
@@ -305,13 +307,14 @@ class Space:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         slant = np.abs(normals @ view) / np.linalg.norm(normals, axis=1)
         across, up = screen(view)
-        depth = scene.facets.x @ view
-        size = 1.5 * np.sqrt(scene.facets.measure.max())
-        pixel = np.floor(scene.facets.x @ np.column_stack([across, up]) / size).astype(np.int64)
-        _, where = np.unique(pixel, axis=0, return_inverse=True)
+        places = np.einsum("pc,fcx->fpx", WITHIN, corners)
+        depth, size = places @ view, 0.6 * np.sqrt(scene.facets.measure.max())
+        pixel = np.floor(places @ np.column_stack([across, up]) / size).astype(np.int64)
+        _, where = np.unique(pixel.reshape(-1, 2), axis=0, return_inverse=True)
         nearest = np.full(where.max() + 1, -np.inf)
-        np.maximum.at(nearest, where.ravel(), depth)
-        visible = depth > nearest[where.ravel()] - 3 * size
+        np.maximum.at(nearest, where.ravel(), depth.ravel())
+        room = size * (0.5 + np.minimum(np.sqrt(1 - np.minimum(slant, 1) ** 2) / np.maximum(slant, 1e-9), 3))
+        visible = np.mean(depth > nearest[where].reshape(depth.shape) - room[:, None], axis=1)
         return scene.facets.measure * visible * np.minimum(slant, 0.35)
 
     def _show(
