@@ -1,12 +1,18 @@
 """Bodies that touch against numbers of others: Hertz, Cattaneo and Mindlin, a plate of Code_Aster, cracks in rock."""
 
+import dolfinx.mesh
 import numpy as np
 import pytest
+from mpi4py import MPI
 from plate_values import values
 
-from signorini_fenicsx import evolve_case, load_case, solve_case
+from signorini_fenicsx import Coulomb, Elasticity, evolve_case, load_case, solve, solve_case
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.problem import Contact
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import linear_from_means
 
 RADIUS, YOUNG, MU = 8.0, 200.0, 0.3
 
@@ -74,6 +80,25 @@ def test_a_plate_of_code_aster():
     u = solution.at(np.array([[x, 0.0] for x in (*PLATE, 11.25e-3)])).u[:, 0]
     np.testing.assert_allclose(u[:-1], list(PLATE.values()), rtol=5e-3)
     assert u[-1] == pytest.approx(1.541e-5, rel=5e-3)
+
+
+def test_the_plate_in_space():
+    """A slab of the plate between planes that hold it in plane strain has u_x of the plane, and no other slip."""
+    n, side = 12, 0.04
+    mesh = dolfinx.mesh.create_box(MPI.COMM_SELF, [[0.0, 0.0, 0.0], [side, side, side / n]], [n, n, 1])
+    ends = {"left": (0, 0.0), "right": (0, side), "bottom": (1, 0.0), "top": (1, side), "back": (2, 0.0)}
+    ends["front"] = (2, side / n)
+    parts = {name: lambda x, i=i, end=end: np.isclose(x[i], end) for name, (i, end) in ends.items()}
+    held = [Dirichlet("right", 0, components="x"), Dirichlet(["front", "back"], 0, components="z")]
+    loads = [Neumann("top", [0.0, -5e7, 0.0]), Neumann("left", [15e7, 0.0, 0.0])]
+    rubs = Contact("bottom", friction=Coulomb(1.0))
+    solution = solve(domain_of(mesh, parts), Elasticity(1.3e11, 0.2, conditions=[*held, *loads, rubs]))
+    x, slip = solution.spaces.contact.vertices[:, :, 0].ravel(), linear_from_means(solution.slip_vectors)
+    places, number = np.unique(np.round(x / side * n).astype(int), return_inverse=True)
+    u = np.bincount(number, slip[:, :, 0].ravel()) / np.bincount(number)
+    found = np.interp([*PLATE, 11.25e-3], places * side / n, u)
+    np.testing.assert_allclose(found, [*list(PLATE.values()), 1.541e-5], rtol=7e-3)
+    assert np.abs(slip[:, :, 2]).max() < 0.01 * u.max()
 
 
 def test_bounds_of_published_values(capsys: pytest.CaptureFixture[str]):
