@@ -44,6 +44,7 @@ def test_examples_are_shipped():
             "edge",
             "electropainting",
             "hertz",
+            "joint",
             "lprism",
             "plate",
             "rock",

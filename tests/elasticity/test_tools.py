@@ -10,7 +10,20 @@ from commands import signorini
 from elastic import box
 from mpi4py import MPI
 
-from signorini_fenicsx import Coulomb, Elasticity, Evolution, InputError, certify, compare, evolve, load_solution, solve
+from signorini_fenicsx import (
+    Coulomb,
+    Elasticity,
+    Evolution,
+    InputError,
+    NumericalFailure,
+    certify,
+    compare,
+    evolve,
+    load_case,
+    load_solution,
+    solve,
+    solve_case,
+)
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Wall
 from signorini_fenicsx.physics.elasticity.problem import Contact
 from signorini_fenicsx.quantities.kinds import Integral
@@ -153,6 +166,20 @@ def test_case_file(tmp_path: Path):
         (tmp_path / f"{number}.toml").write_text(CASE.replace(*change), encoding="utf-8")
         done = signorini(tmp_path, "solve", f"{number}.toml", "--output", f"out{number}")
         assert (done.returncode, message in done.stderr) == (2, True), done.stderr
+
+
+def test_bolted_joint():
+    """The shipped joint: two tools with opposite forces press plates together; they carry a pull, at most μP."""
+    case = load_case("joint")
+    solution = solve_case(case)
+    forces = solution.resultants()
+    assert forces["joint"][0] == pytest.approx(600)
+    assert [forces[part][2] for part in ("washer", "head", "joint")] == pytest.approx([-4000, 4000, 4000])
+    moved = {tool: about["displacement"]["z"] for tool, about in solution.quantities()["tools"].items()}
+    assert moved["washer"] < 0 < moved["head"]
+    assert min(state["vertices"] for state in solution.friction_states().values()) > 0
+    with pytest.raises(NumericalFailure, match="the loads do the work 840, and friction .* takes at most 800"):
+        solve_case(case.with_values({"problem.g_N": {"pulled": [-14, 0, 0]}}))
 
 
 def test_refusals():

@@ -406,7 +406,8 @@ class ElasticSolution(Solved):
 
     def _particular(self) -> dict[str, Any]:
         in_laws = np.isin(self.spaces.contact.facets, self._facets_with_laws())
-        means = self.data.lift[self.spaces.sites].reshape(self.touching.shape)  # of g
+        given = self.data.lift[self.spaces.sites] - self.data.moved[: len(self.spaces.sites)]
+        means = given.reshape(self.touching.shape)  # of g, before tools move
         own = means[~in_laws].min(initial=np.inf)
         least = min(self.spaces.mesh.comm.allgather(float(own)))
         found = {"resultants": self.resultants(), "quantities": self.quantities()}
