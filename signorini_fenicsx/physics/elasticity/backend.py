@@ -190,10 +190,12 @@ class ElasticBackend:
         return bends.ravel()
 
     def _loose(self, contact: Mask) -> bool:
-        """Whether these sites leave a rigid motion free (collective)."""
+        """Whether these sites, and those whose slip would turn, leave a rigid motion free (collective)."""
         if self._motions.shape[1] == 0:
             return False
-        rows = self._motions[contact]
+        rows = np.where(contact[:, None], self._motions, 0.0)
+        if self.friction is not None and self._turns:
+            rows[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
         return bool(np.linalg.eigvalsh(self.comm.allreduce(rows.T @ rows))[0] <= HELD)
 
     def _solve(self, conditions: SiteConditions) -> None:

@@ -108,6 +108,16 @@ class FrictionBounds:
         found: Array = slope[:, :, None, None] * (np.eye(2) - self.turning * s[:, :, :, None] * s[:, :, None])
         return found
 
+    def held_across(self, moves: Array) -> Array:
+        """What of motions of the sites in space the linear law resists where vertices slip, shape (sites, motions)."""
+        assert self.slipping is not None
+        s = self.slipping.direction
+        at = np.where(
+            (s.any(axis=2) & (self.bound > 0))[:, :, None, None], moves.reshape(*s.shape, moves.shape[1]), 0.0
+        )
+        found: Array = at - self.turning * s[:, :, :, None] * np.einsum("nak,nakm->nam", s, at)[:, :, None]
+        return found.reshape(moves.shape)
+
     def directions(self, segments: Indices) -> Array:
         """σ_t at the sites for each unit of the bound, 0 where nothing slips.
 
