@@ -251,13 +251,11 @@ class ElasticBackend:
 
     def _given_forces(self, conditions: SiteConditions, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of the opening."""
-        free = conditions.kind == Condition.NO_FLUX
+        free, normal = conditions.kind == Condition.NO_FLUX, len(self.spaces.sites)
         flux = np.where(free, conditions.value, 0.0)
         if self._springs is not None:
-            normal = len(self.spaces.sites)
             flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
         if self._turns:
-            normal = len(self.spaces.sites)
             flux[normal:] -= self.turned(np.broadcast_to(p, self.sites)[normal:])
         return np.asarray(self._signs * self._measure * flux)
 
