@@ -9,6 +9,7 @@ import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
@@ -50,7 +51,7 @@ def other_side(name: str) -> str:
     return f"{name} (other side)"
 
 
-API = ("box", "cells", "facets", "h", "mesh", "name", "origin", "parts", "regions")
+API = ("box", "cells", "facets", "h", "mesh", "name", "origin", "parts", "regions", "transferred")
 """What a notebook offers of a domain."""
 
 
@@ -73,6 +74,7 @@ class Domain:
         made: How the mesh was made, in words.
         coarser: The mesh of which this one is a uniform refinement, with all cells on the rank of their parents, if
             there is one.
+        given: The mesh that was given to `domain_of`, if this one is its copy without ghost cells.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -85,6 +87,7 @@ class Domain:
     is_shape: bool = False
     made: str = "given"
     coarser: "Domain | None" = None
+    given: dolfinx.mesh.Mesh | None = None
 
     def __post_init__(self) -> None:
         """Refuse a mesh far from 0 whose cells are too small for its coordinates (collective).
@@ -126,6 +129,29 @@ class Domain:
         found = self.coarser
         while found is not None and found.h < 0.75 * factor * self.h:
             found = found.coarser
+        return found
+
+    @collector_off()
+    def transferred(self, function: fem.Function) -> fem.Function:
+        """A function on the mesh that was given to `domain_of` from one on `mesh`, or the other way (collective).
+
+        It is the function itself where both are one mesh.
+
+        Raises:
+            InputError: If it is on neither of them, as an elastic stress is, which has a mesh of subcells.
+        """
+        mesh = function.function_space.mesh
+        if mesh is not self.mesh and (self.given is None or mesh is not self.given):
+            raise InputError(f"{function.name}: is on another mesh than {self.name}; take its values at points")
+        if self.given is None:
+            return function
+        cells = self.mesh.topology.original_cell_index - self.given.topology.index_map(mesh.topology.dim).local_range[0]
+        pair = np.arange(len(cells), dtype=np.int32), cells.astype(np.int32)  # of this mesh, of the given one
+        from_here = mesh is self.mesh
+        target, sources, targets = (self.given, *pair) if from_here else (self.mesh, *reversed(pair))
+        found = fem.Function(fenicsx.function_space(target, function.function_space.ufl_element()), name=function.name)
+        found.interpolate(function, cells0=sources, cells1=targets)
+        found.x.scatter_forward()
         return found
 
     @collector_off()

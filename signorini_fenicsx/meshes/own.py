@@ -49,9 +49,9 @@ def domain_of(
     `domain.mesh`.
 
     Args:
-        mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, the domain gets a new mesh: the same
-            cells on the same ranks without the ghosts. Then UFL data must be written on `domain.mesh`, whose cell c is
-            cell `original_cell_index[c]` of the given mesh, numbered over all ranks.
+        mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, as on several ranks by default, the
+            domain gets a new mesh: the same cells on the same ranks without the ghosts. Then UFL data must be written
+            on `domain.mesh`, and `domain.transferred` makes functions on one mesh from those on the other.
         parts: Facets of the boundary, or inside, for each name of a part, with or without ghosts; the same names on all
             ranks.
         regions: Cells for each name of a region, for κ by region.
@@ -93,7 +93,9 @@ def domain_of(
 
         on_root(mesh.comm, open_them)
         return handed_out(mesh.comm, cut[0] if cut else None, name)
+    given = None
     if mesh.comm.allreduce(topology.index_map(dim).num_ghosts > 0, MPI.LOR):
+        given = mesh
         mesh, facets, cells = _without_ghosts(mesh, facets, cells)
     else:
         owned = topology.index_map(dim - 1).size_local  # ghost facets are owned by another rank
@@ -101,7 +103,7 @@ def domain_of(
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
     box = bounding_box(mesh.geometry.x, mesh.comm)
     curvature = OWN_CURVATURE / float((box[1] - box[0]).max())
-    return Domain(mesh, largest_diameter(mesh), labels, facets, cells, curvature, name)
+    return Domain(mesh, largest_diameter(mesh), labels, facets, cells, curvature, name, given=given)
 
 
 def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen, *, inside: bool = False) -> Entities:
