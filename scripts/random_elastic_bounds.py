@@ -112,7 +112,7 @@ def two_bodies(rng: np.random.Generator, dim: int) -> Domain:
     walls |= {"front": (1, 0.0), "back": (1, 1.0)} if dim == 3 else {}
     parts = {name: lambda x, axis=axis, at=at: np.isclose(before(x)[axis], at) for name, (axis, at) in walls.items()}
     regions = {"upper": lambda x: before(x)[last] > -1e-9, "lower": lambda x: before(x)[last] < 1e-9}
-    return domain_of(mesh, parts, regions, inner=["fault"], sides={"fault": "upper"})
+    return domain_of(mesh, parts, regions, inner=["fault"])
 
 
 def problem_of_bodies(rng: np.random.Generator, dim: int) -> Elasticity:

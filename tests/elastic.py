@@ -122,4 +122,4 @@ def two_boxes(comm: MPI.Comm, n: int, dim: int) -> Domain:
     walls |= {"front": (1, 0.0), "back": (1, 1.0)} if dim == 3 else {}
     parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
     regions = {"upper": lambda x: x[last] > -1e-9, "lower": lambda x: x[last] < 1e-9}
-    return domain_of(make(comm, [low, high], [n] * dim), parts, regions, inner=["fault"], sides={"fault": "upper"})
+    return domain_of(make(comm, [low, high], [n] * dim), parts, regions, inner=["fault"])

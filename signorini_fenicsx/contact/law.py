@@ -68,13 +68,16 @@ class Graph:
 
 @dataclass(frozen=True)
 class OnParts:
-    """What holds on some parts of the boundary.
+    """What holds on some parts of the boundary, or of those inside the domain.
 
     Attributes:
         parts: Name of a part, or a list of names.
+        side: Of parts inside the domain the named side, out of which n points: a region, or a direction that points to
+            it; None for that of the domain.
     """
 
     parts: Sequence[str]
+    side: str | Sequence[float] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Make a list of one name."""
@@ -101,7 +104,7 @@ class Placed(type):
 
 @dataclass(frozen=True)
 class Law(OnParts, metaclass=Placed):
-    """A law on some parts of the boundary, or in some regions of Ω. Its fields but `parts` and `region` are data.
+    """A law on parts of the boundary, or in regions of Ω. Its fields but `parts`, `side` and `region` are data.
 
     Attributes:
         parts: Name of a part, or a list of names.
@@ -165,4 +168,4 @@ class Law(OnParts, metaclass=Placed):
 
 def names_of_data(law: type[Law]) -> list[str]:
     """The names of the data of a kind of law."""
-    return [datum.name for datum in fields(law) if datum.name not in ("parts", "region")]
+    return [datum.name for datum in fields(law) if datum.name not in ("parts", "region", "side")]

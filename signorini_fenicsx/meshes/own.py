@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
-from signorini_fenicsx.meshes.cut import Side, opened
+from signorini_fenicsx.meshes.cut import opened
 from signorini_fenicsx.meshes.domain import (
     AXES,
     Domain,
@@ -40,7 +40,6 @@ def domain_of(
     name: str = "mesh",
     *,
     inner: Sequence[str] = (),
-    sides: Mapping[str, Side] | None = None,
 ) -> Domain:
     """A mesh with its parts, in the form that the solver needs (collective).
 
@@ -56,13 +55,12 @@ def domain_of(
             ranks.
         regions: Cells for each name of a region, for κ by region.
         name: Name of the domain.
-        inner: Names of the parts inside the domain.
-        sides: For parts inside the domain the named side, out of which n points: a region, or a direction that points
-            to it. Without one it is where the last coordinate is larger.
+        inner: Names of the parts inside the domain. The named side of each, out of which n points, is where the last
+            coordinate is larger, if its condition has no `side`.
 
     Raises:
         InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function; if
-            a side is not clear, or of a part that is not inside.
+            facets of `inner` are along the last coordinate axis.
     """
     check_kind("mesh", mesh, dolfinx.mesh.Mesh)
     check_kind("parts", parts, Mapping, hint='; an example is {"bottom": facets}')
@@ -81,15 +79,12 @@ def domain_of(
         for part, chosen in parts.items()
     }
     cells = {region: _entities(mesh, dim, f"regions['{region}']", chosen) for region, chosen in (regions or {}).items()}
-    others = [part for part in sides or {} if part not in inner]
-    if others:
-        raise InputError(f"sides: '{others[0]}' is not a part inside the domain")
     if inner:
         whole, cut = _gathered(mesh, facets, cells), list[FileMesh]()
 
         def open_them() -> None:
             assert whole is not None
-            cut.append(opened(whole, inner, sides or {}))
+            cut.append(opened(whole, inner, {}))
 
         on_root(mesh.comm, open_them)
         return handed_out(mesh.comm, cut[0] if cut else None, name)

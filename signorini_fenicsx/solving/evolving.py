@@ -13,7 +13,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.evolution import Evolution, Past, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
-from signorini_fenicsx.solving.system import sorted_on
+from signorini_fenicsx.solving.system import sorted_on, with_sides
 
 COLLECT = 50
 """Python's garbage is collected after so many steps; a step makes some hundred kilobytes."""
@@ -89,8 +89,9 @@ def evolve(
     """
     options = Options.of(options)
     check_kind("evolution", evolution, Evolution)
-    boundary, sorted_problem = sorted_on(place.spaces.domain if isinstance(place, Solver) else place, problem)
-    solver = place if isinstance(place, Solver) else Solver(place, (boundary, sorted_problem))
+    domain = place.spaces.domain if isinstance(place, Solver) else with_sides(place, problem)
+    boundary, sorted_problem = sorted_on(domain, problem)
+    solver: Solver = place if isinstance(place, Solver) else Solver(domain, (boundary, sorted_problem))
     comm = solver.spaces.mesh.comm
     steps: Steps = solver.steps(sorted_problem, evolution, start)
     known = Past(0, [], None if start is None else start.segments()) if past is None else past(steps)

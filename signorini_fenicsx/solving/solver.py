@@ -12,7 +12,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.evolution import Evolution, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.system import Posed, Remesh, Wish, sorted_on, system_on
+from signorini_fenicsx.solving.system import Posed, Remesh, Wish, sorted_on, system_on, with_sides
 
 
 class Solver[S: Solved]:
@@ -43,6 +43,7 @@ class Solver[S: Solved]:
             InputError: If a part is unknown, empty or not on the boundary.
         """
         check_kind("domain", domain, Domain)
+        domain = with_sides(domain, problem)
         self._system = system_on(domain, *sorted_on(domain, problem))
 
     @property
@@ -83,6 +84,8 @@ class Solver[S: Solved]:
         system, comm = self._system, self.spaces.mesh.comm
         with wish.watch.phase("assembly"):
             boundary, data = sorted_on(self.spaces.domain, problem, system.boundary)
+            if with_sides(self.spaces.domain, problem) is not self.spaces.domain:
+                raise InputError("side: is another one than that which the solver was set up for")
             if not isinstance(boundary, type(system.boundary)):
                 raise InputError("problem: is of another physics than that which the solver was set up for")
             if isinstance(start, Solved) and not isinstance(start.boundary, type(system.boundary)):
@@ -137,6 +140,7 @@ def solve[S: Solved](
     watch = watch or Stopwatch()
     with watch.phase("assembly"):
         check_kind("domain", domain, Domain)
+        domain = with_sides(domain, problem)
         problem = sorted_on(domain, problem)
         solver: Solver[S] = Solver(domain, problem)
     return solver.solve(

@@ -14,6 +14,7 @@ from signorini_fenicsx.contact.history import OnStep, Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.named_sides import oriented
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.solving.evolution import Evolution, Steps
 from signorini_fenicsx.solving.kept import Keeping
@@ -135,6 +136,16 @@ def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
         raise InputError(f"problem: must be one of {_problems()}, not {type(boundary).__name__}")
     system: System = import_module(f"{PHYSICS[name]}.solving").System(domain, boundary, problem)
     return system
+
+
+def with_sides(domain: Domain, problem: Any) -> Domain:
+    """The domain with the sides of parts inside it that the conditions of a problem name (collective).
+
+    Raises:
+        InputError: If a part is not inside the domain, or a side is not clear.
+    """
+    conditions = getattr(problem, "conditions", ())
+    return oriented(domain, {part: each.side for each in conditions if each.side is not None for part in each.parts})
 
 
 def _problems() -> str:

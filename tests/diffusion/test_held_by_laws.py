@@ -64,7 +64,7 @@ def blocks(comm: MPI.Comm) -> Domain:
     mesh = dolfinx.mesh.create_rectangle(comm, [[0.0, -0.5], [1.0, 0.5]], [4, 4])
     walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, -0.5), "top": (1, 0.5), "fault": (1, 0.0)}
     parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
-    return domain_of(mesh, parts, inner=["fault"], sides={"fault": [0, 1]})
+    return domain_of(mesh, parts, inner=["fault"])
 
 
 @pytest.mark.parallel([1, 3])

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import dolfinx.mesh
@@ -19,7 +20,11 @@ from signorini_fenicsx import (
     Elasticity,
     Friction,
     Neumann,
+    Signorini,
+    Solution,
+    Solver,
     Tresca,
+    TwoSided,
     domain_of,
     load_case,
     load_solution,
@@ -147,13 +152,13 @@ def from_python(comm: MPI.Comm) -> Domain:
     walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, -0.5), "top": (1, 0.5), "fault": (1, 0.0)}
     parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in walls.items()}
     regions = {"upper": lambda x: x[1] > -1e-9, "lower": lambda x: x[1] < 1e-9}
-    return domain_of(mesh, parts, regions, inner=["fault"], sides={"fault": "upper"})
+    return domain_of(mesh, parts, regions, inner=["fault"])
 
 
 @pytest.mark.parallel([1, 2])
 def test_bodies_from_python():
     """A mesh of DOLFINx, with ghosts on several ranks, is cut along a part inside; both physics have laws there."""
-    apart = Contact("fault", gap="0.2*(x - 0.5)^2", friction=Tresca(0.005))
+    apart = Contact("fault", gap="0.2*(x - 0.5)^2", friction=Tresca(0.005), side="upper")
     held = [Dirichlet("top", ["0.02", "-0.04"]), Dirichlet("bottom", 0), Neumann(["left", "right"])]
     body = Elasticity(young={"upper": 1.0, "lower": 2.0}, poisson=0.3, conditions=[apart, *held])
     compare_with(solve(from_python(COMM), body), solve(from_python(MPI.COMM_SELF), body))
@@ -167,14 +172,40 @@ def test_wrong_sides_from_python():
     """A side is told of parts inside the domain only, and must be clear."""
     mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 4, 4)
     parts = {"bottom": lambda x: np.isclose(x[1], 0), "fault": lambda x: np.isclose(x[1], 0.5)}
-    with pytest.raises(InputError, match="sides: 'bottom' is not a part inside the domain"):
-        domain_of(mesh, parts, inner=["fault"], sides={"bottom": (0, 1)})
     with pytest.raises(InputError, match="part 'bottom' has 4 facets that are not between two cells"):
         domain_of(mesh, parts, inner=["bottom"])
     with pytest.raises(InputError, match="unknown part 'slit'"):
         domain_of(mesh, parts, inner=["slit"])
-    with pytest.raises(InputError, match="unknown region 'upper'"):
-        domain_of(mesh, parts, inner=["fault"], sides={"fault": "upper"})
+    domain = domain_of(mesh, parts, inner=["fault"])
+    solver = Solver(domain, Diffusion(1.0, conditions=[Signorini("fault")]))
+    for condition, message in (
+        (Signorini("bottom", side=(0, 1)), "side: 'bottom' is not a part inside the domain"),
+        (Signorini("fault", side="upper"), "side of 'fault': unknown region 'upper'"),
+        (Signorini("fault", side=(1, 0)), "side of 'fault': 4 facets may be on both sides, parallel to the direction"),
+        (Signorini("fault", side=(0, 0)), "side of 'fault': must be a region, or a direction of 2 numbers"),
+    ):
+        with pytest.raises(InputError, match=message):
+            solve(domain, Diffusion(1.0, conditions=[condition]))
+    with pytest.raises(InputError, match="side: is another one"):
+        solver.solve(Diffusion(1.0, conditions=[Signorini("fault", side=(0, -1))]))
+
+
+@pytest.mark.parallel([1, 2])
+def test_sides_of_conditions():
+    """From the other side a law with two signs is its mirror; a region and a direction name the same side."""
+    domain = from_python(COMM)
+    rest = [Dirichlet("top", "0.1*x"), Neumann(["left", "right"])]
+
+    def with_law(psi: float, upper: float, side: Any) -> Solution:
+        law = TwoSided("fault", psi=psi, psi_upper=upper, side=side)
+        return solve(domain, Diffusion("3*(x - 0.4)", kappa={"upper": 1, "lower": 2}, conditions=[law, *rest]))
+
+    plain, mirrored = with_law(-0.01, 0.03, None), with_law(-0.03, 0.01, "lower")
+    assert mirrored.u.x.array == pytest.approx(plain.u.x.array, abs=1e-12)
+    assert with_law(-0.03, 0.01, (0.2, -1)).u.x.array == pytest.approx(plain.u.x.array, abs=1e-12)
+    assert with_law(-0.01, 0.03, "upper").spaces.domain is domain
+    assert COMM.allreduce(np.abs(with_law(-0.03, 0.01, None).u.x.array - plain.u.x.array).max()) > 1e-3
+    assert mirrored.certify().bound == pytest.approx(plain.certify().bound, rel=0.01)
 
 
 LAW = 'law = [{parts = ["fault"], kind = "contact"}]'

@@ -1,0 +1,70 @@
+"""The named side of a part inside the domain, as a condition in Python tells it; for case files see `cut`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.meshes.cut import PARALLEL, Side
+from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_pairs, other_side
+from signorini_fenicsx.meshes.seams import unit_normals
+
+
+def oriented(domain: Domain, sides: Mapping[str, Side]) -> Domain:
+    """The domain with these sides of parts inside it as the named ones; itself if they are (collective).
+
+    Args:
+        domain: The domain.
+        sides: For each part the named side, out of which n points: a region, or a direction that points to it.
+
+    Raises:
+        InputError: If a part is not inside the domain, or a side is not clear.
+    """
+    facets, changed = dict(domain.facets), False
+    for part, side in sides.items():
+        if other_side(part) not in domain.parts:
+            raise InputError(f"side: '{part}' is not a part inside the domain; domain_of has them in inner")
+        named, across = facet_pairs(domain, part)
+        wrong = _is_across(domain, part, side, (named, across))
+        facets[part], facets[other_side(part)] = (
+            np.sort(np.where(wrong, *pair)).astype(np.int32) for pair in ((across, named), (named, across))
+        )
+        changed |= domain.mesh.comm.allreduce(bool(wrong.any()), MPI.LOR)
+    return replace(domain, facets=facets) if changed else domain
+
+
+def _is_across(domain: Domain, part: str, side: Side, pair: Sequence[npt.NDArray[np.int32]]) -> Mask:
+    """Whether it is not the first but the second one of each pair of facets whose cell is on a side (collective).
+
+    Raises:
+        InputError: If that is not clear.
+    """
+    mesh, dim, key = domain.mesh, domain.mesh.topology.dim, f"side of '{part}'"
+    if isinstance(side, str):
+        if side not in domain.regions:
+            raise InputError(f"{key}: unknown region '{side}'; the mesh has {', '.join(domain.regions) or 'none'}")
+        inside, wrong = (np.isin(cells_behind(mesh, facets), domain.regions[side]) for facets in pair)
+        unclear, why = inside == wrong, f"not between '{side}' and another region"
+    else:
+        direction = np.asarray(side, dtype=np.float64)
+        if direction.shape != (dim,) or not np.isfinite(direction).all() or not direction.any():
+            raise InputError(f"{key}: must be a region, or a direction of {dim} numbers, not {side}")
+        x = mesh.geometry.x[:, :dim]
+        corners = x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, pair[0])].reshape(-1, dim, dim)
+        middle = x[mesh.geometry.dofmaps[0][cells_behind(mesh, pair[0])]].mean(axis=1) - corners[:, 0]
+        normals = unit_normals(corners[:, 1:] - corners[:, :1])
+        along = normals @ (direction / np.linalg.norm(direction))
+        unclear, why = np.abs(along) < PARALLEL, f"parallel to the direction {tuple(direction.tolist())}"
+        wrong = along * np.einsum("fi,fi->f", middle, normals) < 0
+    number = mesh.comm.allreduce(int(np.count_nonzero(unclear)))
+    if number > 0:
+        raise InputError(f"{key}: {counted(number, 'facet')} may be on both sides, {why}; name a region or a direction")
+    return wrong
