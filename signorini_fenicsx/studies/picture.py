@@ -26,6 +26,8 @@ SHOWN = {
 """Results that are drawn, where runs have them."""
 ERRORS = {"sigma_V": "error of σ in V", "energy": "error of σ", "u_Q": "error of u", "u_L2": "error of u"}
 """Results of runs that measure errors; then they are drawn over h or ε."""
+QUANTITY, VALUE = "quantities.", ".value"
+"""What keys of the quantities that a case asks for begin and end with; they are drawn before other results."""
 MOST_PANELS, MOST_CURVES = 3, 12
 SPREAD = 8
 """Numbers are on a logarithmic axis if the largest is this many times the smallest."""
@@ -61,7 +63,8 @@ def plan(rows: Sequence[Row], keys: Sequence[str]) -> Plan | None:
     if measured:
         over = "eps" if len({row.get("h") for row in rows}) == 1 else "h"
         keys = [over, *(key for key in keys if key.removeprefix(SOLVE) != over)]
-    panels = {key: (ERRORS | SHOWN)[key] for key in measured or SHOWN if any(_is_number(row.get(key)) for row in rows)}
+    titles = {key: ERRORS[key] for key in measured} or _quantities(rows) | SHOWN
+    panels = {key: title for key, title in titles.items() if any(_is_number(row.get(key)) for row in rows)}
     numbers = [key for key in keys if all(_is_number(row.get(key)) for row in rows)]
     if not keys or not panels or len(rows) < 2:
         return None
@@ -75,6 +78,18 @@ def plan(rows: Sequence[Row], keys: Sequence[str]) -> Plan | None:
         if len(points) == len(rows) and all(len({point[axis] for point in points}) > 2 for axis in (0, 1)):
             return Plan(keys, x, curves[0], [], panels)
     return Plan(keys, x, None, curves, panels)
+
+
+def _quantities(rows: Sequence[Row]) -> dict[str, str]:
+    """The names of quantities by the keys of their values, in the order of the rows; only those with an interval."""
+    keys = dict.fromkeys(key for row in rows for key in row if key.startswith(QUANTITY) and key.endswith(VALUE))
+    return {key: key[len(QUANTITY) : -len(VALUE)] for key in keys if any(_interval(row, key) for row in rows)}
+
+
+def _interval(row: Row, key: str) -> tuple[float, float] | None:
+    """The ends of the interval of a quantity whose value has this key, if both are numbers."""
+    ends = [row.get(key.removesuffix(VALUE) + end) for end in (".lower", ".upper")]
+    return (ends[0], ends[1]) if all(map(_is_number, ends)) else None  # type: ignore[return-value]
 
 
 @mpl.rc_context(style.STYLE)
@@ -121,12 +136,17 @@ def _curves(axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) -> list[Any
             own = sorted(own, key=lambda row: row[wanted.x])
         x = [row[wanted.x] if numeric else value_in_words(row.get(wanted.x)) for row in own]
         y = [row[key] if _is_number(row.get(key)) else np.nan for row in own]
-        handles += axes.plot(
+        (curve,) = axes.plot(
             x, y, marker="os^Dv"[index % 5], markersize=4, linestyle=LINES[index % 4] if numeric else "", label=label
         )
+        proved = [(place, *ends) for place, row in zip(x, own, strict=True) if (ends := _interval(row, key))]
+        if key.endswith(VALUE) and proved:
+            axes.vlines(*zip(*proved, strict=True), color=curve.get_color(), linewidth=3, alpha=0.4)
+        handles.append(curve)
     if numeric and _spreads([row[wanted.x] for row in rows]):
         axes.set_xscale("log")
-    results = [row[key] for row in rows if _is_number(row.get(key))]
+    ends = [end for row in rows if key.endswith(VALUE) for end in _interval(row, key) or ()]
+    results = [row[key] for row in rows if _is_number(row.get(key))] + ends
     if _spreads(results):
         axes.set_yscale("log")
     elif np.ptp(results) <= SAME * max(map(abs, results)):  # else differences by rounding fill the axis

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as parquet
 import pytest
 import pyvista
@@ -19,6 +20,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.shipped import data_folder, study_names
 from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.studies.folder import StudyFolder
 from signorini_fenicsx.studies.picture import draw_study, numbers, plan
 from signorini_fenicsx.studies.study import Convergence, load_study, make_run
@@ -196,6 +198,19 @@ def test_the_status_is_told_at_any_time(tmp_path: Path):
 
 NUMBERS = [{"status": "done", "a.x": x, "a.y": str(y), "iterations": x * y} for x in (1, 2, 3) for y in (1.0, 2.0, 3.0)]
 WORDS = [{"status": "done", "x": x, "word": word, "iterations": x} for x in (1, 2) for word in ("one", "two")]
+
+
+def test_a_picture_shows_the_quantities_that_were_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """They come first, with their intervals; other entries of `quantities` have no interval and are not drawn."""
+    asked = {"quantities.flow.value": 2.0, "quantities.flow.lower": 1.5, "quantities.flow.upper": 2.5}
+    rows = [row | asked | {"quantities.balance.value": 0.0} for row in WORDS]
+    assert list(plan(rows, ["word", "x"]).panels.items()) == [("quantities.flow.value", "flow"), ("iterations",) * 2]
+    drawn = []
+    monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
+    assert draw_study(tmp_path / "study.png", rows, ["word", "x"], "A study")
+    bars = [path.vertices[:, 1] for each in drawn[0].axes[0].collections for path in each.get_paths()]
+    np.testing.assert_array_equal(bars, [[1.5, 2.5]] * 4)
+    assert not drawn[0].axes[1].collections
 
 
 @pytest.mark.parametrize(
