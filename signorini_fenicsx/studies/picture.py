@@ -87,7 +87,7 @@ def _quantities(rows: Sequence[Row]) -> dict[str, str]:
 
 
 def _interval(row: Row, key: str) -> tuple[float, float] | None:
-    """The ends of the interval of a quantity whose value has this key, if both are numbers."""
+    """The ends of the interval of a quantity whose value has this key, if both are numbers; None for other results."""
     ends = [row.get(key.removesuffix(VALUE) + end) for end in (".lower", ".upper")]
     return (ends[0], ends[1]) if all(map(_is_number, ends)) else None  # type: ignore[return-value]
 
@@ -140,13 +140,13 @@ def _curves(axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) -> list[Any
             x, y, marker="os^Dv"[index % 5], markersize=4, linestyle=LINES[index % 4] if numeric else "", label=label
         )
         proved = [(place, *ends) for place, row in zip(x, own, strict=True) if (ends := _interval(row, key))]
-        if key.endswith(VALUE) and proved:
+        if proved:
             axes.vlines(*zip(*proved, strict=True), color=curve.get_color(), linewidth=3, alpha=0.4)
         handles.append(curve)
     if numeric and _spreads([row[wanted.x] for row in rows]):
         axes.set_xscale("log")
-    ends = [end for row in rows if key.endswith(VALUE) for end in _interval(row, key) or ()]
-    results = [row[key] for row in rows if _is_number(row.get(key))] + ends
+    results = [row[key] for row in rows if _is_number(row.get(key))]
+    results += [end for row in rows for end in _interval(row, key) or ()]
     if _spreads(results):
         axes.set_yscale("log")
     elif np.ptp(results) <= SAME * max(map(abs, results)):  # else differences by rounding fill the axis
