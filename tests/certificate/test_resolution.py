@@ -7,6 +7,7 @@ import pytest
 import ufl
 from mpi4py import MPI
 
+from signorini_fenicsx import Diffusion, Friction, Signorini
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -14,6 +15,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.solution_report import bound
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -58,6 +60,22 @@ def test_what_is_not_resolved_is_never_guaranteed(h: float, data: dict[str, obje
     assert name in certificate.unresolved[0][0]
     assert certificate.summary()["unresolved"][0]["data"] == certificate.unresolved[0][0]
     assert f"not guaranteed: {certificate.unresolved[0][0]} is not resolved near (" in bound(certificate)
+
+
+@pytest.mark.parametrize(("q_S", "resolved"), [("cos(5*x)", True), ("1000 if (x-.515)^2 < 1e-5 else 0", False)])
+def test_data_are_enclosed_beside_other_laws(q_S: str, resolved: bool):
+    """Those of the law of Signorini, where the data of the others are polynomials."""
+    conditions = [Signorini("bottom", psi="0.1*sin(9*x) - 0.2", q_S=q_S), Friction("left", "0.1*y")]
+    solutions = [
+        solve(build_domain(COMM, "square", h, mesh="structured"), Diffusion(f="40*(x - 0.6)", conditions=conditions))
+        for h in (0.2, 0.05)
+    ]
+    certificate = certify(solutions[0])
+    assert certificate.guaranteed == resolved
+    assert not certificate.by_quadrature
+    assert {name for name, _ in certificate.unresolved} == (set() if resolved else {"q_S"})
+    if resolved:
+        assert distance(*solutions) < certificate.bound < 2 * distance(*solutions)
 
 
 @pytest.mark.parametrize(

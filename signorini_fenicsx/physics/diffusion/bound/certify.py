@@ -45,7 +45,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.laws import Area, gap
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.points import Points, facet_type, in_cells, owned_cells
+from signorini_fenicsx.discrete.points import Points, facet_type, in_cells, in_facets, owned_cells
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux
@@ -56,7 +56,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, Pr
 from signorini_fenicsx.physics.diffusion.bound.mean_loads import load_left
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric, cell_metric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
-from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory, contact_excess, load_oscillation
+from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory, load_oscillation, on_facets
 from signorini_fenicsx.physics.diffusion.bound.reaction import reaction_terms
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
@@ -232,17 +232,25 @@ def gap_on_gamma_s(
     """Twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
     solution, metric, resolution, on = of_y.solution, of_y.metric, of_y.resolution, of_y.on
     spaces, trace, number = solution.spaces, of_v.trace, len(metric.volume)
-    if goal.plain and of_y.inside is None:
-        psi = of_v.solution.data.psi
-        points, excess, load = contact_excess(spaces, solution.data, metric, on.flux, resolution)
-        above = np.maximum(trace.on_gamma_s(points) - psi.values(points), 0.0)
-        per_cell = points.per_cell(2 * points.integrals(excess * above), number)
-        return per_cell, load, Pressure("psi", psi, points, excess.max(axis=1, initial=0.0))
-    resolution.by_quadrature |= not_polynomial(goal)
-    at = goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), goal.degree()))
+    part = None if of_y.inside is not None else goal.enclosed(spaces)  # bounds in Ω would be in v on Γ_S
+    resolution.by_quadrature |= not_polynomial(each for each in goal.parts if each is not part)
+    degree = goal.degree_of_gap(of_v.solution.data.u_D)
+    points, weights = basix.make_quadrature(facet_type(spaces.mesh.topology.dim), degree)
+    missed, corners = np.zeros(len(spaces.facets)), None
+    if part is not None:
+        facets = in_facets(spaces.mesh, spaces.facets[part.rows], points, weights)
+        q_S, missed[part.rows] = on_facets(
+            part.key("q_S"), part.data["q_S"], facets, goal.flux_h[part.rows], metric, resolution
+        )
+        corners = part, q_S
+    at = goal.at(spaces, points, weights, corners)
     v = trace.on_gamma_s(at.points)
-    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v), area)
-    return found.per_cell(number), found.loads(spaces), None
+    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v), missed, area)
+    pressure = None
+    if part is not None:
+        excess = found.load.values[part.rows] + on.flux[part.rows, None] - q_S
+        pressure = Pressure(part.key("psi"), part.data["psi"], facets, excess.max(axis=1, initial=0.0))
+    return found.per_cell(number), [] if goal.keeps_flux else found.loads(spaces), pressure
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.expressions import Tree
@@ -93,8 +92,8 @@ def hidden_parts(
         cells = trace.at_dirichlet.astype(np.int64)
         slope[cells] += missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))[0]
     if pressure is not None and (tree := resolution.tree(pressure.name, pressure.datum)) is not None:
-        cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree)).astype(np.int64)
-        slope[cells] += missed.of("psi", tree, cells)[0]
+        cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree, pressure.points)).astype(np.int64)
+        slope[cells] += missed.of(pressure.name, tree, cells)[0]
         gap += pressure.missed(resolution, tree, len(gap))
     for ray in inside.rays if inside is not None else ():
         if inside is not None and (tree := resolution.tree(ray.name, ray.datum)) is not None:
@@ -110,15 +109,14 @@ def degree_near(trace: Trace) -> int:
     return max(trace.degree, 2 * (DEGREE + 1))
 
 
-def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree) -> Indices:
-    """Owned cells at facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
-    spaces = resolution.spaces
-    vertices = facet_corners(spaces.mesh, spaces.facets)
+def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree, points: FacetPoints) -> Indices:
+    """Owned cells at some facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
+    vertices = points.vertices
     corners = vertices.shape[1]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
-    nodes = facet_nodes(trace.v.function_space, spaces.facets)[:, [*range(corners), *edge_order(corners)]]
+    nodes = facet_nodes(trace.v.function_space, points.facets)[:, [*range(corners), *edge_order(corners)]]
     above = np.maximum((trace.v.x.array[nodes] - bernstein(p, vertices)).min(axis=1, initial=np.inf), 0.0)
-    return np.asarray(spaces.cells[_beyond(resolution, tree, vertices, p, above)], dtype=np.int64)
+    return np.asarray(points.cells[_beyond(resolution, tree, vertices, p, above)], dtype=np.int64)
 
 
 def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) -> Indices:

@@ -9,12 +9,15 @@ such that the mean is y·n,
     η = b + c, but at least s_lo and at most s_hi.
 
 On a vertical segment s_lo and s_hi are its ends, if y·n is between their means: beyond an end the gap would grow with
-the length of the next segment. For the Signorini law, s_lo = q_S and s_hi = ∞, this is the water-filling of
-`oscillation`. θ = 1/(1 + βC_e²) with C_e of `local_fields` makes the sum of 2 gap and osc² least.
+the length of the next segment. θ = 1/(1 + βC_e²) with C_e of `local_fields` makes the sum of 2 gap and osc² least.
+
+*Water-filling.* Under the Signorini law, s_lo = q_S and s_hi = ∞, of a flux with y·n ≥ the mean of q_S, r is 0 in
+contact where y·n is larger than q_S, however much q_S varies; on a facet without contact r is q_S minus its mean.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +27,7 @@ from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.law import Graph, Values
 from signorini_fenicsx.contact.laws import Signorini
-from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_facets
 from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, facet_constants
@@ -117,19 +120,52 @@ class Goal:
         )
         return cls(parts, solution.law, flux_h, plain=False, of_penalty=True)
 
-    def at(self, spaces: Spaces, points: Array, weights: Array | None = None) -> LawPoints:
-        """Points in all facets of Γ_S with the law in each (collective)."""
+    def at(
+        self, spaces: Spaces, points: Array, weights: Array | None = None, corners: tuple[PartLaw, Array] | None = None
+    ) -> LawPoints:
+        """Points in all facets of Γ_S with the law in each (collective).
+
+        `corners` has a part of Signorini's law and what stands for its q_S in the points, shape (facets, points).
+        """
         of_parts, number = [], len(points)
         for part in self.parts:
             some = in_facets(spaces.mesh, spaces.facets[part.rows], points, weights)
             rows = (number * part.rows[:, None] + np.arange(number)).ravel()
-            of_parts.append((rows, part.chains(some, None if weights is None else self.flux_h[part.rows])))
+            if corners is not None and part is corners[0]:
+                psi, ends = part.data["psi"].values(some).reshape(-1, 1), np.zeros(len(rows))
+                chains = Chains.through(psi, corners[1].reshape(-1, 1), ends + np.inf, ends)
+            else:
+                chains = part.chains(some, None if weights is None else self.flux_h[part.rows])
+            of_parts.append((rows, chains))
         everywhere = in_facets(spaces.mesh, spaces.facets, points, weights)
         return LawPoints(everywhere, joined(of_parts, number * len(spaces.facets)))
 
     def degree(self) -> int:
         """Degree of a quadrature on Γ_S."""
         return max(quadrature_degree(*part.data.values(), power=2) for part in self.parts)
+
+    def degree_of_gap(self, u_D: Datum) -> int:
+        """Degree of a quadrature on Γ_S for the gap, where v may contain u_D."""
+        return max(
+            max(quadrature_degree(part.data["q_S"], power=2), quadrature_degree(part.data["psi"], u_D))
+            if type(part.law) is Signorini
+            else quadrature_degree(*part.data.values(), power=2)
+            for part in self.parts
+        )
+
+    @property
+    def keeps_flux(self) -> bool:
+        """Whether y·n stays as it is: under Signorini's law alone with numbers q_S."""
+        return all(type(part.law) is Signorini and part.data["q_S"].number is not None for part in self.parts)
+
+    def enclosed(self, spaces: Spaces) -> PartLaw | None:
+        """The part whose data can be enclosed: with Signorini's law, if the data of all others are polynomials.
+
+        None if there are more, or facets inside the domain, where v would have to be a jump.
+        """
+        rough = [part for part in self.parts if any(map(_is_rough, part.data.values()))]
+        alone = len(rough) == 1 and type(rough[0].law) is Signorini and not spaces.inner.present
+        return rough[0] if alone else None
 
     def pieces(self, segment: Indices, flux: Array, rigid: Mask) -> Indices:
         """The segment near which v is on each facet: its own, or that beside a rigid one which σ·n is nearer to."""
@@ -165,6 +201,7 @@ class LawGap:
         flux: Array,
         ends: tuple[Array, Array],
         piece: tuple[Array, Array],
+        missed: Array,
         area: Area = gap,
     ) -> LawGap:
         """Choose η.
@@ -177,6 +214,7 @@ class LawGap:
             flux: y·n per facet.
             ends: The least and the largest η in the points.
             piece: β and s(v) on the segment near which v is, in the points; 0 for vertical ones.
+            missed: What the laws in the points do not show of η, see `FacetLoad`.
             area: The density.
         """
         points = at.points
@@ -185,7 +223,7 @@ class LawGap:
         theta = 1 / (1 + slope.mean(axis=1) * constant**2)
         eta = with_mean(theta[:, None] * wanted, *ends, flux, points.weights)
         density = area(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
-        return cls(points, density, FacetLoad(points, eta - flux[:, None], np.zeros(points.shape[0])))
+        return cls(points, density, FacetLoad(points, eta - flux[:, None], missed))
 
     def loads(self, spaces: Spaces) -> list[FacetLoad]:
         """The load, and the opposite one on the other sides of facets inside the domain (collective)."""
@@ -216,7 +254,11 @@ def energies(part: PartLaw, points: Points, u: Array, flux_h: Array | None = Non
     return gap(part.chains(points, flux_h), u.ravel(), flux.ravel()).reshape(points.shape) - flux * u
 
 
-def not_polynomial(goal: Goal) -> set[str]:
+def _is_rough(datum: Datum) -> bool:
+    """Whether the square of a datum is not integrated exactly."""
+    return datum.polynomial is None or 2 * datum.polynomial > DEGREES[1]
+
+
+def not_polynomial(parts: Iterable[PartLaw]) -> set[str]:
     """The data of the laws whose integrals are by quadrature only."""
-    data = {part.key(name): datum for part in goal.parts for name, datum in part.data.items()}
-    return {name for name, datum in data.items() if datum.polynomial is None or 2 * datum.polynomial > DEGREES[1]}
+    return {part.key(name) for part in parts for name, datum in part.data.items() if _is_rough(datum)}

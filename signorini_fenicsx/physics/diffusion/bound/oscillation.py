@@ -1,17 +1,11 @@
-"""The part of the load that RT0 does not balance: osc and the contact excess.
+"""The part of the load that RT0 does not balance: osc.
 
-Let y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n ≥ the mean of q_S on each facet of Γ_S. Then s = q_S − y·n has a
-mean ≤ 0 on each facet, but s > 0 is possible in places, where y·n < q_S. *Water-filling*: take c ≥ 0 such that
-
-    r = max(s, −c) has mean 0;   if s ≤ 0 on the facet, c = 0 and r = 0.
-
-The contact excess r − s is ≥ 0. So y is admissible for the problem with q_S − r instead of q_S, and the gap of that
-problem contains ⟨r − s, v − ψ⟩ (see `forms/certificate.py`). r itself is a load like f − f_h and g_N − g_h: with
+Let y ∈ RT0 with ∇·y = −f_h, y·n = g_h on Γ_N and y·n in the mean within what the laws on Γ_S allow, and r = η − y·n
+as in `laws`. So y is admissible for the problem with the laws moved by r, which is a load like f − f_h and g_N − g_h:
 
     R(w) = (f − f_h, w) + ⟨g_N − g_h, w⟩ on Γ_N + ⟨r, w⟩ on Γ_S,   R(w) ≤ osc |w| for w = 0 on Γ_D,
 
-osc² = Σ osc_T² by `local_fields`. On a facet without contact s, and so r, is q_S minus its mean. In contact y·n is
-larger than q_S, except at the ends of the contact set, and r = 0 however much q_S varies.
+osc² = Σ osc_T² by `local_fields`.
 """
 
 from __future__ import annotations
@@ -24,7 +18,6 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.certificate.laws import with_mean
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
     CellPoints,
@@ -69,36 +62,6 @@ class Memory:
     values: Callable[[CellPoints], Array]
     initial: Datum | None = None
     factor: Array | None = None
-
-
-def water_filled(s: Array, weights: Array) -> Array:
-    """The load r of the module for s with mean ≤ 0, in the points of a quadrature, shape (facets, points)."""
-    return with_mean(np.zeros_like(s), s, np.full_like(s, np.inf), np.zeros(len(s)), weights)
-
-
-def contact_excess(
-    spaces: Spaces, data: Data, metric: CellMetric, flux: Array, resolution: Resolution
-) -> tuple[FacetPoints, Array, list[FacetLoad]]:
-    """The loads r − s and r for the Signorini law of ψ and q_S on all of Γ_S (collective).
-
-    Args:
-        spaces: The discrete spaces.
-        data: The data.
-        metric: Metric of the owned cells.
-        flux: y·n per facet of Γ_S, at least the mean of q_S.
-        resolution: Records what quadrature may have missed.
-
-    Returns:
-        Points of a quadrature in the facets, r − s ≥ 0 there, shape (facets, points), and r; no r if it is 0.
-    """
-    mesh = spaces.mesh
-    degree = max(quadrature_degree(data.q_S, power=2), quadrature_degree(data.psi, data.u_D))
-    on_signorini = facet_quadrature(mesh, spaces.facets, degree)
-    q_S, missed = on_facets("q_S", data.q_S, on_signorini, data.q_Sh, metric, resolution)
-    s = q_S - flux[:, None]
-    r = water_filled(s, on_signorini.weights)
-    load = [] if data.q_S.number is not None else [FacetLoad(on_signorini, r, missed)]
-    return on_signorini, r - s, load
 
 
 def load_oscillation(
