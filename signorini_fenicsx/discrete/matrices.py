@@ -29,7 +29,31 @@ def identity_with(
     first = int(comm.exscan(size) or 0)
     diagonal, every = np.ones(size), first + np.arange(size)
     diagonal[[] if ignored is None else ignored] = 0.0
-    matrix = PETSc.Mat().createAIJ([(size, PETSc.DETERMINE)] * 2, comm=comm)
-    matrix.setPreallocationCOO(*(np.concatenate([every, some]).astype(PETSc.IntType) for some in (rows, columns)))
-    matrix.setValuesCOO(np.concatenate([diagonal, values]))
+    rows, columns = np.concatenate([every, rows]), np.concatenate([every, columns])
+    return of_entries(comm, size, rows, columns, np.concatenate([diagonal, values]))
+
+
+def of_entries(
+    comm: MPI.Intracomm,
+    size: int,
+    rows: npt.NDArray[np.integer],
+    columns: npt.NDArray[np.integer],
+    values: Array,
+    block: int = 1,
+) -> PETSc.Mat:
+    """A square matrix of these entries, which add up where several have the same place (collective).
+
+    Args:
+        comm: Communicator.
+        size: Number of rows and of columns of this rank.
+        rows: Their rows, of any rank, numbered over all ranks.
+        columns: Their columns, numbered over all ranks.
+        values: Their values.
+        block: Size of the blocks of the matrix.
+    """
+    matrix = PETSc.Mat().create(comm)
+    matrix.setSizes([(size, PETSc.DETERMINE)] * 2, bsize=block)
+    matrix.setType("aij")
+    matrix.setPreallocationCOO(rows.astype(PETSc.IntType), columns.astype(PETSc.IntType))
+    matrix.setValuesCOO(values)
     return matrix

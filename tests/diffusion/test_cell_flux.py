@@ -20,6 +20,7 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.bound.relaxation import _Gap
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.nodes import Jumps
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 
 
@@ -101,7 +102,7 @@ def test_gap_without_its_matrix(dim: int):
     y, v = fem.Function(fem.functionspace(mesh, ("RT", 1))), fem.Function(space)
     for function in (y, v, kappa):
         function.x.array[:] = random.uniform(1, 2, len(function.x.array))
-    gap = _Gap(space, y, kappa, np.ones(len(v.x.array)), np.full(len(v.x.array), -np.inf), None, None)
+    gap = _Gap(space, y, kappa, np.ones(len(v.x.array)), np.full(len(v.x.array), -np.inf), None, Jumps.nowhere(space))
     free = random.uniform(size=len(v.x.array)) < 0.7
     found = [gap.at(v), gap.lowered(np.where(free, gap.at(v)[1], 0.0), free, 3)]
     gap.assemble()

@@ -45,16 +45,16 @@ class AuxiliarySpace:
         self._jumps = Jumps.of(self._space, spaces)
         self._interpolation = facet_means(self._space, system.space)
         to_jumps = jumps_of_facets(spaces, back=True)
-        if self._jumps is not None and to_jumps is not None:
-            self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis))
+        if self._jumps.basis is not None and to_jumps is not None:
+            self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis[0]))
         self._operator = ConstrainedMatrix(self._galerkin(), PETSc.Mat.Option.SPD)
         self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
         self._has_hierarchy = False
         self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
         self._levels = TwoLevel(pc, self._interpolation)
-        choose_smoother(pc, 1, spaces.mesh.topology.dim, jumps=self._jumps is not None)
+        choose_smoother(pc, 1, spaces.mesh.topology.dim, jumps=self._jumps.basis is not None)
         self._levels.coarse.setOperators(self._operator.matrix)
-        if self._jumps is None:
+        if self._jumps.basis is None:
             use_coarser_meshes(self._levels.coarse.getPC(), self._space, spaces.domain)
 
     def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
@@ -69,8 +69,7 @@ class AuxiliarySpace:
         if self._system.follows_cells:
             self._galerkin().copy(self._operator.natural, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         held = owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
-        if self._jumps is not None:
-            held = np.setdiff1d(held, self._jumps.tips)
+        held = np.setdiff1d(held, self._jumps.tips)
         fixed = np.union1d(self._dirichlet, held).astype(np.int32)
         self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
         self._levels.leave_out(essential, fixed)

@@ -79,23 +79,22 @@ class Jumps:
         tips: Nodes of this rank at the edge of the cut.
         meets: Nodes of this rank in places where inner parts meet each other or other parts of Γ_S, or Γ_D on one side
             only. They keep the values of the function.
-        basis: The matrix from the jumps, and the values in all other nodes, to the values in all nodes.
-        inverse: Its inverse.
         pairs: Nodes of the inner facets, and those in the same places of the other side, shape (facets, nodes) each.
+        basis: The matrix from the jumps, and the values in all other nodes, to the values in all nodes, and its
+            inverse; None without facets inside the domain.
     """
 
     jump: Mask
     tips: npt.NDArray[np.intp]
     meets: npt.NDArray[np.intp]
-    basis: PETSc.Mat
-    inverse: PETSc.Mat
     pairs: tuple[Entities, Entities]
+    basis: tuple[PETSc.Mat, PETSc.Mat] | None = None
 
     @classmethod
-    def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps | None:
-        """The jumps of a space of linear or quadratic functions; None without facets inside the domain (collective)."""
+    def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps:
+        """The jumps of a space of linear or quadratic functions (collective)."""
         if not spaces.inner.present:
-            return None
+            return cls.nowhere(space)
         numbers, inner = space.dofmap.index_map, spaces.inner
         pairs = named, across = _in_pairs(space, spaces.facets[inner.rows], inner.facets)
         tip = named == across
@@ -117,7 +116,13 @@ class Jumps:
         basis, inverse = (
             identity_with(space.mesh.comm, numbers.size_local, *more, np.full(len(own), sign)) for sign in (1.0, -1.0)
         )
-        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), basis, inverse, pairs)
+        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), pairs, (basis, inverse))
+
+    @classmethod
+    def nowhere(cls, space: fem.FunctionSpace) -> Jumps:
+        """Those of a mesh that is not cut."""
+        numbers, none, pairs = space.dofmap.index_map, np.empty(0, dtype=np.intp), np.empty((0, 1), dtype=np.int32)
+        return cls(np.zeros(numbers.size_local + numbers.num_ghosts, dtype=bool), none, none, (pairs, pairs))
 
     def join(self, v: fem.Function, at: Mask, given: Entities) -> None:
         """Let v be continuous in the places of some nodes, in place: of `given` values, else the largest (collective).
@@ -136,17 +141,21 @@ class Jumps:
 
     def taken(self, v: fem.Function) -> None:
         """Put the jumps of a function in the place of its values, ghosts updated (collective)."""
-        _apply(self.inverse, v)
+        if self.basis is not None:
+            _apply(self.basis[1], v)
 
     def undone(self, v: fem.Function) -> None:
         """The other way (collective)."""
-        _apply(self.basis, v)
+        if self.basis is not None:
+            _apply(self.basis[0], v)
 
     def transposed(self, values: Array) -> Array:
         """The transpose of `basis` times values of the owned nodes (collective)."""
-        right, left = self.basis.createVecs()
+        if self.basis is None:
+            return values
+        right, left = self.basis[0].createVecs()
         left.array_w[:] = values
-        self.basis.multTranspose(left, right)
+        self.basis[0].multTranspose(left, right)
         return right.array_r.copy()
 
 

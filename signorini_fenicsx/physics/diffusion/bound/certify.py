@@ -122,7 +122,7 @@ class Admissible:
         flux: y cell by cell.
         level: u*.
         remainder: Bound of ‖y − σ_h‖.
-        inside: The laws in Ω; None without any.
+        inside: The laws in Ω.
         on: Γ_S with the pieces of the laws, and y·n.
         trace: v.
     """
@@ -137,7 +137,7 @@ class Admissible:
     flux: CellFlux
     level: fem.Function
     remainder: float
-    inside: Inside | None
+    inside: Inside
     on: OnGammaS
     trace: Trace
 
@@ -197,13 +197,10 @@ def gap_parts(
     solution, resolution, metric, inside, flux = of_y.solution, of_y.resolution, of_y.metric, of_y.inside, of_y.flux
     spaces, data, trace, comm = solution.spaces, solution.data, of_v.trace, solution.spaces.mesh.comm
     contact, load, pressure = gap_on_gamma_s(of_v, of_y, goal, area)
-    of_laws = None
-    if inside is not None:
-        gap_inside, of_laws = inside.gap(trace, metric, resolution, area)
-        contact = contact + gap_inside
+    gap_inside, of_laws = inside.gap(trace, metric, resolution, area)
+    contact = contact + gap_inside
     reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution)
-    takes_f = None if inside is None else inside.takes_f
-    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, takes_f)
+    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, inside.takes_f)
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:
         contact = contact + reaction.gap
@@ -232,7 +229,7 @@ def gap_on_gamma_s(
     """Twice the gap on Γ_S per owned cell, the loads η − y·n, and what presses v against ψ alone (collective)."""
     solution, metric, resolution, on = of_y.solution, of_y.metric, of_y.resolution, of_y.on
     spaces, trace, number = solution.spaces, of_v.trace, len(metric.volume)
-    part = None if of_y.inside is not None else goal.enclosed(spaces)  # bounds in Ω would be in v on Γ_S
+    part = None if of_y.inside.rays else goal.enclosed(spaces)  # bounds in Ω would be in v on Γ_S
     resolution.by_quadrature |= not_polynomial(each for each in goal.parts if each is not part)
     degree = goal.degree_of_gap(of_v.solution.data.u_D)
     points, weights = basix.make_quadrature(facet_type(spaces.mesh.topology.dim), degree)

@@ -75,7 +75,7 @@ def law_trace(
     metric: CellMetric,
     y: fem.Function,
     on: OnGammaS,
-    inside: Inside | None,
+    inside: Inside,
     field: fem.Function | None = None,
 ) -> Trace:
     """A continuous function that is admissible under the laws (collective).
@@ -85,14 +85,14 @@ def law_trace(
         metric: Metric of the owned cells.
         y: The flux to which the function has a small gap.
         on: Γ_S with the pieces of the laws.
-        inside: The laws in Ω; None without any.
+        inside: The laws in Ω.
         field: A quadratic function to which an admissible one near in energy is wanted, by its values in the nodes of
             `bernstein`; None for the reconstruction with a small gap to y.
     """
     spaces, data, goal, mesh = solution.spaces, solution.data, on.goal, solution.spaces.mesh
     v, near = (averaged(solution, metric), y) if field is None else (field.copy(), field.copy())
     space = v.function_space
-    edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), () if inside is None else inside.rays
+    edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), inside.rays
     on_dirichlet = _given(space, spaces, data.u_D)
     facet = facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
@@ -100,11 +100,10 @@ def law_trace(
     u_D = quadratic_on_sides(data.u_D, space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
-    tips, meets = (np.empty(0, dtype=np.intp),) * 2 if jumps is None else (jumps.tips, jumps.meets)
+    tips, meets = jumps.tips, jumps.meets
     fixed, on_cuts = np.union1d(on_dirichlet, tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
     at_meeting = on_cuts[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
-    if jumps is not None:
-        jumps.taken(v)
+    jumps.taken(v)
     if field is None:
         _hold(v, nodes, on.held(at_nodes), ((on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed)))
     ends = on.ends(at_nodes)
@@ -117,27 +116,24 @@ def law_trace(
     low, high, soft_low, soft_high = (
         extreme_around(space, nodes, end, largest=number % 2 == 0) for number, end in enumerate(bounds)
     )
-    if jumps is not None:
-        jumps.undone(v)
+    jumps.undone(v)
     for function in (v, u_D) if field is None else (v, u_D, near):
         edges.to_bernstein(function.x.array)
     for ray, limit in zip(rays, limits_inside, strict=True) if field is None else ():
         ray.touch(v, limit, on_dirichlet)
-    if jumps is not None:
-        jumps.taken(v)
+    jumps.taken(v)
     floor, ceiling = _ends_inside(rays, limits_inside, jumps, len(v.x.array))
     hard, soft = ((np.maximum(a, floor), np.minimum(b, ceiling)) for a, b in ((low, high), (soft_low, soft_high)))
     box = Box.of(hard, soft, fixed)
     box.project(v.x.array, TIE * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX))
-    if jumps is not None:
+    if jumps.basis is not None:
         _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
     still = np.union1d(on_dirichlet, meets)
     if field is None:
         _lower_gap(v, y, data, on, inside, nodes, ~at_meeting.any(axis=1), still, box, jumps)
     else:
         relax(v, data.kappa_h * ufl.grad(near), data.kappa_h, np.zeros(len(v.x.array)), still, box, None, jumps)
-    if jumps is not None:
-        jumps.undone(v)
+    jumps.undone(v)
     for ray, limit in zip(rays, limits_inside, strict=True):
         ray.move_inside(v, limit, edges, on_dirichlet)
     return _with_exact_data(on, data, v, u_D, inside, hindrance=hindrance)
@@ -163,32 +159,30 @@ def _lower_gap(
     y: fem.Function,
     data: Data,
     on: OnGammaS,
-    inside: Inside | None,
+    inside: Inside,
     nodes: Indices,
     apart: Mask,
     still: npt.NDArray[Any],
     box: Box,
-    jumps: Jumps | None,
+    jumps: Jumps,
 ) -> None:
     """Reduce the gap between v and y, see `relax` (collective); `apart` are the facets with no node of a meeting."""
     spaces, facet = on.spaces, facet_type(on.spaces.mesh.topology.dim)
     at_points = on.goal.at(spaces, *basix.make_quadrature(facet, on.goal.degree()))
-    tips = np.empty(0, dtype=np.intp) if jumps is None else jumps.tips
-    load = _load(v, nodes[apart], on.loads(at_points)[apart], tips, jumps, inside)
+    load = _load(v, nodes[apart], on.loads(at_points)[apart], jumps, inside)
     slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
     rubs = spaces.mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
     relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
 
 
-def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps | None, number: int) -> tuple[Array, Array]:
+def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps, number: int) -> tuple[Array, Array]:
     """The least and the largest coefficient of so many nodes that bounds in Ω allow, but for nodes with a jump.
 
     There cutting off takes care of the named side, and `limits` are changed in place.
     """
     floor, ceiling = (np.full(number, end) for end in (-np.inf, np.inf))
     for ray, limit in zip(rays, limits, strict=True):
-        if jumps is not None:
-            limit[jumps.jump] = -ray.sign * np.inf
+        limit[jumps.jump] = -ray.sign * np.inf
         if ray.sign > 0:
             floor = np.maximum(floor, limit)
         else:
@@ -235,9 +229,8 @@ def _load(
     v: fem.Function,
     nodes: Indices,
     loads: Array,
-    tips: npt.NDArray[np.intp],
-    jumps: Jumps | None,
-    inside: Inside | None,
+    jumps: Jumps,
+    inside: Inside,
 ) -> Array:
     """The slope of the gap on Γ_S, and on bounds in Ω, per node of this rank (collective).
 
@@ -247,13 +240,13 @@ def _load(
     np.add.at(on_facets.x.array, nodes.ravel(), loads.ravel())
     on_facets.x.scatter_reverse(la.InsertMode.add)
     load = np.asarray(on_facets.x.array, dtype=np.float64)
-    load[tips] = 0.0
-    if inside is not None:
+    load[jumps.tips] = 0.0
+    if inside.rays:
         add_load(in_cells, inside.spaces, inside.forces)
         in_cells.x.scatter_reverse(la.InsertMode.add)
         size = v.function_space.dofmap.index_map.size_local
         own = np.asarray(in_cells.x.array[:size], dtype=np.float64)
-        load[:size] += own if jumps is None else jumps.transposed(own)
+        load[:size] += jumps.transposed(own)
     return load
 
 
@@ -284,7 +277,7 @@ def _coefficients(values: Array, facet: basix.CellType) -> Array:
 
 
 def _with_exact_data(
-    on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, inside: Inside | None, *, hindrance: str
+    on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, inside: Inside, *, hindrance: str
 ) -> Trace:
     """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
     spaces = on.spaces
@@ -317,7 +310,7 @@ def _with_exact_data(
             changed.append(here)
             known.append(datum)
     altered = _cells_with(changed, linear)
-    for ray in () if inside is None else inside.rays:
+    for ray in inside.rays:
         bound = ray.bound(linear)
         if not ray.everywhere:
             bound = replace(bound, depth=depth(trace, ray.datum, ray.sign, bound.near, spaces))
@@ -420,9 +413,9 @@ def _held_jumps(
 ) -> Iterator[tuple[Datum, Array, Array]]:
     """The only bounds b of jumps inside the domain, with I_hb; χ is 1 in all nodes with a jump (collective)."""
     jumps = Jumps.of(linear, on.spaces)
-    for part in on.goal.parts if jumps is not None else ():
+    for part in on.goal.parts if jumps.basis is not None else ():
         bounds = [bound for bound in part.bounds if bound is not None]
-        if jumps is not None and len(bounds) == 1 and bounds[0].number is None:
+        if len(bounds) == 1 and bounds[0].number is None:
             rows = np.intersect1d(part.rows, on.spaces.inner.rows)
             here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
             interpolant = coefficients(bounds[0], space, all_edges(space))

@@ -69,7 +69,7 @@ def hidden_parts(
     u_D: Datum,
     metric: CellMetric,
     pressure: Pressure | None,
-    inside: Inside | None,
+    inside: Inside,
     known: float,
 ) -> Hidden:
     """Bound what may be hidden (collective).
@@ -83,7 +83,7 @@ def hidden_parts(
         u_D: What v is on Γ_D.
         metric: Metric of the owned cells.
         pressure: What presses v against ψ on Γ_S under the law of Signorini alone; None under others.
-        inside: The laws in Ω, None without any.
+        inside: The laws in Ω.
         known: The bound without what is hidden.
     """
     slope, gap = np.zeros((2, len(metric.volume)))
@@ -95,8 +95,8 @@ def hidden_parts(
         cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree, pressure.points)).astype(np.int64)
         slope[cells] += missed.of(pressure.name, tree, cells)[0]
         gap += pressure.missed(resolution, tree, len(gap))
-    for ray in inside.rays if inside is not None else ():
-        if inside is not None and (tree := resolution.tree(ray.name, ray.datum)) is not None:
+    for ray in inside.rays:
+        if (tree := resolution.tree(ray.name, ray.datum)) is not None:
             cells = _cells_of_ray(resolution, trace, tree, ray)
             steep, size = missed.of(ray.name, tree, cells)
             slope[cells] += steep

@@ -45,6 +45,7 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Obstacle
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
@@ -180,7 +181,7 @@ class Inside:
 
     Attributes:
         spaces: The discrete spaces.
-        laws: The laws.
+        parts: The laws, each with its region; none without laws in Ω.
         s: The s_T.
         segment: The segment of each cell.
         rays: All bounds of u.
@@ -189,7 +190,7 @@ class Inside:
     """
 
     spaces: Spaces
-    laws: CellLaws
+    parts: tuple[PartLaw, ...]
     s: Array
     segment: Indices
     rays: tuple[Ray, ...]
@@ -197,11 +198,12 @@ class Inside:
     takes_f: Mask
 
     @classmethod
-    def of(cls, solution: Solution, y: fem.Function, level: fem.Function, resolution: Resolution) -> Inside | None:
-        """The laws with a flux, with u* as `level`; None if there are none (collective)."""
+    def of(cls, solution: Solution, y: fem.Function, level: fem.Function, resolution: Resolution) -> Inside:
+        """The laws with a flux, with u* as `level` (collective)."""
         spaces, data, laws, cells = solution.spaces, solution.data, solution.data.inside, solution.outcome.iterate.cells
         if laws is None or cells is None:
-            return None
+            none = np.zeros((2, len(spaces.cell_measures)))
+            return cls(spaces, (), none[0], none[0].astype(np.int64), (), none[1], none[1] > 0)
         divergence = assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
         u = level.x.array
         s = selected(laws, cells, divergence + data.source(level).x.array, u)
@@ -217,7 +219,7 @@ class Inside:
         largest, takes_f = np.zeros(len(s)), np.zeros(len(s), dtype=bool)
         for ray in rays:
             largest[ray.touched] = np.maximum(-ray.sign * s[ray.touched], 0.0)
-        inside = cls(spaces, laws, s, segment, rays, largest, takes_f)
+        inside = cls(spaces, laws.of_regions, s, segment, rays, largest, takes_f)
         if data.f.number is None:
             inside._take_f(data, resolution)
         return inside
@@ -226,7 +228,7 @@ class Inside:
         """Let η take f where it can, in place (collective)."""
         f_h = data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
         others = np.zeros(len(self.s), dtype=bool)
-        for part in self.laws.of_regions:
+        for part in self.parts:
             others[part.rows] |= type(part.law) is not Obstacle
         for ray in self.rays:
             cells = np.flatnonzero(ray.touched & (self.largest > 0) & ~others)
@@ -245,13 +247,15 @@ class Inside:
 
     def gap(
         self, trace: Trace, metric: CellMetric, resolution: Resolution, area: Area = gap
-    ) -> tuple[Array, Projection]:
-        """Twice the gap, at most, and the load s_T − η without f − f_h (collective); `area` is as in `laws`."""
+    ) -> tuple[Array, Projection | None]:
+        """Twice the gap, at most, and the load s_T − η without f − f_h, if any (collective); `area` is as in `laws`."""
         mesh = self.spaces.mesh
+        if not self.parts:
+            return np.zeros(len(self.s)), None
         number, dim, cell = len(self.s), mesh.topology.dim, mesh.basix_cell()
         found, missed = np.zeros(number), np.zeros(number)
         load = Projection(np.zeros((number, dim)), np.zeros(number))
-        of_data = [datum for part in self.laws.of_regions for datum in part.data.values()]
+        of_data = [datum for part in self.parts for datum in part.data.values()]
         degree = max(SQUARE, quadrature_degree(*of_data))
         near = np.isin(np.arange(number), trace.cells)
         for parts, cells in self._groups():
@@ -260,7 +264,7 @@ class Inside:
                 points, weights = positive_quadrature(cell, of_degree)
                 for at in in_cells(mesh, some.astype(np.int32), points, weights):
                     own = at.cells.astype(np.int64)
-                    law = reduce(Chains.plus, (self.laws.of_regions[i].chains(at) for i in parts))
+                    law = reduce(Chains.plus, (self.parts[i].chains(at) for i in parts))
                     v = trace.jet(at, near=close)[:, :, 0]
                     eta = self._eta(law, v, own, metric, at)
                     missed[own] = self.s[own] - at.means(eta)
@@ -279,7 +283,7 @@ class Inside:
 
         Under obstacles alone v is between them in all points, so that cells on no obstacle have no gap.
         """
-        parts = self.laws.of_regions
+        parts = self.parts
         code = np.zeros(len(self.s), dtype=np.int64)
         for number, part in enumerate(parts):
             code[part.rows] += 2**number

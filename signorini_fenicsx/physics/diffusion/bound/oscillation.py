@@ -72,8 +72,8 @@ def load_oscillation(
     reaction: ReactionTerms | None,
     memory: Memory | None,
     resolution: Resolution,
-    of_laws: Projection | None = None,
-    takes_f: Mask | None = None,
+    of_laws: Projection | None,
+    takes_f: Mask,
 ) -> Array:
     """osc_T per owned cell (collective).
 
@@ -86,7 +86,7 @@ def load_oscillation(
         memory: What a step in time takes from those before; None if it is constant on each cell.
         resolution: Records what quadrature may have missed.
         of_laws: The load s_T − η of laws in Ω, see `inside`; None without laws.
-        takes_f: Mask of the owned cells where f − f_h is no load, as a law takes f as it is; None for none.
+        takes_f: Mask of the owned cells where f − f_h is no load, as a law takes f as it is.
     """
     mesh = spaces.mesh
     facet_loads = [*on_signorini]
@@ -184,19 +184,15 @@ def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int)
     )
 
 
-def _load(
-    spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, takes_f: Mask | None
-) -> Projection | None:
+def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, takes_f: Mask) -> Projection | None:
     """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective)."""
     if data.f.number is not None:
         return None
     cell, f_h = spaces.mesh.basix_cell(), data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
     degree = quadrature_degree(data.f, power=2)
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
-    cells = owned_cells(spaces.mesh)
-    if takes_f is not None:
-        load.coefficients[takes_f], load.rest[takes_f] = 0.0, 0.0
-        cells = cells[~takes_f]
+    load.coefficients[takes_f], load.rest[takes_f] = 0.0, 0.0
+    cells = owned_cells(spaces.mesh)[~takes_f]
     if not resolution.encloses("f", data.f):
         return load
     p = quadratic_of(resolution.vertices, f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell)))

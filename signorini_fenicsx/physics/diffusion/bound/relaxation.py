@@ -108,8 +108,8 @@ def relax(
     excess: Array,
     fixed: Indices,
     box: Box,
-    robin: Robin | None = None,
-    jumps: Jumps | None = None,
+    robin: Robin | None,
+    jumps: Jumps,
 ) -> None:
     """Reduce ½‖κ_h∇v − y‖² + ½⟨βv, v⟩ + the excess times v on Γ_S by rounds of CG (collective).
 
@@ -124,7 +124,7 @@ def relax(
         fixed: Nodes on Γ_D.
         box: The bounds.
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
-        jumps: If v has the jumps at facets inside the domain in it.
+        jumps: The jumps at facets inside the domain, which v has in it.
     """
     gap = _Gap(v.function_space, y, kappa, excess, box.low, robin, jumps)
     best = v.x.array.copy()
@@ -151,12 +151,12 @@ def relax(
     gap.destroy()
 
 
-def _matrix(space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, jumps: Jumps | None) -> PETSc.Mat:
-    """The matrix of the gap, of the jumps if there are any (collective)."""
+def _matrix(space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, jumps: Jumps) -> PETSc.Mat:
+    """The matrix of the gap, in the jumps if there are any (collective)."""
     trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
-    if jumps is None:
+    if jumps.basis is None:
         return _assembled(_form(trial, test, kappa, robin))
-    matrix = _assembled(_form(trial, test, kappa, None)).ptap(jumps.basis)
+    matrix = _assembled(_form(trial, test, kappa, None)).ptap(jumps.basis[0])
     if robin is not None:
         more, size = _assembled(robin[0].form(_rubbing(trial, test, robin))), space.dofmap.index_map.size_local
         tips = jumps.tips[jumps.tips < size].astype(np.int32)
@@ -200,7 +200,7 @@ class _Gap:
         excess: Array,
         low: Array,
         robin: Robin | None,
-        jumps: Jumps | None,
+        jumps: Jumps,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
         self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
@@ -212,10 +212,10 @@ class _Gap:
         self._rubbing = None if robin is None else robin[0].form(_rubbing(self._given, test, robin))
         self._make = partial(_matrix, space, kappa, robin, jumps)
         self._matrix: PETSc.Mat | None = None
-        if jumps is None:
+        self._flux = jumps.transposed(self._flux)
+        if jumps.basis is None:
             self._diagonal = assembled(_form(trial, test, kappa, robin, "diagonal"))[:size]
         else:
-            self._flux = jumps.transposed(self._flux)
             self._diagonal = self.assemble().getDiagonal().array
 
     def assemble(self) -> PETSc.Mat:

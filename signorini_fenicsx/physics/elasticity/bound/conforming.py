@@ -23,6 +23,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.discrete.matrices import of_entries
 from signorini_fenicsx.forms.elasticity import product, square, strain, vector
 from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
@@ -194,12 +195,7 @@ class BestDisplacement:
             rows, columns = (np.broadcast_to(each, shape) for each in (unknowns[:, :, None], unknowns[:, None]))
             places.append((rows.ravel(), columns.ravel(), values.ravel()))
         rows, columns, values = (np.concatenate([each[k] for each in places]) for k in range(3))
-        springs = PETSc.Mat().create(self.comm)
-        springs.setSizes(natural.getSizes(), bsize=dim)
-        springs.setType("aij")
-        springs.setPreallocationCOO(rows.astype(PETSc.IntType), columns.astype(PETSc.IntType))
-        springs.setValuesCOO(values, PETSc.InsertMode.ADD_VALUES)
-        return springs
+        return of_entries(self.comm, natural.getLocalSize()[0], rows, columns, values, dim)
 
     def _assemble(self) -> None:
         """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
@@ -238,13 +234,8 @@ class BestDisplacement:
     def _turn(self, natural: PETSc.Mat) -> PETSc.Mat:
         """From coefficients in the frames of the nodes to those in coordinates."""
         dim, frames = self.spaces.dim, self._given.frames[: self._numbers.size_local]
-        turn = PETSc.Mat().create(self.comm)
-        turn.setSizes(natural.getSizes(), bsize=dim)
-        turn.setType("aij")
-        rows, columns = self._places(np.arange(len(frames)), natural)
-        turn.setPreallocationCOO(rows, columns)
-        turn.setValuesCOO(frames.ravel(), PETSc.InsertMode.INSERT_VALUES)
-        return turn
+        places = self._places(np.arange(len(frames)), natural)
+        return of_entries(self.comm, natural.getLocalSize()[0], *places, frames.ravel(), dim)
 
     def _places(self, nodes: Indices, matrix: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray]:
         """Rows and columns of the blocks of owned nodes."""
@@ -256,13 +247,9 @@ class BestDisplacement:
 
     def _coupling(self, natural: PETSc.Mat) -> PETSc.Mat:
         """Zeros where terms between two nodes will have entries (collective)."""
-        coupling = PETSc.Mat().create(self.comm)
-        coupling.setSizes(natural.getSizes(), bsize=self.spaces.dim)
-        coupling.setType("aij")
         rows, columns = self._between(self._nodes)
-        coupling.setPreallocationCOO(rows, columns)
-        coupling.setValuesCOO(np.zeros(len(rows)), PETSc.InsertMode.INSERT_VALUES)
-        return coupling
+        size = natural.getLocalSize()[0]
+        return of_entries(self.comm, size, rows, columns, np.zeros(len(rows)), self.spaces.dim)
 
     def _between(self, pairs: Indices) -> tuple[npt.NDArray, npt.NDArray]:
         """Rows and columns of the blocks of pairs of nodes of this rank, ghosts too, each in both orders."""
