@@ -10,10 +10,11 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.costs import Cost
+from signorini_fenicsx.cases.data_section import READERS as SCALAR
+from signorini_fenicsx.cases.data_section import data_section
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import PartsInside, Section
 from signorini_fenicsx.cases.values import (
-    Conductivity,
     Directions,
     Expression,
     ExpressionByPart,
@@ -25,7 +26,18 @@ from signorini_fenicsx.cases.values import (
 )
 from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
 from signorini_fenicsx.meshes.cut import Side
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem, Plane
+from signorini_fenicsx.physics.elasticity.problem import (
+    CoulombLaw,
+    ElasticBoundary,
+    ElasticLaw,
+    ElasticProblem,
+    GivenAxes,
+    GivenByPart,
+    GivenModulus,
+    GivenVector,
+    GivenVectorByPart,
+    Plane,
+)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solving import RULES
 
@@ -135,34 +147,29 @@ class ContactTexts(Section):
         return None if self.mu is None else CoulombLaw(self.parts, self.mu)
 
 
-MATERIAL = "young", "poisson", "shear", "axes", "eigenstrain", "initial_stress"
+READERS = SCALAR | {
+    GivenVector: Vector,
+    GivenVectorByPart: VectorByPart,
+    GivenByPart: ExpressionByPart,
+    GivenModulus: Moduli,
+    GivenAxes: Directions,
+}
+OF_PROBLEM = data_section(
+    ElasticProblem,
+    READERS,
+    gap=Expression,  # single parts have theirs in a [[law]]
+    force=None,
+    moment=None,
+    plane=Annotated[str, choice("plane", tuple(Plane))],
+    exact=None,
+    laws=None,
+)
 
 
-def _is_none(given: object) -> bool:
-    return given is None
-
-
-class ElasticTexts(Section):
+class ElasticTexts(OF_PROBLEM):  # type: ignore[misc, valid-type]
     """`[problem]`: the data of an `ElasticProblem` as text in x, y, z; the material may have one for each region."""
 
-    young: Moduli
-    poisson: Moduli
-    f: Vector | None = None
-    u_D: VectorByPart | None = None
-    g_N: VectorByPart | None = None
-    pressure: Annotated[ExpressionByPart, Field(default={}, exclude_if=lambda given: not given)]
-    gap: Expression = "0"
-    plane: Annotated[str, choice("plane", tuple(Plane))] = Plane.STRAIN
-    shear: Annotated[Moduli | None, Field(default=None, exclude_if=_is_none)]
-    axes: Annotated[Directions | None, Field(default=None, exclude_if=_is_none)]
-    eigenstrain: Annotated[Conductivity | None, Field(default=None, exclude_if=_is_none)]
-    initial_stress: Annotated[Conductivity | None, Field(default=None, exclude_if=_is_none)]
-
-    def texts(self) -> list[tuple[str, str]]:
-        """Each expression with the name of its key."""
-        names = "gap", "f", "u_D", "g_N", "pressure", *MATERIAL
-        given = [(name, getattr(self, name)) for name in names]
-        return [entry for name, value in given if value is not None for entry in texts_of(name, value)]
+    words = ("plane",)
 
 
 class ElasticExact(Section):
@@ -251,7 +258,7 @@ class ElasticCase(CaseFile):
 
     def data(self) -> ElasticProblem:
         """The data as they are given."""
-        values: dict[str, Any] = {key: getattr(self.problem, key) for key in type(self.problem).model_fields}
+        values: dict[str, Any] = dict(self.problem)
         own = {part: law.gap for law in self.law for part in law.parts if law.gap is not None}
         if own:
             values["gap"] = {part: own.get(part, self.problem.gap) for part in self.parts.contact}

@@ -4,11 +4,10 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
+from signorini_fenicsx.cases.data_section import data_section
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.values import (
-    Conductivity,
-    Expression,
     ExpressionByRegion,
     Positive,
     Whole,
@@ -33,26 +32,11 @@ def _capacity(value: object) -> object:
     return dict(graph.model_extra or {})
 
 
-class ProblemTexts(Section):
+class ProblemTexts(data_section(Problem, exact=None, laws=None)):  # type: ignore[misc]
     """`[problem]`: the data of a `Problem` as text in x, y, z.
 
     κ is a text, a matrix, or one of them per region; f and c are texts, or one per region.
     """
-
-    f: ExpressionByRegion
-    kappa: Conductivity = "1"
-    u_D: Expression = "0"
-    g_N: Expression = "0"
-    psi: Expression = "0"
-    q_S: Expression = "0"
-    c: ExpressionByRegion = "0"
-    obstacle: Expression | None = None
-
-    def texts(self) -> list[tuple[str, str]]:
-        """Each expression with the name of its key."""
-        names = "u_D", "g_N", "psi", "q_S", "obstacle", "f", "kappa", "c"
-        given = [(name, getattr(self, name)) for name in names]
-        return [entry for name, text in given if text is not None for entry in texts_of(name, text)]
 
     def read(self, names: str) -> Problem:
         """The data as trees in these variables.

@@ -18,6 +18,10 @@ type Entries = Sequence[Sequence[float | str | Tree]]
 type Given = float | str | Tree | Entries | Array | Expr | Callable[[Array], npt.ArrayLike]
 """A number; an expression as a case file has it, as text or read, or a matrix of them, also an array; a UFL expression
 on the mesh, or a `fem.Function`; or a function of points of shape (3, n)."""
+type GivenByRegion = Given | Mapping[str, Given]
+"""A scalar, or one for each region of the mesh."""
+type GivenMatrix = Given | Mapping[str, Given]
+"""A number times the unit matrix, or a symmetric matrix; or one of these for each region of the mesh."""
 
 
 def parsed(given: Any, names: str, key: str) -> Any:

@@ -1,6 +1,6 @@
 """A diffusion problem as the user gives it, and sorted by the kinds of its boundary."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
@@ -8,7 +8,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, Signorini
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
-from signorini_fenicsx.expressions.given import Given, at_time, parsed
+from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix, at_time, parsed
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ class Diffusion:
         InputError: If `conditions` is not a list of them, or a part has two.
     """
 
-    f: Given | Mapping[str, Given]
-    kappa: Given | Mapping[str, Given] = 1.0
-    c: Given | Mapping[str, Given] = 0.0
+    f: GivenByRegion
+    kappa: GivenMatrix = 1.0
+    c: GivenByRegion = 0.0
     u_D: Given = 0.0
     obstacle: Given | None = None
-    exact: Given | Mapping[str, Given] | None = None
+    exact: GivenByRegion | None = None
     conditions: Sequence[Law] = ()
 
     def __post_init__(self) -> None:
@@ -112,15 +112,15 @@ class Problem:
         InputError: If `laws` is not a list of laws.
     """
 
-    f: Given | Mapping[str, Given]
-    kappa: Given | Mapping[str, Given] = 1.0
+    f: GivenByRegion
+    kappa: GivenMatrix = 1.0
     u_D: Given = 0.0
     g_N: Given = 0.0
     psi: Given = 0.0
     q_S: Given = 0.0
-    c: Given | Mapping[str, Given] = 0.0
+    c: GivenByRegion = 0.0
     obstacle: Given | None = None
-    exact: Given | Mapping[str, Given] | None = None
+    exact: GivenByRegion | None = None
     laws: Sequence[Law] = ()
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law, OnParts
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
-from signorini_fenicsx.expressions.given import Given, at_time, parsed
+from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
 
 if TYPE_CHECKING:
@@ -27,11 +27,14 @@ if TYPE_CHECKING:
 type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
 """A number, text or UFL expression for each component; a UFL vector on the mesh; or a function of points of shape
 (3, n) with values of shape (d, n)."""
-
+type GivenVectorByPart = GivenVector | Mapping[str, GivenVector | None]
+"""A vector, or one for each part of the boundary."""
+type GivenByPart = Mapping[str, Given]
+"""A scalar for each part of the boundary."""
 type GivenModulus = Given | Sequence[Given] | Mapping[str, Given | Sequence[Given]]
 """A modulus, or three along the axes of the material; or one of these for each region of the mesh."""
-type GivenStrain = Given | Mapping[str, Given]
-"""A number times the unit matrix, or a symmetric matrix; or one of these for each region of the mesh."""
+type GivenAxes = Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]]
+"""Directions of the axes of the material, one in the plane and two in space; or these for each region of the mesh."""
 
 NORMAL = "n"
 
@@ -177,9 +180,9 @@ class Elasticity:
     exact: GivenVector | None = None
     conditions: Sequence[OnParts] = ()
     shear: GivenModulus | None = None
-    axes: Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]] | None = None
-    eigenstrain: GivenStrain | None = None
-    initial_stress: GivenStrain | None = None
+    axes: GivenAxes | None = None
+    eigenstrain: GivenMatrix | None = None
+    initial_stress: GivenMatrix | None = None
 
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
@@ -275,17 +278,17 @@ class ElasticProblem:
     young: GivenModulus
     poisson: GivenModulus
     f: GivenVector | None = None
-    u_D: GivenVector | Mapping[str, GivenVector | None] | None = None
-    g_N: GivenVector | Mapping[str, GivenVector | None] | None = None
-    pressure: Mapping[str, Given] = field(default_factory=dict)
+    u_D: GivenVectorByPart | None = None
+    g_N: GivenVectorByPart | None = None
+    pressure: GivenByPart = field(default_factory=dict)
     gap: Given | Mapping[str, Given] = 0.0
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None
     laws: Sequence[ElasticLaw] = ()
     shear: GivenModulus | None = None
-    axes: Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]] | None = None
-    eigenstrain: GivenStrain | None = None
-    initial_stress: GivenStrain | None = None
+    axes: GivenAxes | None = None
+    eigenstrain: GivenMatrix | None = None
+    initial_stress: GivenMatrix | None = None
     force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
 
