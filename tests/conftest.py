@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -10,8 +10,6 @@ from mpi4py import MPI
 from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell_parent
 
 from signorini_fenicsx.base.parallel import collect_garbage
-from signorini_fenicsx.cases.case import Case, load_case
-from signorini_fenicsx.physics.diffusion.solution import Solution
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -28,13 +26,22 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests for several numbers of ranks as slow, except with the largest number up to USUAL_RANKS."""
+    """Mark tests for several numbers of ranks as slow, except with one of them.
+
+    A test for one rank as well runs on one: that ranks do not matter is proved by `test_capabilities.py`. Others run
+    with the largest number up to USUAL_RANKS.
+    """
     for item in items:
         marker = item.get_closest_marker("parallel")
         if isinstance(item, pytest.Function) and marker is not None and hasattr(item, "callspec"):
             ranks = item.callspec.params.get("_nprocs")
-            if ranks is not None and ranks != max(number for number in marker.args[0] if number <= USUAL_RANKS):
+            if ranks is not None and ranks != usual_ranks(marker.args[0]):
                 item.add_marker(pytest.mark.slow)
+
+
+def usual_ranks(numbers: Sequence[int]) -> int:
+    """The number of ranks, of several, with which a test is not slow."""
+    return 1 if 1 in numbers else max(number for number in numbers if number <= USUAL_RANKS)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -68,38 +75,3 @@ def collect_between_tests() -> Iterator[None]:
 def folder(tmp_path: Path) -> Path:
     """A temporary folder, the same on all ranks."""
     return MPI.COMM_WORLD.bcast(tmp_path)
-
-
-CASE = """
-title = "A test case"
-
-[geometry]
-shape = "{shape}"
-mesh = "{mesh}"
-
-[boundary]
-signorini = {parts}
-
-[problem]
-f = "{f}"
-
-[solve]
-h = {h}
-"""
-
-
-def make_case(
-    folder: Path, *, shape: str = "square", mesh: str = "unstructured", parts: list[str], f: str, h: float
-) -> Case:
-    """Write a case file and load it (collective)."""
-    path = folder / "case.toml"
-    if MPI.COMM_WORLD.rank == 0:
-        path.write_text(CASE.format(shape=shape, mesh=mesh, parts=parts, f=f, h=h), encoding="utf-8")
-    MPI.COMM_WORLD.Barrier()
-    return load_case(path)
-
-
-def case_of(solution: Solution) -> Case:
-    """The case of a solution."""
-    assert isinstance(solution.source, Case)
-    return solution.source

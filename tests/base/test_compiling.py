@@ -66,7 +66,7 @@ def test_forms_have_a_folder_of_their_own(tmp_path: Path, monkeypatch: pytest.Mo
     assert [path.name for path in tmp_path.iterdir()] == ["signorini_fenicsx"]
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_a_form_is_loaded_once(folder: Path):
     """A form is kept also if only some ranks have it already, but not for other options."""
     if COMM.rank == 0:

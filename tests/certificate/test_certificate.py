@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from conftest import case_of, make_case
+from made_cases import case_of, make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -133,25 +133,3 @@ def test_no_bound_without_a_solution(folder: Path):
     case = make_case(folder, parts=["bottom"], f="0", h=0.3).with_values({"problem.u_D": "x - 0.5"})
     assert certify(solve_case(case, COMM)).bound == math.inf
     assert math.isfinite(certify(solve_case(case.with_values({"problem.u_D": "x - y"}), COMM)).bound)
-
-
-@pytest.mark.parallel(3)
-def test_ranks_do_not_matter():
-    for name, algorithm in [("example2", "alg4"), ("example6", "alg3")]:
-        case = load_case(name).with_values({"solve.h": 1 / 8, "solve.algorithm": algorithm, "solve.eps": 1e-2})
-        together, alone = certify(solve_case(case, COMM)), certify(solve_case(case, MPI.COMM_SELF))
-        rounding = 1e-10 * alone.bound  # the parts are compared with the whole
-        assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-10, abs=rounding)
-        assert (together.guaranteed, together.unresolved) == (alone.guaranteed, alone.unresolved)
-
-
-@pytest.mark.parallel(3)
-@pytest.mark.parametrize(
-    "values", [{"solve.h": 0.03}, {"solve.h": 0.06, "problem.obstacle": -0.1}], ids=["CG", "obstacle"]
-)
-def test_ranks_do_not_matter_where_rounding_is_large(values: dict[str, object]):
-    """The residual of CG, its part in a constant and the rounding of the force of an obstacle are not in the bound."""
-    case = load_case("example1").with_values(values | {"problem.f": "-10 if x < 0.317 else 2"})
-    together = certify(solve_case(case, COMM))
-    alone = COMM.bcast(certify(solve_case(case, MPI.COMM_SELF)).numbers() if COMM.rank == 0 else None)
-    assert together.numbers() == pytest.approx(alone, rel=1e-11, abs=0)

@@ -148,21 +148,13 @@ def test_random_bodies(seed: int):
     assert 1 < row.ratio < 1.3
 
 
-@pytest.mark.parallel([1, 2, 3])
-def test_bound_on_ranks_and_corners():
-    """A symmetric half with a normal that is fixed, a gap that is curved, tractions: the same bound on all ranks."""
-    found = []
-    for comm in (MPI.COMM_SELF, COMM):
-        domain = box(comm, 4, [0.0, 0.0], [1.0, 1.0])
-        boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
-        problem = ElasticProblem(1.0, 0.3, g_N=["0", "-0.05 if y > 0.999999 else 0"], gap="0.1*x^2")
-        solution = solve(domain, (boundary, problem))
-        certificate = certify(solution)
-        found.append(certificate.numbers())
-        squares = comm.allreduce(float((certificate.indicator.x.array**2).sum()))
-        assert squares == pytest.approx(2 * certificate.gap, rel=1e-9)
-    assert found[1] == pytest.approx(found[0], rel=1e-6, abs=1e-12)
-    assert found[0]["relative"] < 0.3
+def test_indicators_are_the_bound():
+    """A symmetric half with a normal that is fixed, a gap that is curved, tractions: cells add up to the gap."""
+    boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
+    problem = ElasticProblem(1.0, 0.3, g_N=["0", "-0.05 if y > 0.999999 else 0"], gap="0.1*x^2")
+    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+    assert float((certificate.indicator.x.array**2).sum()) == pytest.approx(2 * certificate.gap, rel=1e-9)
+    assert certificate.relative < 0.3
 
 
 def test_bound_in_space():

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import signorini
+from made_cases import EXACT, on_grid
 from mpi4py import MPI
 from random_bounds import difference
-from test_laws import EXACT, many, on_grid
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
@@ -117,22 +116,6 @@ def test_three_dimensions():
     one, other = (solve(each, (Boundary([]), Problem("20*(x - 0.5)", laws=laws))) for each in (domain, fine))
     distance = difference(one, other)
     assert distance < certify(one).sigma_bound < 2 * distance
-
-
-@pytest.mark.parallel([1, 3])
-def test_ranks_do_not_matter(folder: Path):
-    """Six laws and no Γ_D, a law whose facets some ranks do not have, and adaptive refinement."""
-    case = many(folder)
-    together, alone = (certify(solve_case(case, comm)) for comm in (COMM, MPI.COMM_SELF))
-    assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-8, abs=1e-10)
-    rough = load_case("friction").with_values({"solve.h": 0.1, "problem.f": "(x - 0.3)^2*sin(400*x*y)"})
-    together, alone = (certify(solve_case(rough, comm)) for comm in (COMM, MPI.COMM_SELF))
-    assert [name for name, _ in together.unresolved] == [name for name, _ in alone.unresolved] != []
-    np.testing.assert_allclose([x for _, x in together.unresolved], [x for _, x in alone.unresolved], atol=1e-12)
-    rows: list = []
-    adapt_case(load_case("friction").with_values({"solve.h": 0.25}), COMM, max_cells=600, on_row=rows.append)
-    assert rows[-1].bound < 0.6 * rows[0].bound
-    collect_garbage(COMM)
 
 
 @pytest.mark.parametrize("name", ["friction", "regulator", "two_sided", "staircase"])

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import ufl
 from commands import signorini
-from conftest import case_of
 from dolfinx import fem
+from made_cases import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Diffusion, Dirichlet, Elasticity, Neumann, Signorini, certify, solve
@@ -152,7 +152,7 @@ def test_finer_flux(folder: Path):
     assert coarse["lower"] < fine["lower"] < 0.0613650 < fine["bound"] < coarse["bound"]
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_any_ranks(folder: Path):
     """Bounds and repair of a field of a file are the same on any number of ranks."""
     found = certified(folder)

@@ -7,10 +7,11 @@ import basix
 import numpy as np
 import pytest
 import ufl
+from made_cases import on_square, rotated
 from mpi4py import MPI
 from random_bounds import examine
 
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -25,25 +26,11 @@ COMM = MPI.COMM_WORLD
 EVERYWHERE = ["bottom", "top", "left", "right"]
 
 
-def make(n: int, signorini: list[str], **values: object) -> Case:
-    """A case on a structured mesh of the square."""
-    given = {"problem.f": "40*(x - 0.6)", "boundary.signorini": signorini, "solve.algorithm": "alg1"}
-    given |= {"geometry.mesh": "structured", "solve.h": 1.001 * math.sqrt(2) / n}
-    return load_case("example1").with_values(given | {key.replace("__", "."): value for key, value in values.items()})
-
-
 def energy(coarse: Solution, fine: Solution) -> float:
     """‖σ_h − σ_h'‖ on the finer mesh, in the energy norm."""
     (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain)
     error = fine.sigma - sigma
     return math.sqrt(fine.spaces.integrate(flux_product(error, error, ufl.dx, fine.data.kappa_h)))
-
-
-def rotated(ratio: float, degrees: float) -> list[list[str]]:
-    """κ with the eigenvalues 1 and 1/ratio."""
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    matrix = np.outer([c, s], [c, s]) + np.outer([-s, c], [-s, c]) / ratio
-    return [[repr(float(entry)) for entry in row] for row in matrix]
 
 
 def spoilt(solution: Solution) -> Solution:
@@ -66,13 +53,13 @@ def spoilt(solution: Solution) -> Solution:
 )
 def test_near_the_error(n: int, values: dict[str, object], sharp: float):
     """The bound is above the distance to a solution on a mesh 4 times as fine, which is slightly below the error."""
-    coarse, fine = solve_case(make(n, ["bottom"], **values)), solve_case(make(4 * n, ["bottom"], **values))
+    coarse, fine = solve_case(on_square(n, ["bottom"], **values)), solve_case(on_square(4 * n, ["bottom"], **values))
     assert energy(coarse, fine) < certify(coarse).sigma_bound < sharp * energy(coarse, fine)
 
 
 def test_without_dirichlet_part():
     """A flux with more imbalance than rounding is corrected, also if only contact fixes u."""
-    solution = solve_case(make(8, EVERYWHERE))
+    solution = solve_case(on_square(8, EVERYWHERE))
     exact, other = certify(solution), certify(spoilt(solution))
     assert exact.remainder < 1e-7 * exact.bound
     size = math.sqrt(solution.spaces.integrate(flux_product(solution.sigma, solution.sigma, ufl.dx)))
@@ -134,6 +121,6 @@ def test_ranks_do_not_matter():
     """The same on several ranks: vertices of Γ_S with facets of other ranks, loads on facets, a corrected balance."""
     general = {"problem__psi": "0.2*sin(40*x)*cos(30*y) - 0.1", "problem__u_D": "1", "boundary__neumann": ["top"]}
     general |= {"problem__q_S": "cos(20*x)", "problem__g_N": "sin(20*x)", "problem__kappa": rotated(100, 20)}
-    for case in (make(8, ["bottom", "left"], **general), make(8, EVERYWHERE)):
+    for case in (on_square(8, ["bottom", "left"], **general), on_square(8, EVERYWHERE)):
         together, alone = (certify(spoilt(solve_case(case, comm))) for comm in (COMM, MPI.COMM_SELF))
         assert together.numbers() == pytest.approx(alone.numbers(), rel=1e-10, abs=1e-12)

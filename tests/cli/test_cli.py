@@ -146,7 +146,7 @@ def test_a_mesh_without_a_free_vertex_on_the_contact_part(tmp_path: Path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_failed_run_keeps_its_state_and_earlier_results(folder: Path):
     good = signorini(folder, "solve", "example1", "--h", "1/4")
     assert good.returncode == 0, good.stderr

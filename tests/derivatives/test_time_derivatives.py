@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from controlled import constants, directions_of, function, move, pairing
 from mpi4py import MPI
-from test_derivatives import constants, directions_of, function, move, pairing
 
 from signorini_fenicsx import (
     Diffusion,

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import make_case
+from agreement import assert_same_iterates
+from made_cases import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.conditions import SiteConditions
@@ -33,40 +34,13 @@ COMM = MPI.COMM_WORLD
 MULTIGRID, DIRECT = Tuning(direct_up_to=0), Tuning(direct_up_to=10**6)
 
 
-def assert_same_iterates(case: Case, tolerance: float, tuning: Tuning | None = None) -> None:
-    """Every algorithm has the same sets and the same final σ, u, p with both backends (collective)."""
-    domain = mesh_case(case, COMM)
-    for algorithm in ("alg1", "alg2", "alg3", "alg4"):
-        mixed, facet = (
-            solve_case(
-                case.with_values({"solve.algorithm": algorithm, "solve.backend": backend, "solve.eps": 1e-6}),
-                COMM,
-                domain=domain,
-                tuning=tuning,
-            )
-            for backend in ("mixed", "hybrid")
-        )
-        for a, b in zip(mixed.outcome.history, facet.outcome.history, strict=True):
-            assert (a.no_flux, a.zero_trace, a.robin, a.changed, a.clipped) == (
-                b.no_flux,
-                b.zero_trace,
-                b.robin,
-                b.changed,
-                b.clipped,
-            )
-            assert a.sigma_change == pytest.approx(b.sigma_change, abs=1e-8)
-        np.testing.assert_array_equal(mixed.outcome.conditions.kind, facet.outcome.conditions.kind)
-        for one, two in [(mixed.sigma, facet.sigma), (mixed.u, facet.u), (mixed.p, facet.p)]:
-            np.testing.assert_allclose(one.x.array, two.x.array, atol=tolerance)
-
-
 @pytest.mark.parallel([1, 2])
 def test_direct_solver():
     for name in [f"example{i}" for i in range(1, 7)] if COMM.size == 1 else ["example3", "example5"]:
         assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 8}), 1e-12)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_multigrid():
     for name in ["example2", "example4", "example6"] if COMM.size == 1 else ["example6"]:
         assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 16}), 1e-10, MULTIGRID)
@@ -112,7 +86,7 @@ def test_traces_are_those_of_the_recovered_flux(name: str):
     np.testing.assert_allclose(flux, expected.flux, atol=1e-11)
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_sweeps_reduce_every_error():
     """Also where each unknown of a flat cell is on another rank; with ω = 1 that error would grow."""
     matrix = PETSc.Mat().createDense((3, 3), comm=COMM)
@@ -178,7 +152,7 @@ def view(solver: PETSc.KSP) -> str:
         return file.read()
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_levels_of_a_refined_mesh():
     """The meshes from which it was refined are levels: fewer iterations than by GAMG, the same solution."""
     case = load_case("example1")
@@ -208,7 +182,7 @@ def test_snesvi_finds_the_same():
         assert len(vi.outcome.history) <= 15
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_bad_cells():
     """Aspect ratio 20 and obtuse angles slow CG down, but sets and fields are those of the saddle point."""
     tuning = Tuning(direct_up_to=0, predict_from=0)
@@ -227,7 +201,7 @@ def test_bad_cells():
         np.testing.assert_allclose(one.x.array, two.x.array, atol=1e-9 * np.abs(one.x.array).max(initial=1.0))
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_a_factorisation_takes_over(monkeypatch: pytest.MonkeyPatch):
     """A system of medium size is factorised if CG takes too many iterations.
 
@@ -327,7 +301,7 @@ def test_an_option_with_a_prefix_is_for_some_solvers_and_nothing_stays():
     assert not {name for name in options.getAll() if name.startswith(("mat_mumps", "snes_vi"))}
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_one_factorisation_for_any_conditions(folder: Path):
     """All kinds at once, with a β and a value on each site, as by a factorisation for these conditions alone."""
     case = make_case(folder, shape="lshape", parts=["bottom", "left"], f="x - y", h=0.3)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exact import energy_error
 from mpi4py import MPI
-from test_inner import energy_error
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import ufl
-from conftest import case_of
+from made_cases import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
@@ -126,15 +126,6 @@ def test_certificate(name: str):
         squares = certificate.indicator.x.array**2
         assert squares.sum() == pytest.approx(2 * certificate.gap + certificate.oscillation**2, rel=1e-10)
         assert certificate.remainder < 1e-6 * sigma  # ROUNDING ‖σ_h‖
-
-
-@pytest.mark.parallel(2)
-def test_ranks_do_not_matter():
-    for name, h in (("transition", 0.3), ("singular3d", 0.5)):
-        case = load_case(name).with_values({"solve.h": h})
-        together, alone = solve_case(case, COMM), solve_case(case, MPI.COMM_SELF)
-        assert together.errors() == pytest.approx(alone.errors(), rel=1e-10, abs=1e-11)
-        assert certify(together).numbers() == pytest.approx(certify(alone).numbers(), rel=1e-10, abs=1e-11)
 
 
 @pytest.mark.parametrize("u", ["-x*x", "-2"])

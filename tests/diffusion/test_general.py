@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from conftest import make_case
 from dolfinx import fem
+from made_cases import make_case
 from mpi4py import MPI
 from ufl.core.expr import Expr
 

@@ -112,7 +112,7 @@ def test_one_that_nothing_balances(folder: Path, law: str, load: float):
         solve_case(load_case(case_file(folder, TWO, LAW=law, LOAD=load)))
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_three_components(folder: Path):
     """Laws in a row carry the load of both; two components are refused together where each alone is balanced."""
     law = 'kind = "regulator", k = 4, g_low = -1, g_high = 1'

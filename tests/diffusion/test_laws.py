@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run
+from made_cases import EXACT, many, on_grid
 from mpi4py import MPI
 from random_laws import examine
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -26,65 +27,10 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
-EXACT = ("friction", "two_sided", "wall", "regulator", "staircase")
-
-MANY = """
-title = "All laws at once"
-[geometry]
-shape = "lshape"
-[boundary]
-signorini = ["bottom"]
-[[law]]
-parts = ["left"]
-kind = "friction"
-g = "0.3 + 0.1*y"
-[[law]]
-parts = ["right"]
-kind = "two-sided"
-psi = "-0.05"
-psi_upper = "0.05 + 0.01*y"
-[[law]]
-parts = ["top"]
-kind = "wall"
-beta = "2 + x"
-level = "0.1*x"
-[[law]]
-parts = ["notch_x"]
-kind = "regulator"
-k = 3
-g_low = "-0.1"
-g_high = 0.2
-[[law]]
-parts = ["notch_y"]
-kind = "graph"
-corners = [[-0.1, 0.4], [0, "1/10"], [0, -0.1], [0.2, -0.3]]
-beyond = "vertical"
-[problem]
-f = "10*sin(7*x)*cos(5*y)"
-u_D = "0"
-[solve]
-h = "1/4"
-"""
-
-
-def many(folder: Path, **values: object) -> Case:
-    """A case with six laws and no Γ_D."""
-    path = folder / "many.toml"
-    if COMM.rank == 0:
-        path.write_text(MANY, encoding="utf-8")
-    COMM.barrier()
-    return load_case(path).with_values(values)
-
-
-def on_grid(name: str, n: int, **values: object) -> Solution:
-    """An exact case on a structured mesh of n × n squares."""
-    given = {"geometry.mesh": "structured", "solve.h": 1.0001 * math.sqrt(2) / n}
-    return solve_case(load_case(name).with_values(given | {key.replace("__", "."): to for key, to in values.items()}))
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -124,14 +70,11 @@ def test_other_ways_to_the_same_solution(name: str):
 @pytest.mark.parallel([1, 3])
 def test_all_laws_at_once(folder: Path):
     """Without Γ_D, on ranks without facets of some laws; multigrid and a prediction change nothing; a file keeps it."""
-    case = many(folder)
-    solution = solve_case(case, COMM)
-    alone = (
-        solve_case(case, MPI.COMM_SELF) if COMM.size > 1 else solve_case(case.with_values({"solve.algorithm": "alg2"}))
-    )
+    case = many()
+    solution, other = solve_case(case, COMM), solve_case(case.with_values({"solve.algorithm": "alg2"}))
     assert max(vars(solution.kkt).values()) < 1e-10
-    assert solution.norms() == pytest.approx(alone.norms(), rel=1e-9)
-    assert solution.segments_of_parts() == alone.segments_of_parts()
+    assert solution.norms() == pytest.approx(other.norms(), rel=1e-9)
+    assert solution.segments_of_parts() == other.segments_of_parts()
     large = solve_case(case, COMM, tuning=Tuning(direct_up_to=0, predict_from=0, coarsen_from=0))
     assert large.norms() == pytest.approx(solution.norms(), rel=1e-8)
     write_solution(solution, folder, fields=True)
@@ -368,7 +311,7 @@ def test_failure_is_told():
 @pytest.mark.parallel([1, 2])
 def test_one_problem_after_another(folder: Path):
     """A `Solver` goes on with other loads and other data of the laws, by one factorisation on few facets."""
-    case = many(folder, **{"boundary.signorini": [], "law.0.g": "0.3"})
+    case = many(**{"boundary.signorini": [], "law.0.g": "0.3"})
     domain = mesh_case(case, COMM)
     solver = Solver(domain, (case.posed(domain.mesh.geometry.dim)[0], None))
     for load, g in [(10, 0.3), (-4, 0.1), (7, 0.5), (3, 0.2)]:

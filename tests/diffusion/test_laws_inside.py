@@ -1,4 +1,4 @@
-"""Laws in Ω: exact solutions with rates and bounds, an independent programme, finer meshes, ranks, files, refusals."""
+"""Laws in Ω: exact solutions with rates and bounds, an independent programme, finer meshes, files, refusals."""
 
 import math
 from dataclasses import dataclass
@@ -28,7 +28,6 @@ from signorini_fenicsx import (
     load_solution,
     solve,
 )
-from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
@@ -239,19 +238,6 @@ def test_own_law():
     np.testing.assert_allclose(own.u.x.array, known.u.x.array, atol=1e-14)
     assert own.certify().bound == pytest.approx(known.certify().bound, rel=1e-12)
     assert set(own.summary()["regions"]["law.0"]) == {"none", "slow", "fast"}
-
-
-@pytest.mark.parallel([1, 3])
-def test_ranks_do_not_matter():
-    """Sets, numbers and bounds are those of one rank, with laws in a region that some ranks do not have."""
-    f = "30*sin(3*x + 4*y)"
-    for laws in ([Obstacle(region="all", psi="-0.1 - 0.02*sin(5*x)", psi_upper=0.2)], LAWS[0]):
-        together, alone = (solve(square(0.12, comm), Diffusion(f=f, conditions=laws)) for comm in (COMM, MPI.COMM_SELF))
-        for name, on in together.summary()["regions"]["law.0"].items():
-            assert on == pytest.approx(alone.summary()["regions"]["law.0"][name], rel=1e-12)
-        assert together.norms() == pytest.approx(alone.norms(), rel=1e-10)
-        assert together.certify().numbers() == pytest.approx(alone.certify().numbers(), rel=1e-8, abs=1e-10)
-    collect_garbage(COMM)
 
 
 def test_files(folder: Path):

@@ -107,18 +107,6 @@ def test_bounds(tmp_path: Path, lines: Lines, more: str):
             np.testing.assert_allclose(getattr(other, name).x.array, expected, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parallel([1, 3])
-def test_ranks(folder: Path):
-    """Solution and bound are those of one rank."""
-    if COMM.rank == 0:
-        crossed_square(folder, 6, GENERAL + OBSTACLE, CROSS)
-    COMM.Barrier()
-    case = load_case(str(folder / "6.toml"))
-    solution, alone = (solve_case(case, comm) for comm in (COMM, MPI.COMM_SELF))
-    assert solution.norms() == pytest.approx(alone.norms(), rel=1e-9)
-    assert certify(solution).numbers() == pytest.approx(certify(alone).numbers(), rel=1e-6, abs=1e-9)
-
-
 HALF = """
 [boundary]
 inner = ["cross"]

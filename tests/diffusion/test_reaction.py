@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from conftest import make_case
+from made_cases import make_case
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array

@@ -1,4 +1,4 @@
-"""Exact and independent solutions, invariants of Algorithms 1 and 2, and independence of the number of ranks."""
+"""Exact and independent solutions, and invariants of Algorithms 1 and 2."""
 
 import itertools
 from pathlib import Path
@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from conftest import make_case
 from dolfinx import fem, la
 from exact import X0, F, exact_sigma, exact_u
+from made_cases import make_case
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
@@ -166,23 +166,3 @@ def test_too_few_iterations_is_a_failure_with_its_state():
     assert caught.value.solution is not None
     assert not caught.value.solution.converged
     assert len(caught.value.solution.outcome.history) == 2
-
-
-RANK_INVARIANTS = ["iterations", "contact_facets", "cells", "dofs", "signorini_facets"]
-
-
-@pytest.mark.parallel([2, 3, 4])
-def test_ranks_do_not_matter():
-    """The distributed run gives what each rank computes alone: counts exactly, norms to 1e-10."""
-    for name, algorithm, mesh in [
-        ("example1", "alg1", "structured"),
-        ("example2", "alg2", "structured"),
-        ("example2", "alg1", "unstructured"),
-        ("example3", "alg2", "unstructured"),
-        ("example6", "alg1", "unstructured"),
-    ]:
-        case = coarse(name, solve_algorithm=algorithm, geometry_mesh=mesh)
-        together, alone = solve_case(case, COMM).summary(), solve_case(case, MPI.COMM_SELF).summary()
-        assert [together[key] for key in RANK_INVARIANTS] == [alone[key] for key in RANK_INVARIANTS]
-        assert together["contact_measure"] == pytest.approx(alone["contact_measure"], rel=1e-12)
-        assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)

@@ -4,17 +4,15 @@ import itertools
 import json
 import math
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
 from commands import signorini
+from in_time import ending_after
 from mpi4py import MPI
 from random_bounds import difference
 
 from signorini_fenicsx import Diffusion, Evolution, Neumann, Obstacle, Storage, evolve
-from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -22,7 +20,6 @@ from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
-from signorini_fenicsx.output.steps import StepFolder
 from signorini_fenicsx.solving.evolving import Instant
 
 COMM = MPI.COMM_WORLD
@@ -150,30 +147,10 @@ def test_bound_of_a_step():
     assert difference(one, other) < certify(one).sigma_bound < 1.5 * difference(one, other)
 
 
-@pytest.mark.parallel([1, 3])
-def test_ranks_do_not_matter():
-    """Contents and sets are those of one rank."""
-    problem = Diffusion(f=0, u_D="1 if x < 0.5 else -1", conditions=[Neumann(["bottom", "top"])])
-    evolution = Evolution(0.04, 4, -1, {"corners": [[0, 0], [0, 1]], "before": 2, "beyond": 1})
-    together, alone = (list(evolve(strip(0.1, comm), problem, evolution)) for comm in (COMM, MPI.COMM_SELF))
-    for one, other in zip(together, alone, strict=True):
-        found, expected = (each.steps.of_step(each.solution)["content"] for each in (one, other))
-        assert found == pytest.approx(expected, rel=1e-10)
-        assert one.solution.norms() == pytest.approx(other.solution.norms(), rel=1e-10)
-    collect_garbage(COMM)
-
-
 def test_restart(tmp_path: Path):
     """A run that ends after step 3 goes on there: with the θ that was selected, so that all numbers are the same."""
     settings = ["solve", "thawing", "--h", "1/8", "--set", "time.steps=6", "--quiet"]
-    save = StepFolder.save
-
-    def ended(steps: StepFolder, instant: Instant, row: dict) -> None:
-        save(steps, instant, row)
-        if instant.step == 3:
-            raise NumericalFailure("ended")
-
-    with mock.patch.object(StepFolder, "save", ended):
+    with ending_after(3):
         assert signorini(tmp_path, *settings, "--output", "x").returncode == 1
     assert signorini(tmp_path, *settings, "--output", "x", "--restart").returncode == 0
     assert signorini(tmp_path, *settings, "--output", "whole").returncode == 0

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from agreement import assert_same_iterates
 from commands import signorini
 from mpi4py import MPI
-from test_backends import assert_same_iterates
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -36,16 +36,6 @@ def test_algorithms_agree():
             assert other.contact == pytest.approx(first.contact)
             for a, b in [(first.sigma, other.sigma), (first.u, other.u), (first.p, other.p)]:
                 np.testing.assert_allclose(a.x.array, b.x.array, atol=tolerance)
-
-
-@pytest.mark.slow
-@pytest.mark.parallel([1, 3])
-def test_ranks_do_not_matter():
-    for name, h in COARSE.items():
-        case = load_case(name).with_values({"solve.h": h})
-        together, alone = solve_case(case, COMM).summary(), solve_case(case, MPI.COMM_SELF).summary()
-        assert together["contact_facets"] == alone["contact_facets"]
-        assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)
 
 
 @pytest.mark.slow

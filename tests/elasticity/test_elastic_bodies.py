@@ -1,15 +1,16 @@
-"""Elastic bodies that touch: patch tests, a second program, symmetry, a crack, a stack, ranks, wrong files."""
+"""Elastic bodies that touch: patch tests, a second program, symmetry, a crack, a stack, wrong files."""
 
 import json
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import dolfinx.mesh
 import numpy as np
 import pytest
 from commands import signorini
 from elastic import two_boxes
+from in_time import ending_after
+from made_cases import blocks
 from mpi4py import MPI
 
 from signorini_fenicsx import (
@@ -32,36 +33,11 @@ from signorini_fenicsx import (
 )
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.output.steps import StepFolder
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
-BLOCKS = """physics = "elasticity"
-geometry = {file = "FILE"}
-law = [{parts = ["fault"], kind = "contact"}]
-problem = {young = {upper = 1, lower = 2}, poisson = 0.3, g_N = {top = [0, -0.1]}}
-[boundary]
-inner = ["fault"]
-sides = {fault = "upper"}
-neumann = ["top"]
-fixed = {left = "x", right = "x", bottom = "y"}
-"""
-
-
-def blocks(folder: Path, **changes: str) -> Path:
-    """A case file of two blocks that are pressed together, with texts replaced."""
-    text = BLOCKS.replace("FILE", str(Path(__file__).parents[2] / "data" / "meshes" / "fault.msh"))
-    for old, new in changes.values():
-        assert old in text
-        text = text.replace(old, new)
-    path = folder / "blocks.toml"
-    if COMM.rank == 0:
-        path.write_text(text, encoding="utf-8")
-    COMM.Barrier()
-    return path
 
 
 def compare_with(solution: ElasticSolution, other: ElasticSolution) -> None:
@@ -85,14 +61,13 @@ def test_patch(folder: Path):
 
 
 @pytest.mark.parallel([1, 2])
-def test_ranks_files_and_starts(folder: Path):
-    """With gap and friction the results are those of one process; they are read again, refined, and started from."""
-    kind = 'kind = "friction", mu = 0.3, gap = "0.2*(x - 0.5)^2"'
+def test_files_and_starts(folder: Path):
+    """With gap and friction the results are read again and started from."""
+    law = 'kind = "friction", mu = 0.3, gap = "0.2*(x - 0.5)^2"'
     moved = ("g_N = {top = [0, -0.1]}", "u_D = {top = [0.02, -0.04], bottom = [0, 0]}")
     free = ('neumann = ["top"]\nfixed = {left = "x", right = "x", bottom = "y"}', 'neumann = ["left", "right"]')
-    case = load_case(blocks(folder, kind=('kind = "contact"', kind), moved=moved, free=free))
-    solution, alone = solve_case(case), solve_case(case, MPI.COMM_SELF)
-    compare_with(solution, alone)
+    case = load_case(blocks(folder, moved, free, law=law))
+    solution = solve_case(case)
     assert solution.touching.sum() > 0 or COMM.size > 1
     assert solution.certify().relative < 0.05
     solution.write(folder / "out")
@@ -141,7 +116,7 @@ def test_a_stack():
 def test_a_body_that_nothing_holds(folder: Path):
     """A body on a slippery one is not held along it: it is told which one, and how it moves."""
     free = ('["top"]\nfixed = {left = "x", right = "x", bottom = "y"}', '["top", "right"]\nfixed = {bottom = "y"}')
-    case = load_case(blocks(folder, free=free, left=('"right"]', '"right", "left"]')))
+    case = load_case(blocks(folder, free, ('"right"]', '"right", "left"]')))
     with pytest.raises(InputError, match=r"the body can move rigidly, along \(1, 0\).*the body around \(0\.5, "):
         solve_case(case)
 
@@ -224,7 +199,7 @@ WRONG = {
 def test_wrong_files(tmp_path: Path, name: str):
     """Each is refused in one sentence, and nothing is written."""
     change, message = WRONG[name]
-    blocks(tmp_path, change=change)
+    blocks(tmp_path, change)
     done = signorini(tmp_path, "solve", "blocks.toml", "--output", "out")
     assert (done.returncode, message in done.stderr, (tmp_path / "out").exists()) == (2, True, False), done.stderr
 
@@ -290,19 +265,12 @@ def test_a_killed_run_of_two_bodies(tmp_path: Path):
     """After an end in step 3 a run goes on with the slip that was computed: all numbers are those of a whole run."""
     blocks(
         tmp_path,
-        kind=('kind = "contact"', 'kind = "friction", mu = 0.3, gap = "0.05*(x - 0.5)^2"'),
-        moved=("g_N = {top = [0, -0.1]}", 'u_D = {top = ["0.03*sin(4*t)", "-0.04"], bottom = [0, 0]}'),
-        free=('neumann = ["top"]\nfixed = {left = "x", right = "x", bottom = "y"}', 'neumann = ["left", "right"]'),
-        time=("[boundary]", "[time]\nend = 1\nsteps = 4\n[boundary]"),
+        ("g_N = {top = [0, -0.1]}", 'u_D = {top = ["0.03*sin(4*t)", "-0.04"], bottom = [0, 0]}'),
+        ('neumann = ["top"]\nfixed = {left = "x", right = "x", bottom = "y"}', 'neumann = ["left", "right"]'),
+        ("[boundary]", "[time]\nend = 1\nsteps = 4\n[boundary]"),
+        law='kind = "friction", mu = 0.3, gap = "0.05*(x - 0.5)^2"',
     )
-    save = StepFolder.save
-
-    def ended(steps: StepFolder, instant: Instant, row: dict[str, object]) -> None:
-        save(steps, instant, row)
-        if instant.step == 3:
-            raise NumericalFailure("ended")
-
-    with mock.patch.object(StepFolder, "save", ended):
+    with ending_after(3):
         assert signorini(tmp_path, "solve", "blocks.toml", "--output", "x").returncode == 1
     assert signorini(tmp_path, "solve", "blocks.toml", "--output", "x", "--restart").returncode == 0
     assert signorini(tmp_path, "solve", "blocks.toml", "--output", "whole").returncode == 0

@@ -47,7 +47,7 @@ def test_iterations_do_not_grow(dim: int, nu: float, most: int):
     assert found[-1] <= 1.25 * found[0] + 2
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel(3)
 @pytest.mark.parametrize(("dim", "nu"), [(2, 0.4), (3, 0.4999)])
 def test_same_as_factorisation(dim: int, nu: float):
     """Sets and norms are those of a factorisation by one process."""
@@ -75,7 +75,7 @@ def test_factorisation_where_iterations_would_be_too_many():
     assert found.norms() == pytest.approx(pressed(COMM, 2, 4, 0.3, DIRECT).norms(), rel=1e-10)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_sets_predicted_from_coarser_meshes():
     """Hertz's case starts from the set of a coarser mesh: fewer iterations to the same result.
 
@@ -94,7 +94,7 @@ def test_sets_predicted_from_coarser_meshes():
     assert certify(warm).gap == pytest.approx(certify(cold).gap, rel=1e-10)  # no linear solver in it
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 @pytest.mark.parametrize("tuning", [MULTIGRID, DIRECT])
 def test_sets_that_do_not_hold_the_body(tuning: Tuning):
     """Pressed off the middle of a ridge, the body may turn about a single vertex; springs hold it for that step."""

@@ -1,4 +1,4 @@
-"""Friction in space: exact states, the law at each vertex, any start, two bodies, bounds, files, ranks."""
+"""Friction in space: exact states, the law at each vertex, any start, two bodies, bounds, files."""
 
 from pathlib import Path
 
@@ -109,18 +109,6 @@ def test_from_any_start(seed: int, monkeypatch: pytest.MonkeyPatch):
     found = twisted(COMM, law)
     np.testing.assert_allclose(found.stresses, expected.stresses, atol=1e-10)
     assert len(found.outcome.history) <= 40
-
-
-@pytest.mark.parallel([3])
-def test_same_on_ranks():
-    """On three ranks the solution and its bound are those of one."""
-    together, alone = (twisted(comm, CoulombLaw(["z0"], 1.0)) for comm in (COMM, MPI.COMM_SELF))
-    assert together.friction_states() == {
-        name: {"vertices": each["vertices"], "measure": pytest.approx(each["measure"])}
-        for name, each in alone.friction_states().items()
-    }
-    assert together.norms() == pytest.approx(alone.norms(), rel=1e-10)
-    assert certify(together).bound == pytest.approx(certify(alone).bound, rel=1e-6)
 
 
 def test_bound_where_slip_turns():

@@ -24,7 +24,7 @@ def is_prevented(work: np.ndarray, into: np.ndarray, slips: np.ndarray, shears: 
     return True
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_cutting_planes_find_what_one_programme_finds():
     """For random rows of 1 to 6 motions, spread over the ranks, some with none; and the motion is one of those."""
     rng, held = np.random.default_rng(3), 0

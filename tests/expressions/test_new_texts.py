@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
-from conftest import make_case
+from made_cases import make_case
 from mpi4py import MPI
 
 from signorini_fenicsx.base.fenicsx import LOADED

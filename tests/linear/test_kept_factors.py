@@ -22,7 +22,7 @@ def solved(comm: MPI.Comm, young: float, laws: list[CoulombLaw]) -> ElasticSolut
     return solve(box(comm, 8, [-1.0, 0.0], [1.0, 1.0]), (boundary, problem))
 
 
-@pytest.mark.parallel([1, 2, 3])
+@pytest.mark.parallel(3)
 @pytest.mark.parametrize(("young", "laws"), [(1e9, []), (1.0, [CoulombLaw(["y0"], mu=0.3)])])
 def test_old_factors_solve_for_new_sets(young: float, laws: list[CoulombLaw], monkeypatch: pytest.MonkeyPatch):
     """Sites are fixed and released by the factors of another set, in any units; Coulomb's steps hardly factorise."""

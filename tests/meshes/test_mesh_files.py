@@ -8,8 +8,8 @@ import meshio
 import numpy as np
 import pytest
 from broken_input import CASE_FOR_MESH, MESH_MUTATIONS, msh_text, square_msh, write_broken_mesh
-from conftest import case_of
 from dolfinx import io
+from made_cases import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -130,7 +130,7 @@ def test_gmsh_versions_and_overlapping_groups(tmp_path: Path):
     assert sizes[0]["inside"] == sizes[0]["again"] == sizes[0]["cells"]
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_xdmf_of_dolfinx(folder: Path):
     """A mesh with facet and cell tags as DOLFINx writes it, in parallel."""
     domain = build_domain(COMM, "square", 0.3, mesh="structured")
@@ -167,7 +167,7 @@ def test_a_named_shape_from_a_file_has_the_same_solution(tmp_path: Path):
     assert max(result.hausdorff, *vars(result.norms).values()) < 1e-10
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
     """Solve, write, read on one rank, refine: facets, regions and numbers are those of one rank."""
     case = cube_case(folder)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
-from conftest import case_of, make_case
 from dolfinx import fem
 from exact import F, exact_sigma, exact_u
+from made_cases import case_of, make_case
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
@@ -174,20 +174,6 @@ def test_no_method_is_another():
     }
     for one, two in itertools.combinations(changes, 2):
         assert changes[one] != pytest.approx(changes[two], rel=1e-3), (one, two)
-
-
-@pytest.mark.slow
-@pytest.mark.parallel([3])
-def test_ranks_do_not_matter():
-    """All classical methods take the same iterations on any number of ranks to the same solution."""
-    methods = CLASSICAL if COMM.size == 2 else ("psor", "primal-pdas", "mixed-uzawa-h12", "qp")
-    for method in methods:
-        case = example("example1", h=1 / 4 if COMM.size == 2 else 1 / 2, algorithm=method)
-        together, alone = solve_case(case, COMM).summary(), solve_case(case, MPI.COMM_SELF).summary()
-        for key in ("iterations", "contact_facets", "cells", "dofs"):
-            assert together[key] == alone[key], method
-        assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10), method
-        assert together["details"] == pytest.approx(alone["details"], rel=1e-6), method
 
 
 @pytest.mark.parallel(nprocs=2)

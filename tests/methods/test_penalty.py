@@ -141,17 +141,6 @@ def test_stretched_mesh():
         assert distance(one, two) < 1e-9
 
 
-@pytest.mark.parallel([2, 4])
-def test_ranks_do_not_matter():
-    for name, algorithm in itertools.product(("example4", "example5"), ("alg3", "alg4", "snes1", "snes2")):
-        case = penalised(name, algorithm, 1e-6, h=1 / 8)
-        together, alone = solve_case(case, COMM).summary(), solve_case(case, MPI.COMM_SELF).summary()
-        for key in ("iterations", "contact_facets", "cells"):
-            assert together[key] == alone[key]
-        assert together["norms"] == pytest.approx(alone["norms"], rel=1e-10)
-        assert together["violation"] == pytest.approx(alone["violation"], rel=1e-8, abs=1e-15)
-
-
 @pytest.mark.parametrize("option", ["snes_linesearch_type bt", "snes_type newtontr"])
 def test_snes_obeys_the_user(option: str):
     """Other line searches and a trust region, given as PETSc options, end in the same solution."""

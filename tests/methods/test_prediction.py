@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import make_case
+from made_cases import make_case
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import collect_garbage
@@ -26,7 +26,7 @@ COMM = MPI.COMM_WORLD
 ALWAYS = Tuning(direct_up_to=0, predict_from=0, coarsen_from=1000)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_prediction_changes_the_number_of_steps_only():
     """A start from the sets of a coarser mesh gives the sets and fields of a cold start, in fewer steps."""
     cases = [(name, "alg1") for name in ("example2", "example3")] + [("example4", "alg3"), ("example5", "alg4")]
@@ -74,7 +74,7 @@ def test_few_solves_at_any_size():
             assert 0 < max(step.linear_iterations for step in solution.outcome.history) <= 18
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_patch_is_solved_and_nothing_else_changes():
     """On a patch around two facets of one rank the equations of that rank's unknowns hold; elsewhere x stays."""
     case = load_case("example2").with_values({"solve.h": 1 / 16})

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import signorini
-from conftest import case_of
+from made_cases import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -30,7 +30,7 @@ def kept(case: Case, comm: MPI.Comm, folder: Path) -> Solution:
     return solution
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_read_on_any_number_of_ranks(folder: Path):
     """One rank reads what all ranks write, and the reverse: equal up to rounding and with the same residuals."""
     for name, values in [

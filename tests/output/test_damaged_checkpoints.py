@@ -173,7 +173,7 @@ def test_headers_that_are_not_python_are_refused(tmp_path: Path, header: str):
         load_solution(tmp_path, COMM)
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_all_ranks_refuse(folder: Path):
     comm = MPI.COMM_WORLD
     write_solution(solve_case(load_case("example1").with_values({"solve.h": 0.25}), comm), folder, fields=False)

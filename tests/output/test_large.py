@@ -22,7 +22,7 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 COMM = MPI.COMM_WORLD
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 @pytest.mark.parametrize(("name", "table", "column"), [("example1", "facets", "p"), ("hertz", "contact", "gap")])
 def test_tables_of_the_ranks_are_the_table(folder: Path, name: str, table: str, column: str):
     """With a table per rank they have together the rows of the one table."""
@@ -63,7 +63,7 @@ def is_read(folder: Path, solution: Solution) -> None:
     assert load_solution(folder, COMM).norms() == pytest.approx(solution.norms())
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_a_full_disk_leaves_the_old_checkpoint(folder: Path, monkeypatch: pytest.MonkeyPatch):
     old, new = checkpoints()
     write_checkpoint(folder, old)

@@ -185,7 +185,7 @@ def _by_x(facets: FacetTable) -> FacetTable:
     return FacetTable(**columns | {"along": columns["x"][:, 0]})
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 @pytest.mark.parametrize(("name", "h", "most"), [("example2", 0.1, 300), ("cube", 0.25, 800)])
 def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeypatch: pytest.MonkeyPatch):
     """It covers the domain, has all vertices of the boundary, and the values of the whole mesh in its points."""
@@ -223,7 +223,7 @@ def _volume(fields: Fields) -> float:
     return float(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / math.factorial(corners.shape[2]))
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_boundary_is_the_same_on_all_ranks():
     case = load_case("example2").with_values({"solve.h": 0.5})
     both, one = gather(solve_case(case, COMM)), gather(solve_case(case, MPI.COMM_SELF))

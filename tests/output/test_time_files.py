@@ -1,17 +1,17 @@
 """The results of cases in time: tables, series, pictures; a restart after a kill; bounds of steps; refusals."""
 
-import csv
 import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import h5py  # noqa: F401 - meshio reads XDMF heavy data with it
 import meshio
 import numpy as np
 import pytest
+from commands import read_rows
+from in_time import run, run_in_two
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
@@ -20,7 +20,6 @@ from signorini_fenicsx.cases.inspection import check
 from signorini_fenicsx.cases.solving import evolve_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.step_bounds import StepBounds
-from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.cli.solutions import export
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.steps import StepFolder
@@ -46,40 +45,6 @@ def case(**values: object) -> Case:
     return load_case("moving_transition").with_values(SMALL | values)
 
 
-def run(
-    about: Case,
-    folder: Path,
-    *,
-    start_from: Path | None = None,
-    restart: bool = False,
-    certify_steps: bool = True,
-    plot: bool = False,
-) -> None:
-    kept = {"restart": restart, "certify_steps": certify_steps}
-    solve_in_time(about, COMM, EvolutionReport(quiet=True), folder, start_from, **kept, plot=plot)
-
-
-def run_in_two(about: Case, folder: Path, step: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run without bounds, fail after a step, and go on."""
-    save = StepFolder.save
-
-    def ended(steps: StepFolder, instant: object, row: object) -> None:
-        save(steps, instant, row)
-        if instant.step == step:
-            raise NumericalFailure("ended", instant.solution)
-
-    monkeypatch.setattr(StepFolder, "save", ended)
-    with pytest.raises(NumericalFailure):
-        run(about, folder, certify_steps=False)
-    monkeypatch.setattr(StepFolder, "save", save)
-    run(about, folder, restart=True, certify_steps=False)
-
-
-def table(path: Path) -> list[dict[str, Any]]:
-    with path.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def series(folder: Path) -> dict[str, np.ndarray]:
     """The last step of the fields, without what depends on the order of the cells."""
     import adios2  # after DOLFINx, which brings its own
@@ -99,7 +64,7 @@ def series(folder: Path) -> dict[str, np.ndarray]:
 
 def assert_same_results(one: Path, other: Path) -> None:
     for name in ("steps.csv", "facets.csv"):
-        rows, others = table(one / name), table(other / name)
+        rows, others = read_rows(one / name), read_rows(other / name)
         assert len(rows) == len(others)
         for row, same in zip(rows, others, strict=True):
             assert list(row) == list(same)
@@ -164,13 +129,13 @@ def test_all_steps_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
             with pytest.raises((OSError, NumericalFailure), match="disk full"):
                 run(case(), tmp_path / "x", restart=restart, certify_steps=False)
     run(case(), tmp_path / "x", restart=True, certify_steps=False)
-    assert len(table(tmp_path / "x" / "steps.csv")) == 5
+    assert len(read_rows(tmp_path / "x" / "steps.csv")) == 5
     assert not (tmp_path / "x.steps").exists()
 
 
 def check_files(folder: Path) -> None:
     """Each step has a row, each facet a row for each step; the series ends at the end; the summary has the largest."""
-    rows, facets = table(folder / "steps.csv"), table(folder / "facets.csv")
+    rows, facets = read_rows(folder / "steps.csv"), read_rows(folder / "facets.csv")
     assert [float(row["t"]) for row in rows] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
     number = len(facets) // 5
     for row in rows:
@@ -219,7 +184,7 @@ def test_a_step_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         run(shorter, tmp_path / "x", restart=True)
     about.write_text(now)
     run(shorter, tmp_path / "x", restart=True, certify_steps=False)
-    assert [row["step"] for row in table(tmp_path / "x" / "steps.csv")] == ["1", "2", "3"]
+    assert [row["step"] for row in read_rows(tmp_path / "x" / "steps.csv")] == ["1", "2", "3"]
     shutil.rmtree(tmp_path / "x")
     with pytest.raises(NumericalFailure, match=r"step 1, t = 0\.2: .* still change after 1 iteration$"):
         run(case(**{"solve.max_iterations": 1}), tmp_path / "x", certify_steps=False)
@@ -289,12 +254,12 @@ h = "1/6"
 """
 
 
-def test_an_obstacle_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_an_obstacle_in_time(tmp_path: Path):
     """Its cells are in the table and in the picture, and a restart goes on from them."""
     (tmp_path / "falling.toml").write_text(OBSTACLE)
     falling = load_case(str(tmp_path / "falling.toml"))
     run(falling, tmp_path / "whole", plot=True)
-    rows = table(tmp_path / "whole" / "steps.csv")
+    rows = read_rows(tmp_path / "whole" / "steps.csv")
     cells = [int(row["contact_cells"]) for row in rows]
     assert 0 < cells[0] < cells[-2] < cells[-1]
     last = json.loads((tmp_path / "whole" / "summary.json").read_text(encoding="utf-8"))["obstacle"]
@@ -302,6 +267,6 @@ def test_an_obstacle_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert float(rows[-1]["cells_measure"]) == pytest.approx(last["contact_measure"])
     assert all(float(row["bound"]) < 10 for row in rows)
     assert (tmp_path / "whole" / "contact.png").stat().st_size > 1000
-    run_in_two(falling, tmp_path / "x", 3, monkeypatch)
-    again = table(tmp_path / "x" / "steps.csv")
+    run_in_two(falling, tmp_path / "x", 3)
+    again = read_rows(tmp_path / "x" / "steps.csv")
     assert [row["contact_cells"] for row in again] == [row["contact_cells"] for row in rows]

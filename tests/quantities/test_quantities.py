@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ufl
+from agreement import on_one_rank
 from commands import signorini
-from conftest import case_of
+from made_cases import case_of
 from mpi4py import MPI
 from random_quantities import random_row
 
@@ -266,14 +266,15 @@ def test_random_problems(seeds: Sequence[int]):
 def test_on_ranks():
     """Intervals do not depend on the number of ranks."""
     problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
-    for kind in (Integral(parts="bottom"), Flux(["left", "top", "bottom"])):
-        one, many = (
-            solve(build_domain(comm, "square", 1 / 4, mesh="structured"), problem).quantity(kind)
-            for comm in (MPI.COMM_SELF, COMM)
-        )
-        for name in ("value", "lower", "upper"):
-            assert getattr(many, name) == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-12)
-        assert many.guaranteed == one.guaranteed
+
+    def intervals(comm: MPI.Comm) -> list[tuple[float, ...]]:
+        solution = solve(build_domain(comm, "square", 1 / 4, mesh="structured"), problem)
+        kinds = Integral(parts="bottom"), Flux(["left", "top", "bottom"])
+        found = [solution.quantity(kind) for kind in kinds]
+        return [(each.value, each.lower, each.upper, each.guaranteed) for each in found]
+
+    for many, one in zip(intervals(COMM), on_one_rank(intervals), strict=True):
+        assert many == pytest.approx(one, rel=1e-9, abs=1e-12)
 
 
 CASE = """

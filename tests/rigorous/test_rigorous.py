@@ -11,8 +11,8 @@ import flint
 import numpy as np
 import pytest
 from commands import signorini
+from made_cases import on_square, rotated
 from mpi4py import MPI
-from test_sharp_bounds import make, rotated
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
@@ -237,7 +237,7 @@ def test_any_flux_and_trace(name: str, h: float):
     [
         load_case("cube").with_values({"solve.h": "1/3"}),
         load_case("dam"),  # κ by region
-        make(
+        on_square(
             8,
             ["bottom", "left"],
             boundary__neumann=["top"],
@@ -246,8 +246,8 @@ def test_any_flux_and_trace(name: str, h: float):
             problem__g_N="x/3",
             problem__psi="-0.1*x",
         ),
-        make(8, ["bottom", "top", "left", "right"], problem__f="1 - 8*x"),  # no Γ_D
-        make(
+        on_square(8, ["bottom", "top", "left", "right"], problem__f="1 - 8*x"),  # no Γ_D
+        on_square(
             8,
             ["bottom"],
             problem__kappa="1e3 if y < 0.5 else 1",
@@ -270,7 +270,7 @@ def test_near_the_certificate(case):
 
 def test_load_between_the_points():
     """A disc between all quadrature points: ‖σ‖ ≥ (f, φ)/‖∇φ‖ with φ = min(ln R/r, ln R/a)⁺, a and R radii."""
-    case = make(5, ["bottom"], problem__f="1e4 if (x - 0.515)^2 + (y - 0.54)^2 < 2.5e-5 else 0")
+    case = on_square(5, ["bottom"], problem__f="1e4 if (x - 0.515)^2 + (y - 0.54)^2 < 2.5e-5 else 0")
     solution = solve_case(case, MPI.COMM_SELF)
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is not None
@@ -293,7 +293,7 @@ def test_load_between_the_points():
 )
 def test_refusals(values: dict[str, object], reason: str):
     """Refused in one sentence with the place."""
-    solution = solve_case(make(4, ["bottom"], **values), MPI.COMM_SELF)
+    solution = solve_case(on_square(4, ["bottom"], **values), MPI.COMM_SELF)
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is None
     assert proof.summary()["proved"] is None
@@ -303,7 +303,7 @@ def test_refusals(values: dict[str, object], reason: str):
 
 def test_seam():
     """If u_D < ψ where Γ_D meets Γ_S, there is no admissible function."""
-    solution = solve_case(make(4, ["bottom"], problem__u_D="1", problem__psi="0.5"), MPI.COMM_SELF)
+    solution = solve_case(on_square(4, ["bottom"], problem__u_D="1", problem__psi="0.5"), MPI.COMM_SELF)
     discrete, given = discrete_of(solution)
     assert math.isfinite(prove(discrete, given).bound)
     with pytest.raises(InputError, match=r"u_D ≥ psi is not certain near \(0\.[18]\d*, 0\)"):
@@ -314,31 +314,17 @@ def test_seam():
 def test_seam_where_u_D_is_psi(above: str):
     """Equal data meet without rounding: summands that both have are left out."""
     psi = "0.05*sin(3*x)*cos(2*y) - 0.1"
-    solution = solve_case(make(4, ["bottom"], problem__u_D=f"{psi} + {above}", problem__psi=psi), MPI.COMM_SELF)
+    solution = solve_case(on_square(4, ["bottom"], problem__u_D=f"{psi} + {above}", problem__psi=psi), MPI.COMM_SELF)
     assert math.isfinite(prove(*discrete_of(solution)).bound)
 
 
 def test_data_from_python_and_large_meshes():
-    solution = solve_case(make(4, ["bottom"]), MPI.COMM_SELF)
+    solution = solve_case(on_square(4, ["bottom"]), MPI.COMM_SELF)
     with pytest.raises(InputError, match="f must be an expression"):
         Given.of({name: tree for name, tree in solution.data.trees.items() if name != "f"}, FromArb())
     check_size(rough_cells(load_case("example1")))
     with pytest.raises(InputError, match="has room for 500000 cells"):
         check_size(rough_cells(load_case("example1").with_values({"solve.h": "2^-10"})))
-
-
-@pytest.mark.parallel(2)
-def test_ranks_do_not_matter():
-    general = {"problem__psi": "-0.1*x", "problem__g_N": "x/3", "boundary__neumann": ["top"], "problem__q_S": "1 - x"}
-    case = make(6, ["bottom", "left"], **general)
-    proofs = []
-    for comm in (COMM, MPI.COMM_SELF):
-        solution = solve_case(case, comm)
-        proofs.append(proof_of(solution, certify(solution).v))
-    together, alone = (proof.proven for proof in proofs)
-    assert together is not None
-    assert alone is not None
-    assert dataclasses.asdict(together) == pytest.approx(dataclasses.asdict(alone), rel=1e-10, abs=1e-12)
 
 
 def test_command_line(tmp_path: Path):

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import read_rows
+from exact import energy_error
+from in_time import run_in_two
 from mpi4py import MPI
-from test_inner import energy_error
-from test_time_files import run_in_two, table
 
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -66,14 +67,14 @@ def test_bounds_of_steps():
 
 
 @pytest.mark.parallel(2)
-def test_ranks_and_a_restart(folder: Path, monkeypatch: pytest.MonkeyPatch):
+def test_ranks_and_a_restart(folder: Path):
     """On two ranks, after a failure, the run goes on; the files are those of a run on one rank."""
     case = opening()
-    run_in_two(case, folder / "x", 2, monkeypatch)
+    run_in_two(case, folder / "x", 2)
     last = None
     for instant in evolve_case(case, MPI.COMM_SELF):
         last = instant.solution
     assert last is not None
-    row = table(folder / "x" / "steps.csv")[-1]
+    row = read_rows(folder / "x" / "steps.csv")[-1]
     assert {name: float(row[name]) for name in last.errors()} == pytest.approx(last.errors(), rel=1e-9, abs=1e-12)
     assert int(row["contact_facets"]) == last.contact[0]

@@ -39,7 +39,7 @@ def test_examples():
     assert failed == 0
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_values_at_points_of_any_rank():
     """Each rank asks for its own points, some outside; all get the values by the formulas of P0 and RT0."""
     solution = solved()
@@ -120,7 +120,7 @@ def test_errors_are_one_line_in_a_notebook():
         assert error._render_traceback_() == [f"{type(error).__name__}: {error}"]
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_it_shows_and_writes_itself(folder: Path):
     solution = solved(n=4)
     certificate = solution.certify()

@@ -12,8 +12,8 @@ from typing import Any
 import dolfinx.jit
 import numpy as np
 import pytest
-from conftest import make_case
 from dolfinx import fem
+from made_cases import make_case
 from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
@@ -182,7 +182,7 @@ def test_no_form_is_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
     assert dolfinx.jit.ffcx_jit is theirs  # the compiler of the user's forms is as it was
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_nothing_grows(folder: Path):
     """Over 200 solves neither the memory nor the communicators, of which MPICH has some thousand: few are left here."""
     domain, boundary = setting(folder, h=0.5)

@@ -18,7 +18,7 @@ from signorini_fenicsx.solving.system import PHYSICS
 COMM = MPI.COMM_WORLD
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(2)
 def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """It is solved, written, drawn, read again, compared and reported; there is no bound, which is said."""
     domain = build_domain(COMM, "square", 0.3, mesh="structured")

@@ -1,4 +1,4 @@
-"""Problems in time: rates and bounds in h and τ, the steady end, any method, ranks, cost of steps, bad input."""
+"""Problems in time: rates and bounds in h and τ, the steady end, any method, cost of steps, bad input."""
 
 import doctest
 import gc
@@ -83,23 +83,6 @@ def test_the_steady_state_is_the_solution(algorithm: str):
     assert 0 < steady.contact[0] < steady.spaces.Lambda.dofmap.index_map.size_global
     for one, other in ((last.solution.sigma, steady.sigma), (last.solution.u, steady.u), (last.solution.p, steady.p)):
         np.testing.assert_allclose(one.x.array, other.x.array, atol=1e-8)
-
-
-@pytest.mark.parallel(2)
-def test_ranks_do_not_matter():
-    """The steps on two ranks have the sets, solves and errors of those on one."""
-    evolution = Evolution(end=1.0, steps=4, initial=START, scheme="bdf2")
-
-    def steps(comm: MPI.Comm) -> list[tuple[int, int, dict[str, float]]]:
-        domain = build_domain(comm, "square", 1 / 8, mesh="structured")
-        for_all = [instant.solution for instant in evolve(domain, (BOTTOM, MOVING), evolution)]
-        return [(each.contact[0], len(each.outcome.history), each.errors()) for each in for_all]
-
-    for (facets, solves, errors), (same_facets, same_solves, same_errors) in zip(
-        steps(COMM), steps(MPI.COMM_SELF), strict=True
-    ):
-        assert (facets, solves) == (same_facets, same_solves)
-        assert errors == pytest.approx(same_errors, rel=1e-9, abs=1e-12)
 
 
 def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.MonkeyPatch):

@@ -102,7 +102,7 @@ def test_kinds_of_data(folder: Path):
     assert (folder / "facets.csv").is_file()
 
 
-@pytest.mark.parallel([1, 3])
+@pytest.mark.parallel(3)
 def test_functions_of_points_choose_parts_and_ghosts_do_not_matter():
     """Functions go from the mesh with ghosts to that without and back, because the ranks own the same cells."""
     mesh, parts = square()

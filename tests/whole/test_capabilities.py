@@ -1,11 +1,11 @@
-"""What the program can do gives the results that were recorded, see `capabilities`."""
+"""What the program can do gives the results that were recorded, also on three ranks, see `capabilities`."""
 
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
-from capabilities import GOLDEN, TOLERANCE, Capability, capabilities, differences, run
+from capabilities import GOLDEN, TOLERANCE, Capability, capabilities, differences, on_ranks, run
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +25,14 @@ def test_each_capability_has_a_name_and_a_record(recorded: dict[str, Any]) -> No
 )
 def test_results_are_those_recorded(capability: Capability, recorded: dict[str, Any], tmp_path: Path) -> None:
     found = differences(recorded[capability.name], run(capability, tmp_path), capability.beside)
+    assert [each for each in found if each[0] > TOLERANCE] == []
+
+
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize("capability", [pytest.param(each, id=each.name) for each in on_ranks()])
+def test_ranks_do_not_matter(capability: Capability, recorded: dict[str, Any], folder: Path) -> None:
+    """On three ranks the numbers in all files are those recorded on one."""
+    found = differences(recorded[capability.name], run(capability, folder), capability.beside)
     assert [each for each in found if each[0] > TOLERANCE] == []
 
 

@@ -1,0 +1,100 @@
+"""Cases for tests: small ones of their own, and shipped ones with other values."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from capabilities import CASES
+from mpi4py import MPI
+
+from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.physics.diffusion.solution import Solution
+
+COMM = MPI.COMM_WORLD
+
+EXACT = ("friction", "two_sided", "wall", "regulator", "staircase")
+CASE = """
+title = "A test case"
+
+[geometry]
+shape = "{shape}"
+mesh = "{mesh}"
+
+[boundary]
+signorini = {parts}
+
+[problem]
+f = "{f}"
+
+[solve]
+h = {h}
+"""
+
+
+def make_case(
+    folder: Path, *, shape: str = "square", mesh: str = "unstructured", parts: list[str], f: str, h: float
+) -> Case:
+    """Write a case file and load it (collective)."""
+    path = folder / "case.toml"
+    if COMM.rank == 0:
+        path.write_text(CASE.format(shape=shape, mesh=mesh, parts=parts, f=f, h=h), encoding="utf-8")
+    COMM.Barrier()
+    return load_case(path)
+
+
+def case_of(solution: Solution) -> Case:
+    """The case of a solution."""
+    assert isinstance(solution.source, Case)
+    return solution.source
+
+
+def many(**values: object) -> Case:
+    """A case with six laws and no Γ_D."""
+    return load_case(CASES / "many.toml").with_values(values)
+
+
+def on_grid(name: str, n: int, **values: object) -> Solution:
+    """An exact case on a structured mesh of n × n squares."""
+    given = {"geometry.mesh": "structured", "solve.h": 1.0001 * math.sqrt(2) / n}
+    return solve_case(load_case(name).with_values(given | {key.replace("__", "."): to for key, to in values.items()}))
+
+
+BLOCKS = """physics = "elasticity"
+geometry = {file = "FILE"}
+law = [{parts = ["fault"], LAW}]
+problem = {young = {upper = 1, lower = 2}, poisson = 0.3, g_N = {top = [0, LOAD]}}
+[boundary]
+inner = ["fault"]
+sides = {fault = "upper"}
+neumann = ["top"]
+fixed = {left = "x", right = "x", bottom = "y"}
+"""
+
+
+def blocks(folder: Path, *changes: tuple[str, str], law: str = 'kind = "contact"', load: float = -0.1) -> Path:
+    """A case file of two elastic blocks with a law between them, with texts replaced (collective)."""
+    mesh = str(Path(__file__).parents[1] / "data" / "meshes" / "fault.msh")
+    text = BLOCKS.replace("FILE", mesh).replace("LAW", law).replace("LOAD", str(load))
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "blocks.toml"
+    if COMM.rank == 0:
+        path.write_text(text, encoding="utf-8")
+    COMM.Barrier()
+    return path
+
+
+def on_square(n: int, signorini: list[str], **values: object) -> Case:
+    """A case on a structured mesh of the square."""
+    given = {"problem.f": "40*(x - 0.6)", "boundary.signorini": signorini, "solve.algorithm": "alg1"}
+    given |= {"geometry.mesh": "structured", "solve.h": 1.001 * math.sqrt(2) / n}
+    return load_case("example1").with_values(given | {key.replace("__", "."): value for key, value in values.items()})
+
+
+def rotated(ratio: float, degrees: float) -> list[list[str]]:
+    """κ with the eigenvalues 1 and 1/ratio."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    matrix = np.outer([c, s], [c, s]) + np.outer([-s, c], [-s, c]) / ratio
+    return [[repr(float(entry)) for entry in row] for row in matrix]
