@@ -98,7 +98,7 @@ def print_iterations(cells: dict[int, tuple[int, ...]]) -> None:
             domain, found, dofs = block(dim, n), [], 0
             for poisson in POISSONS:
                 boundary, problem = pressed(dim, poisson)
-                options = Options(predict=False, tuning=Tuning(elastic_direct_up_to={dim: 0}))
+                options = Options(predict=False, tuning=Tuning(direct_up_to=0))
                 solution = solve(domain, (boundary, problem), options)
                 most = max(step.linear_iterations for step in solution.outcome.history)
                 found.append(f"{most:3d} ({solution.timings['solve']:.1f} s)")

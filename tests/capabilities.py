@@ -190,6 +190,7 @@ def _rare() -> Iterator[Capability]:
     yield replace(own("pushed", "--certify-steps"), beside=FREE)
     yield own("springs")
     yield own("held")
+    yield own("blocks", LAW='kind = "friction", mu = 0.3, gap = "0.2*(x - 0.5)^2"', LOAD="-0.1")
     yield own("many")
     yield own("space")
     for obstacle, h in ((None, "0.03"), ("-0.1", "0.06")):  # residuals of CG and rounding of forces, not in the bound
@@ -245,8 +246,8 @@ def capabilities() -> list[Capability]:
 
 ON_RANKS = (
     *("example2", "example6", "crack", "transition3d", "electropainting", "sphere", "dam_baiocchi", "two_obstacles"),
-    *("phases", "hertz", "stack", "moving_transition", "melting", "two_parts.toml", "crossed.toml", "reaction.toml"),
-    *("block.toml", "coulomb", "pushed.toml", "springs.toml", "many.toml", "space.toml"),
+    *("phases", "hertz", "moving_transition", "melting", "two_parts.toml", "crossed.toml", "reaction.toml"),
+    *("block.toml", "coulomb", "pushed.toml", "springs.toml", "blocks.toml", "many.toml", "space.toml"),
 )
 """Cases that are also run on several ranks, each by its first capability."""
 PATHS_ON_RANKS = (

@@ -60,22 +60,16 @@ def on_grid(name: str, n: int, **values: object) -> Solution:
     return solve_case(load_case(name).with_values(given | {key.replace("__", "."): to for key, to in values.items()}))
 
 
-BLOCKS = """physics = "elasticity"
-geometry = {file = "FILE"}
-law = [{parts = ["fault"], LAW}]
-problem = {young = {upper = 1, lower = 2}, poisson = 0.3, g_N = {top = [0, LOAD]}}
-[boundary]
-inner = ["fault"]
-sides = {fault = "upper"}
-neumann = ["top"]
-fixed = {left = "x", right = "x", bottom = "y"}
-"""
-
-
 def blocks(folder: Path, *changes: tuple[str, str], law: str = 'kind = "contact"', load: float = -0.1) -> Path:
     """A case file of two elastic blocks with a law between them, with texts replaced (collective)."""
     mesh = str(Path(__file__).parents[1] / "data" / "meshes" / "fault.msh")
-    text = BLOCKS.replace("FILE", mesh).replace("LAW", law).replace("LOAD", str(load))
+    text = (
+        (CASES / "blocks.toml")
+        .read_text(encoding="utf-8")
+        .replace("FAULT", mesh)
+        .replace("LAW", law)
+        .replace("LOAD", str(load))
+    )
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)

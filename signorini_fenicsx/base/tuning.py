@@ -10,14 +10,10 @@ class Tuning:
     """Sizes that were measured to be fast.
 
     Attributes:
-        direct_up_to: Facet systems with at most this many facets are factorised where that is faster or CG fails; it
-            takes tenths of a second in the plane, seconds in space, for any κ and any cells. Larger ones are solved by
-            CG with multigrid.
-        elastic_direct_up_to: For each dimension, the same for elastic systems, in unknowns. In space a factorisation
-            fills in far more.
-        predict_from: From this number of facets of the mesh on the sets are predicted, by CG; on smaller meshes a cold
-            start with a factorisation is as fast.
-        elastic_predict_from: The same for elastic systems, in unknowns.
+        direct_up_to: Systems with at most this many unknowns are factorised where that is faster or CG fails; larger
+            ones are solved by CG with multigrid. None for what is fast in the physics, its `DIRECT_UP_TO`.
+        predict_from: From this number of unknowns on the sets are predicted; on smaller meshes a cold start is as fast.
+            None for what is fast in the physics, its `PREDICT_FROM`.
         coarsening: Mesh size of the coarser mesh of a prediction, divided by that of the finer mesh.
         coarsen_from: From this number of facets on the sets are predicted on a coarser mesh first; on smaller meshes
             that costs more than it saves.
@@ -37,10 +33,8 @@ class Tuning:
             square root takes a minute. More are refused.
     """
 
-    direct_up_to: int = 60_000
-    elastic_direct_up_to: Mapping[int, int] = MappingProxyType({2: 500_000, 3: 60_000})
-    predict_from: int = 5_000
-    elastic_predict_from: int = 15_000
+    direct_up_to: int | None = None
+    predict_from: int | None = None
     coarsening: float = 4.0
     coarsen_from: int = 30_000
     predict_in_cells_from: int = 300
@@ -53,3 +47,11 @@ class Tuning:
     one_table_up_to: int = 1_000_000
     on_one_rank_up_to: int = 2_000_000
     dense_up_to: int = 5_000
+
+    def is_large(self, unknowns: int, direct_up_to: int) -> bool:
+        """Whether a system is too large to be factorised; in a physics where this size is fast."""
+        return unknowns > (direct_up_to if self.direct_up_to is None else self.direct_up_to)
+
+    def predicts(self, unknowns: int, predict_from: int) -> bool:
+        """Whether a system is so large that its sets are predicted; in a physics where this size is fast."""
+        return unknowns >= (predict_from if self.predict_from is None else self.predict_from)

@@ -24,6 +24,8 @@ from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.methods.task import Coarser
 
+PREDICT_FROM = 5_000
+"""Number of facets of the mesh from which a prediction saves more than it costs."""
 NOTHING = -1.0
 """Size of p or σ·n below which it is rounding: nothing is."""
 COARSENING_IN_CELLS = 2.0
@@ -61,7 +63,7 @@ class Prediction:
 
     def is_worth_it(self, spaces: MeshSpaces) -> bool:
         """Whether the problem is so large that a prediction saves more than it costs."""
-        return spaces.facets_of_mesh >= self.tuning.predict_from
+        return self.tuning.predicts(spaces.facets_of_mesh, PREDICT_FROM)
 
     def with_laws_inside(self, spaces: MeshSpaces, factor: float = 1.0) -> Segments | None:
         """The segments on a mesh that is coarser by 2, from those on one that is coarser still (collective).

@@ -296,7 +296,7 @@ def test_few_linear_iterations(monkeypatch: pytest.MonkeyPatch):
     by_factors = solve(on(8), problem)
     solves.clear()
     products.clear()
-    tuning = Tuning(elastic_direct_up_to={2: 1000, 3: 0}, elastic_predict_from=1000)
+    tuning = Tuning(direct_up_to=1000, predict_from=1000)
     by_cg = solve(on(8), problem, Options(tuning=tuning), remesh=lambda factor: on(round(8 / factor)))
     assert by_cg.outcome.linear_solver.startswith("cg")
     np.testing.assert_allclose(by_cg.norms()["energy"], by_factors.norms()["energy"], rtol=1e-9)

@@ -135,7 +135,7 @@ def test_multigrid_on_ranks():
         return solution.norms(), regulated, solution.certify().bound
 
     norms, regulated, bound = on_one_rank(lambda comm: results(comm, Tuning()))
-    together = results(COMM, Tuning(elastic_direct_up_to={2: 0, 3: 0}))
+    together = results(COMM, Tuning(direct_up_to=0))
     assert together[0] == pytest.approx(norms, rel=1e-10)
     assert together[1:] == (regulated, pytest.approx(bound, rel=1e-5))
 

@@ -19,7 +19,7 @@ from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
-MULTIGRID, DIRECT = (Tuning(elastic_direct_up_to={2: size, 3: size}) for size in (0, 10**9))
+MULTIGRID, DIRECT = (Tuning(direct_up_to=size) for size in (0, 10**9))
 
 
 def pressed(comm: MPI.Comm, dim: int, n: int, nu: float, tuning: Tuning = MULTIGRID) -> ElasticSolution:
@@ -83,8 +83,8 @@ def test_sets_predicted_from_coarser_meshes():
     """
     case = load_case("hertz")
     assert isinstance(case, ElasticCase)
-    cold = solve_case(case, COMM, tuning=Tuning(elastic_predict_from=10**9))
-    warm = solve_case(case, COMM, tuning=replace(MULTIGRID, elastic_predict_from=1000))
+    cold = solve_case(case, COMM, tuning=Tuning(predict_from=10**9))
+    warm = solve_case(case, COMM, tuning=replace(MULTIGRID, predict_from=1000))
     assert "prediction" in warm.timings
     assert "prediction" not in cold.timings
     assert (cold.outcome.rough_steps, len(warm.outcome.history)) == (0, warm.outcome.rough_steps + 2)

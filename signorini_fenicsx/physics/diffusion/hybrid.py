@@ -16,6 +16,7 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.linear.condensed import Condensed
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.methods.prediction import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem, Loads
@@ -72,7 +73,7 @@ class HybridBackend(FacetBackend):
         self._condensed: Condensed | None = None
         self._regret = math.inf
         self.dofs = system.dofs
-        iterative = multigrid or system.large or self.dofs >= self._tuning.predict_from
+        iterative = multigrid or system.large or self._tuning.predicts(self.dofs, PREDICT_FROM)
         make = partial(AuxiliarySpace, spaces, system) if iterative else None
         most = None if system.large else MOST_ITERATIONS
         self._solver = FacetSolver(system.matrix, prefix, DEFAULTS, make, most)

@@ -34,6 +34,8 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.tools import Moving
 
+DIRECT_UP_TO = {2: 500_000, 3: 60_000}
+"""For each dimension, largest number of unknowns that are factorised; in space a factorisation fills in far more."""
 MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
 HELD = 1e-12
@@ -88,7 +90,7 @@ class ElasticBackend:
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = self._operator.matrix.getSize()[0]
-        large = not direct and self.dofs > (tuning or Tuning()).elastic_direct_up_to[spaces.dim]
+        large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
         stiff = data.stiffness_of_volume(spaces) >= STIFF
         prefix = "certificate_" if direct else "facet_"
         make = partial(ElasticCoarse, spaces, self._operator.matrix, stiff) if large else None

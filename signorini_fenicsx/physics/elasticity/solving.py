@@ -41,6 +41,8 @@ from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
 
+PREDICT_FROM = 15_000
+"""Number of unknowns from which a prediction saves more than it costs."""
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 """What solves elastic contact."""
 MORE_WITH_FRICTION = 4
@@ -147,7 +149,7 @@ class ElasticRun:
         options, watch, start = self.wish.options, self.wish.watch, self.wish.start
         with watch.phase("assembly"):
             self.backend = backend = ElasticBackend(self.spaces, self.data, options.tuning, self.motions)
-        large = options.predict and backend.dofs >= options.tuning.elastic_predict_from
+        large = options.predict and options.tuning.predicts(backend.dofs, PREDICT_FROM)
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
