@@ -246,7 +246,7 @@ def capabilities() -> list[Capability]:
 
 ON_RANKS = (
     *("example2", "example6", "crack", "transition3d", "electropainting", "sphere", "dam_baiocchi", "two_obstacles"),
-    *("phases", "hertz", "moving_transition", "melting", "two_parts.toml", "crossed.toml", "reaction.toml"),
+    *("phases", "hertz", "melting", "two_parts.toml", "crossed.toml", "reaction.toml"),
     *("block.toml", "coulomb", "pushed.toml", "springs.toml", "blocks.toml", "many.toml", "space.toml"),
 )
 """Cases that are also run on several ranks, each by its first capability."""

@@ -1,7 +1,8 @@
 """What data may be given as."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,9 @@ from ufl.domain import extract_domains
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly, read, substituted, to_ufl
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 type Rows = Sequence[Sequence[Tree]]
 type Entries = Sequence[Sequence[float | str | Tree]]
@@ -31,7 +35,7 @@ def parsed(given: Any, names: str, key: str) -> Any:
         InputError: If a text cannot be read or a number is too large; the message begins with the key.
     """
     if isinstance(given, Mapping):
-        return {name: parsed(value, names, f"{key}.{name}") for name, value in given.items()}
+        return {name: parsed(value, names, f"{key}.{name}".rstrip(".")) for name, value in given.items()}
     if isinstance(given, np.ndarray | np.generic):
         return parsed(given.tolist(), names, key)
     if isinstance(given, tuple | list):
@@ -44,6 +48,19 @@ def parsed(given: Any, names: str, key: str) -> Any:
         raise InputError(f"{key}: {error}") from None
     except OverflowError:
         raise InputError(f"{key}: is an integer too large for a float") from None
+
+
+def with_data[P: "DataclassInstance"](problem: P, change: Callable[[str, Any], Any], but: Collection[str]) -> P:
+    """A problem with changed data, but for those with these names.
+
+    Args:
+        problem: The problem.
+        change: Gets the place of a datum in a case file and what was given.
+        but: Names of fields that stay.
+    """
+    keys = [field.name for field in fields(problem) if field.name not in but]
+    places = {key: "[exact] u" if key == "exact" else f"[problem] {key}" for key in keys}
+    return replace(problem, **{key: change(place, getattr(problem, key)) for key, place in places.items()})
 
 
 def at_time(given: Any, t: float) -> Any:

@@ -1,14 +1,14 @@
 """A diffusion problem as the user gives it, and sorted by the kinds of its boundary."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, Signorini
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
-from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix, at_time, parsed
+from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
 
 if TYPE_CHECKING:
@@ -135,8 +135,7 @@ class Problem:
 
     def at(self, t: float) -> "Problem":
         """The problem at a time, from one that `in_time` has read."""
-        data = {field.name: at_time(getattr(self, field.name), t) for field in fields(self) if field.name != "laws"}
-        return replace(self, **data, laws=tuple(law.with_data(lambda _, given: at_time(given, t)) for law in self.laws))
+        return self._changed(lambda _, given: at_time(given, t))
 
     def in_time(self, dim: int) -> "Problem":
         """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
@@ -144,9 +143,7 @@ class Problem:
         Raises:
             InputError: If a text cannot be read.
         """
-        names = "xyz"[:dim] + "t"
-        laws = tuple(law.with_data(lambda key, given: parsed(given, names, key)) for law in self.laws)
-        return replace(self._read(names), laws=laws)
+        return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t", key))
 
     def parsed(self, dim: int) -> "Problem":
         """The problem, with numbers and texts read as trees, but not those of the laws.
@@ -154,14 +151,9 @@ class Problem:
         Raises:
             InputError: If a text cannot be read.
         """
-        return self._read("xyz"[:dim])
+        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim], key), but=("laws",))
 
-    def _read(self, names: str) -> "Problem":
-        """The problem with all data but those of the laws as trees in these variables."""
-        data = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "laws"}
-        return replace(self, **{name: parsed(given, names, _place(name)) for name, given in data.items()})
-
-
-def _place(name: str) -> str:
-    """Where a case file has a datum."""
-    return "[exact] u" if name == "exact" else f"[problem] {name}"
+    def _changed(self, change: Callable[[str, Any], Any]) -> "Problem":
+        """The problem with changed data, also those of the laws, see `with_data`."""
+        laws = tuple(law.with_data(change) for law in self.laws)
+        return replace(with_data(self, change, but=("laws",)), laws=laws)

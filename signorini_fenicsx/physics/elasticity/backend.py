@@ -28,14 +28,12 @@ from signorini_fenicsx.linear.gmres import coupled
 from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
-from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, STIFF, ElasticCoarse
+from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, ElasticCoarse
 from signorini_fenicsx.physics.elasticity.normal_laws import Springs
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.tools import Moving
 
-DIRECT_UP_TO = {2: 500_000, 3: 60_000}
-"""For each dimension, largest number of unknowns that are factorised; in space a factorisation fills in far more."""
 MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
 HELD = 1e-12

@@ -33,6 +33,9 @@ STIFF = 8.0
 SHIFT = 1e-10
 """Share of the coarse diagonal that is added to it: no motion is free, and nothing else is changed."""
 
+DIRECT_UP_TO = {2: 500_000, 3: 60_000}
+"""For each dimension, largest number of unknowns that are factorised; in space a factorisation fills in far more."""
+
 
 class ElasticCoarse:
     """The traces of the coarse displacements are traces of the facet system, so Galerkin's operator is theirs.

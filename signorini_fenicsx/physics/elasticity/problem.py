@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
 from types import NoneType
@@ -18,7 +18,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law, OnParts
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
-from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed
+from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
 
 if TYPE_CHECKING:
@@ -311,23 +311,21 @@ class ElasticProblem:
         Raises:
             InputError: If a text cannot be read.
         """
-        return self._changed(lambda key, given: _read(given, "xyz"[:dim] + "t", key))
+        return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t", key))
 
     def at(self, t: float) -> ElasticProblem:
         """The problem at a time, from one that `in_time` has read."""
         return self._changed(lambda _, given: at_time(given, t))
 
     def _changed(self, change: Callable[[str, Any], Any]) -> ElasticProblem:
-        """The problem with changed data; `change` gets the place of each and what is given."""
-        keys = [each.name for each in fields(self) if each.name not in ("plane", "laws")]
-        data = {key: change("[exact] u" if key == "exact" else f"[problem] {key}", getattr(self, key)) for key in keys}
+        """The problem with changed data, also those of the laws, see `with_data`."""
         laws: list[ElasticLaw] = []
         for index, law in enumerate(self.laws):
             if isinstance(law, CoulombLaw):
                 laws.append(replace(law, mu=change(f"law.{index}.mu", law.mu)))
             else:
                 laws.append(law.with_data(partial(_changed_in, index, change)))
-        return replace(self, **data, laws=laws)
+        return replace(with_data(self, change, but=("plane", "laws")), laws=laws)
 
     @property
     def rough(self) -> list[str]:
@@ -353,15 +351,6 @@ def is_normal(law: object) -> TypeGuard[Law]:
 def _changed_in(index: int, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:
     """A datum of the law with this number, changed under the name of it that messages have."""
     return change(f"law.{index}.{key.partition('.')[2]}", given)
-
-
-def _read(given: Any, names: str, key: str) -> Any:
-    """Numbers and texts as trees, also the entries of a vector, or what is given for each part or region."""
-    if isinstance(given, Mapping):
-        return {part: _read(each, names, f"{key}.{part}".rstrip(".")) for part, each in given.items()}
-    if isinstance(given, list | tuple):
-        return [_read(each, names, key) for each in given]
-    return parsed(given, names, key)
 
 
 def nothing_for_0(value: Any) -> Any:
