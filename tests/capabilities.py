@@ -158,7 +158,7 @@ def _shipped() -> Iterator[Capability]:
 
 def _methods() -> Iterator[Capability]:
     """Methods and backends."""
-    for algorithm in ("alg1", "alg2", "alg3", "alg4", "snes1", "snes2", "--algorithm vi", "qp"):
+    for algorithm in ("alg1", "alg2", "alg3", "alg4", "snes1", "snes2", "vi", "qp"):
         beside = PATH if algorithm in ("snes1", "snes2", "vi") else frozenset()
         yield solved("example5", *STRUCTURED, "--algorithm", algorithm, h="1/4", beside=beside)
     for algorithm in ("primal-pdas", "primal-penalty", "psor", "mixed-uzawa1", "mixed-uzawa2", "mixed-uzawa-h12"):
@@ -187,6 +187,7 @@ def _rare() -> Iterator[Capability]:
     yield own("block")
     yield own("tresca", FRICTION="g = 0.01")
     yield replace(own("tresca", FRICTION="mu = 0.3"), name="solve coulomb")
+    yield replace(own("pushed"), beside=FREE)
     yield replace(own("pushed", "--certify-steps"), beside=FREE)
     yield own("springs")
     yield own("held")
@@ -246,14 +247,14 @@ def capabilities() -> list[Capability]:
 
 ON_RANKS = (
     *("example2", "example6", "crack", "transition3d", "electropainting", "sphere", "dam_baiocchi", "two_obstacles"),
-    *("phases", "hertz", "melting", "two_parts.toml", "crossed.toml", "reaction.toml"),
+    *("phases", "hertz", "seepage_falling", "two_parts.toml", "crossed.toml", "reaction.toml"),
     *("block.toml", "coulomb", "pushed.toml", "springs.toml", "blocks.toml", "many.toml", "space.toml"),
 )
 """Cases that are also run on several ranks, each by its first capability."""
 PATHS_ON_RANKS = (
     *("alg3", "snes1", "snes2", "--algorithm vi", "qp", "psor", "mixed-uzawa-h12", "--backend mixed", "--rigorous"),
-    *("--for-signorini", "solve.max_iterations=1", "--start-from", "export out", "restart", "adapt"),
-    *("problem.f=", "problem.obstacle="),
+    *("--for-signorini", "solve.max_iterations=1", "--start-from", "export out", "restart", "restart of a storage"),
+    *("adapt", "problem.f=", "problem.obstacle="),
 )
 """Words in the names of other capabilities that are also run on several ranks, each the first with it."""
 
