@@ -196,7 +196,7 @@ def _rare() -> Iterator[Capability]:
     yield own("space")
     for obstacle, h in ((None, "0.03"), ("-0.1", "0.06")):  # residuals of CG and rounding of forces, not in the bound
         more = () if obstacle is None else ("--set", f"problem.obstacle={obstacle}")
-        yield solved("example1", "--set", "problem.f=-10 if x < 0.317 else 2", *more, h=h)
+        yield solved("example1", "--set", "problem.f=-10 if x < 0.317 else 2", *more, h=h, beside=PATH)
     yield solved("example1", *STRUCTURED, "--rigorous", h="1/8")
     yield solved("cube", *STRUCTURED, "--rigorous", h="1/2")
     yield solved("example2", *STRUCTURED, "--plot", "--html", h="1/2", slow=True)

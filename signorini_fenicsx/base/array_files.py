@@ -31,7 +31,7 @@ class Header:
     begin: int
 
     def place(self, row: int) -> int:
-        """Where a row begins, in bytes."""
+        """The byte at which a row begins."""
         return self.begin + row * self.kind.itemsize * math.prod(self.shape[1:])
 
 

@@ -39,7 +39,7 @@ class Exchange:
         return self._moved(np.ascontiguousarray(rows[self._order]), self._sent, self._received)
 
     def answer(self, rows: npt.NDArray) -> npt.NDArray:
-        """For each row that was sent, its answer; `rows` has an answer for each row that arrived."""
+        """The answers to the rows that this rank has sent; `rows` has an answer for each row that arrived."""
         back = self._moved(np.ascontiguousarray(rows), self._received, self._sent)
         answers = np.empty_like(back)
         answers[self._order] = back

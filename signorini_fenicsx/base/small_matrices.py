@@ -12,7 +12,7 @@ from signorini_fenicsx.base.arrays import Array
 
 
 def determinants(matrices: Array) -> Array:
-    """Of matrices of shape (n, d, d) with d ≤ 3."""
+    """Determinants of matrices of shape (n, d, d) with d ≤ 3."""
     m = np.moveaxis(matrices, 0, -1)
     if len(m) == 1:
         return np.asarray(m[0, 0])
@@ -22,7 +22,7 @@ def determinants(matrices: Array) -> Array:
 
 
 def inverses(matrices: Array) -> Array:
-    """Of matrices of shape (n, d, d) with d = 2 or 3; not finite where there is none."""
+    """Inverses of matrices of shape (n, d, d) with d = 2 or 3; not finite where there is none."""
     m, found = np.moveaxis(matrices, 0, -1), np.empty(matrices.shape, order="F")
     for i, j in np.ndindex(len(m), len(m)):
         found[:, j, i] = _minor(m, i, j) if len(m) == 3 else (-1) ** (i + j) * m[1 - i, 1 - j]
@@ -47,6 +47,6 @@ def squares_of(vectors: Array, matrix: Array) -> Array:
 
 
 def _minor(m: Array, i: int, j: int) -> Array:
-    """Of a 3 × 3 matrix without row i and column j, with its sign."""
+    """The determinant of a 3 × 3 matrix without row i and column j, with its sign."""
     (a, b), (c, d) = (((k + 1) % 3, (k + 2) % 3) for k in (i, j))
     return np.asarray(m[a, c] * m[b, d] - m[a, d] * m[b, c])

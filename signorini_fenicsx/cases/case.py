@@ -249,7 +249,7 @@ class Case(CaseFile):
     @model_validator(mode="before")
     @classmethod
     def _of_dam(cls, tree: dict[str, Any]) -> dict[str, Any]:
-        """With [dam] the sections that it stands for."""
+        """Add the sections that [dam] stands for."""
         return with_dam(tree)
 
     @model_serializer(mode="wrap")

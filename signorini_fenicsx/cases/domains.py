@@ -1,4 +1,4 @@
-"""From a case to its domain."""
+"""The domain of a case."""
 
 from mpi4py import MPI
 

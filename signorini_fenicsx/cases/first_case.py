@@ -40,7 +40,7 @@ HELD, GIVEN, SYMMETRIC = "dirichlet", "neumann", "symmetry"
 
 @dataclass(frozen=True)
 class Place:
-    """Where a problem is posed.
+    """The domain of a problem: its shape or its mesh.
 
     Attributes:
         geometry: The lines of `[geometry]`.

@@ -101,7 +101,7 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
 
 
 def _choice(question: str, known: tuple[str, ...], default: str) -> str:
-    """One of these words; other answers are asked for again."""
+    """Ask for one of these words until it is one."""
     while (answer := typer.prompt(question, default).strip()) not in known:
         typer.echo(f"  unknown: use one of {', '.join(known)}{did_you_mean(answer, known)}")
     return str(answer)

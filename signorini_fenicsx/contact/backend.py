@@ -129,7 +129,7 @@ class Backend[I: Pairs](Protocol):
 
     @property
     def inexact(self) -> Inexact | None:
-        """Its solves that predict the sets; None if it has none that are cheaper than `solve`."""
+        """The solves that predict the sets; None if the backend has none that are cheaper than `solve`."""
         ...
 
     @property

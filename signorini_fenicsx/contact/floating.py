@@ -22,7 +22,7 @@ GROUND = 0
 
 @dataclass(frozen=True)
 class Floating:
-    """Where the sites of this rank are.
+    """The component, or the ground, on each side of each site of this rank.
 
     Attributes:
         number: How many components float.

@@ -1,4 +1,4 @@
-"""One of the data f, κ, u_D, …, from whatever it was given as: its values in points, as NumPy arrays.
+"""Data f, κ, u_D, …, from whatever they were given as: their values in points, as NumPy arrays.
 
 Numbers and texts are evaluated by NumPy alone, so that no new text compiles anything. UFL is evaluated by DOLFINx,
 which compiles it once.
@@ -186,19 +186,19 @@ class _ByRegion(Datum):
         return [(tree, inside) for inside, pieces in found for tree, _ in pieces or ()]
 
     def _values(self, points: Points) -> Array:
-        found = np.empty((*points.shape, *self.shape))
+        values = np.empty((*points.shape, *self.shape))
         for inside, datum in self.parts:
             value = datum.values(points.among(inside))
             if len(datum.shape) < len(self.shape):
                 value = value[..., None, None] * np.eye(self.shape[0])
-            found[inside[points.cells]] = value
-        return found
+            values[inside[points.cells]] = value
+        return values
 
     def _gradients(self, points: Points) -> Array:
-        found = np.empty((*points.shape, points.mesh.geometry.dim))
+        gradients = np.empty((*points.shape, points.mesh.geometry.dim))
         for inside, datum in self.parts:
-            found[inside[points.cells]] = datum.jet(points.among(inside), gradient=True)[:, :, 1:]
-        return found
+            gradients[inside[points.cells]] = datum.jet(points.among(inside), gradient=True)[:, :, 1:]
+        return gradients
 
 
 @dataclass(frozen=True)
@@ -227,16 +227,16 @@ class _OnParts(Datum):
         return
 
     def _values(self, points: Points) -> Array:
-        found = np.zeros(points.shape)
+        values = np.zeros(points.shape)
         for inside, there, datum in self._on(points):
-            found[inside] = datum.values(there)
-        return found
+            values[inside] = datum.values(there)
+        return values
 
     def _gradients(self, points: Points) -> Array:
-        found = np.zeros((*points.shape, points.mesh.geometry.dim))
+        gradients = np.zeros((*points.shape, points.mesh.geometry.dim))
         for inside, there, datum in self._on(points):
-            found[inside] = datum.jet(there, gradient=True)[:, :, 1:]
-        return found
+            gradients[inside] = datum.jet(there, gradient=True)[:, :, 1:]
+        return gradients
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
         """Those of the parts."""
@@ -373,8 +373,8 @@ def regional_datum(spaces: MeshSpaces, key: str, given: Given | Mapping[str, Giv
     regions = spaces.domain.regions
     for name in given:
         if name not in regions:
-            known = f"its regions are {', '.join(regions)}" if regions else "it has none"
-            raise InputError(f"[problem] {key}: unknown region '{name}' of the mesh; {known}")
+            regions_in_words = f"its regions are {', '.join(regions)}" if regions else "it has none"
+            raise InputError(f"[problem] {key}: unknown region '{name}' of the mesh; {regions_in_words}")
     number = spaces.Q.dofmap.index_map.size_local
     parts, terms, values_given = [], [], np.zeros(number, dtype=np.int64)
     for name, value in given.items():

@@ -59,7 +59,7 @@ class PartLaw:
 
     @property
     def where(self) -> str:
-        """Where it holds, for messages."""
+        """The place where the law holds, for messages."""
         return {"": "on Γ_S", SHORT: "in the domain"}.get(
             self.name, "in its regions" if self.law.region else "on its parts"
         )

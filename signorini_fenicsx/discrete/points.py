@@ -54,12 +54,12 @@ class Points(ABC):
     @property
     @abstractmethod
     def vertices(self) -> Array:
-        """Of each cell or facet, in the order of the reference one, shape (n, its vertices, dim)."""
+        """Vertices of each cell or facet, in the order of the reference one, shape (n, its vertices, dim)."""
 
     @property
     @abstractmethod
     def barycentric(self) -> Array:
-        """Of the points in their cells, shape (n or 1, points, dim + 1)."""
+        """Barycentric coordinates of the points in their cells, shape (n or 1, points, dim + 1)."""
 
     @abstractmethod
     def among(self, cells: Mask) -> Self:
@@ -113,11 +113,11 @@ class Points(ABC):
         return np.sqrt(determinants(edges @ edges.transpose(0, 2, 1)))
 
     def means(self, values: Array) -> Array:
-        """Of values of shape (n, points, …)."""
+        """Means over each cell or facet of values of shape (n, points, …)."""
         return np.asarray(np.tensordot(values, self.weights / self.weights.sum(), (1, 0)))
 
     def integrals(self, values: Array) -> Array:
-        """Of values of shape (n, points)."""
+        """Integrals over each cell or facet of values of shape (n, points)."""
         found: Array = self.scale * (values @ self.weights)
         return found
 
@@ -149,7 +149,7 @@ class CellPoints(Points):
 
     @property
     def vertices(self) -> Array:
-        """Of each cell, shape (cells, dim + 1, dim)."""
+        """Vertices of each cell, shape (cells, dim + 1, dim)."""
         return self.corners
 
     @cached_property
@@ -160,7 +160,7 @@ class CellPoints(Points):
 
     @cached_property
     def barycentric(self) -> Array:
-        """Of the points, shape (1, points, dim + 1)."""
+        """Barycentric coordinates of the points, shape (1, points, dim + 1)."""
         return _barycentric(self.points)[None]
 
     def among(self, cells: Mask) -> Self:
@@ -187,13 +187,13 @@ class FacetPoints(Points):
 
     @cached_property
     def vertices(self) -> Array:
-        """Of each facet, shape (facets, dim, dim)."""
+        """Vertices of each facet, shape (facets, dim, dim)."""
         local = np.array(basix.topology(self.mesh.basix_cell())[-2])[self.local]
         return np.take_along_axis(self.corners, local[:, :, None], axis=1)
 
     @cached_property
     def barycentric(self) -> Array:
-        """Of the points in their cells, shape (facets, points, dim + 1)."""
+        """Barycentric coordinates of the points in their cells, shape (facets, points, dim + 1)."""
         return _barycentric(self._in_cell)[self.local]
 
     @cached_property

@@ -92,7 +92,7 @@ def values_in(given: Any) -> Values:
 
 
 def values_of(control: Control) -> Array:
-    """Its values on this rank."""
+    """The values of a control on this rank."""
     return control.x.array if isinstance(control, fem.Function) else np.asarray(control.value)
 
 

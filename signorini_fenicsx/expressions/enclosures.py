@@ -41,27 +41,27 @@ def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: 
         enough: Of each simplex.
         degree: The degree.
     """
-    found = np.full(len(vertices), np.inf)
+    bounds_of_parts = np.full(len(vertices), np.inf)
 
     def look(remainder: Remainder, rows: Indices) -> Mask:
-        found[rows] = np.minimum(found[rows], remainder.distance(degree))
-        return np.asarray(found[rows] <= enough[rows])
+        bounds_of_parts[rows] = np.minimum(bounds_of_parts[rows], remainder.distance(degree))
+        return np.asarray(bounds_of_parts[rows] <= enough[rows])
 
     look_everywhere(tree, vertices, frame, look)
-    return found
+    return bounds_of_parts
 
 
 def slopes(tree: Tree, vertices: Array, frame: Frame, enough: Array) -> tuple[Array, Array]:
     """Bounds of value and gradient, see `Remainder.slope`; the gradient is only as small as is enough."""
-    found = np.full((2, len(vertices)), np.inf)
+    best = np.full((2, len(vertices)), np.inf)
 
     def look(remainder: Remainder, rows: Indices) -> Mask:
-        here = np.stack(remainder.slope())
-        found[:, rows] = np.where(here[1] < found[1, rows], here, found[:, rows])
-        return np.asarray(found[1, rows] <= enough[rows])
+        own = np.stack(remainder.slope())
+        best[:, rows] = np.where(own[1] < best[1, rows], own, best[:, rows])
+        return np.asarray(best[1, rows] <= enough[rows])
 
     look_everywhere(tree, vertices, frame, look)
-    return found[0], found[1]
+    return best[0], best[1]
 
 
 @dataclass(frozen=True)
@@ -190,12 +190,12 @@ class _Projection:
         corners = vertices.shape[1]
         points, weights = _rule(corners, 2 * DEGREE)
         basis = _basis(corners).tabulate(0, points)[0][:, :, 0]
-        found = np.empty((len(vertices), basis.shape[1]))
+        coefficients = np.empty((len(vertices), basis.shape[1]))
         for begin in range(0, len(vertices), CHUNK):
             some = slice(begin, begin + CHUNK)
-            found[some] = _values(tree, _points(vertices[some])[0]) @ (weights[:, None] * basis)
+            coefficients[some] = _values(tree, _points(vertices[some])[0]) @ (weights[:, None] * basis)
         measure = 1 / math.factorial(corners - 1)
-        return cls(found * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
+        return cls(coefficients * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
 
     def at(self, own: Indices, x: Array) -> tuple[Array, Array]:
         """Values and gradients in points of simplices with these numbers, shape (parts, points, dim)."""
@@ -208,15 +208,15 @@ class _Projection:
 
     def distance(self, tree: Tree, vertices: Array, degree: int) -> Array:
         """Root mean squares of d and of |∇d| over the points of a quadrature of this degree."""
-        found = np.empty((2, len(vertices)))
+        distances = np.empty((2, len(vertices)))
         for begin in range(0, len(vertices), CHUNK):
             own = np.arange(begin, min(begin + CHUNK, len(vertices)))
             x, weights = _points(vertices[own], degree)
             value, gradient = values_and_gradient(tree, _named(x))
             subtracted, slope = self.at(own, x)
-            found[0, own] = np.sqrt((value - subtracted) ** 2 @ weights)
-            found[1, own] = np.sqrt(((gradient - slope) ** 2).sum(axis=2) @ weights)
-        return found
+            distances[0, own] = np.sqrt((value - subtracted) ** 2 @ weights)
+            distances[1, own] = np.sqrt(((gradient - slope) ** 2).sum(axis=2) @ weights)
+        return distances
 
 
 @cache
@@ -319,8 +319,8 @@ def ranges(
 
 def _less(near: Quadratic, p: Quadratic, vertices: Array, parts: Parts) -> Quadratic:
     """The difference of quadratics of parts and those of their simplices."""
-    here = parts.vertices.mean(axis=1, keepdims=True)
-    jet, hessian = _of_simplices(p, vertices, parts, here)[:, 0], p.hessian[parts.own]
+    middle = parts.vertices.mean(axis=1, keepdims=True)
+    jet, hessian = _of_simplices(p, vertices, parts, middle)[:, 0], p.hessian[parts.own]
     return Quadratic(near.value - jet[:, 0], near.gradient - jet[:, 1:], near.hessian - hessian)
 
 
@@ -353,6 +353,6 @@ def _of_simplices(p: Quadratic, vertices: Array, parts: Parts, x: Array) -> Arra
 
 def _place(parts: Parts, uncertainty: Array, vertices: Array) -> Array:
     """The centroid of the part of each simplex that adds most to the uncertainty."""
-    found, order = vertices.mean(axis=1), np.argsort(uncertainty, kind="stable")
-    found[parts.own[order]] = parts.vertices[order].mean(axis=1)
-    return found
+    place, order = vertices.mean(axis=1), np.argsort(uncertainty, kind="stable")
+    place[parts.own[order]] = parts.vertices[order].mean(axis=1)
+    return place

@@ -1,4 +1,4 @@
-"""From text to a tree: Python's `ast` parses arithmetic, a whitelist checks it, and nothing is ever executed."""
+"""The reader of expressions: Python's `ast` parses arithmetic, a whitelist checks it, and nothing is ever executed."""
 
 import ast
 import contextlib

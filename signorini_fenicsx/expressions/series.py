@@ -135,8 +135,8 @@ def constant(value: float) -> Series:
 def centred(value: Interval) -> tuple[Array, Array]:
     """An interval as a layer of order 0; where nothing is known rad is infinite."""
     middle = (value.lo + value.hi) / 2
-    known = np.isfinite(middle)
-    return np.where(known, middle, 0.0)[None], np.where(known, (value.hi - value.lo) / 2, np.inf)[None]
+    is_finite = np.isfinite(middle)
+    return np.where(is_finite, middle, 0.0)[None], np.where(is_finite, (value.hi - value.lo) / 2, np.inf)[None]
 
 
 def plus(a: Layer, b: Layer) -> Layer:
@@ -148,12 +148,12 @@ def plus(a: Layer, b: Layer) -> Layer:
 
 def product(a: Sequence[Layer], b: Sequence[Layer]) -> list[Layer]:
     """The product of two series of layers from order 0 on, up to order K."""
-    found: list[Layer] = [None] * (DEGREE + 1)
+    layers: list[Layer] = [None] * (DEGREE + 1)
     for i, left in enumerate(a):
         for j, right in enumerate(b[: DEGREE + 1 - i]):
             if left is not None and right is not None:
-                found[i + j] = plus(found[i + j], _homogeneous(left, right, i, j))
-    return found
+                layers[i + j] = plus(layers[i + j], _homogeneous(left, right, i, j))
+    return layers
 
 
 def _homogeneous(a: tuple[Array, Array], b: tuple[Array, Array], i: int, j: int) -> tuple[Array, Array]:
@@ -233,19 +233,19 @@ class Remainder:
     def slope(self) -> tuple[Array, Array]:
         """Bounds of the distances of value and gradient to those of one polynomial of degree K."""
         dim, number = self.reach.shape
-        found = np.full((2, number), np.inf)
-        known = np.isfinite(self.value.hi - self.value.lo)
+        best = np.full((2, number), np.inf)
+        is_finite = np.isfinite(self.value.hi - self.value.lo)
         for order, layer in enumerate(self.layers, 1):
             if layer is None:
-                none = np.where(known, 0.0, np.inf)
+                none = np.where(is_finite, 0.0, np.inf)
                 return none, none
             squares, of_order = np.zeros(number), indices(dim, order)
             for axis, one in enumerate(np.eye(dim, dtype=np.int64)):
                 terms = layer[1] * of_order[:, axis, None] * self._monomials(np.maximum(of_order - one, 0))
                 squares += (terms.sum(axis=0) / np.where(self.half[axis] > 0, self.half[axis], np.inf)) ** 2
-            here = np.stack([(layer[1] * self._monomials(of_order)).sum(axis=0), np.sqrt(squares)])
-            found = np.where(here[1] < found[1], here, found)
-        return found[0], found[1]
+            slopes = np.stack([(layer[1] * self._monomials(of_order)).sum(axis=0), np.sqrt(squares)])
+            best = np.where(slopes[1] < best[1], slopes, best)
+        return best[0], best[1]
 
     def _monomials(self, powers: Indices) -> Array:
         return np.asarray(np.prod(self.reach[None] ** powers[:, :, None], axis=1))
@@ -259,5 +259,5 @@ def scaled(layer: Layer, factor: float) -> Layer:
 def hull(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array]:
     """The hull of two layers."""
     lo, hi = np.minimum(a[0] - a[1], b[0] - b[1]), np.maximum(a[0] + a[1], b[0] + b[1])
-    known = np.isfinite(hi - lo)
-    return np.where(known, (lo + hi) / 2, 0.0), np.where(known, (hi - lo) / 2, np.inf)
+    is_finite = np.isfinite(hi - lo)
+    return np.where(is_finite, (lo + hi) / 2, 0.0), np.where(is_finite, (hi - lo) / 2, np.inf)

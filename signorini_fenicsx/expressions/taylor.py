@@ -165,10 +165,10 @@ class _Taylor:
             change = np.maximum(np.fmax(least, -most).max(axis=0), 0.0)
             varies, slack = change > 0, self._regions.near * change
             below, above = varies & (hi <= slack), varies & (lo >= -slack)
-        here = np.asarray(COMPARISONS[sign](a.at, 0.0))
+        holds_at = np.asarray(COMPARISONS[sign](a.at, 0.0))
         match sign:
             case "==":
-                found = _Condition(~varies & (lo == 0) & (hi == 0), ~varies & ~((lo > 0) | (hi < 0)), here)
+                condition = _Condition(~varies & (lo == 0) & (hi == 0), ~varies & ~((lo > 0) | (hi < 0)), holds_at)
             case "!=":
                 return ~self.compare("==", left, right)
             case _:
@@ -179,9 +179,9 @@ class _Taylor:
                     ">": (lo > 0, hi <= 0),
                     ">=": (lo >= 0, hi < 0),
                 }[sign]
-                found = _Condition(surely | (holds & ~fails), ~never & ~(fails & ~holds), here)
-        self._record(a, found.possibly & ~found.surely)
-        return found
+                condition = _Condition(surely | (holds & ~fails), ~never & ~(fails & ~holds), holds_at)
+        self._record(a, condition.possibly & ~condition.surely)
+        return condition
 
     def _record(self, a: Series, undecided: Mask) -> None:
         """Keep a for the regions where a comparison of it with 0 is the first that is undecided."""
@@ -270,11 +270,13 @@ def _tangent(sign: float) -> Callable[[Interval, Interval], Iterator[Interval]]:
     """The derivatives of tan (1) and tanh (−1), by φ' = 1 ± φ²."""
 
     def derivatives(_: Interval, value: Interval) -> Iterator[Interval]:
-        known = [value]
+        coefficients = [value]
         for k in range(DEGREE):
-            square = sum((known[i] * known[k - i] for i in range(1, k + 1)), known[0] * known[k])
-            known.append((square * sign + (1.0 if k == 0 else 0.0)) * (1 / (k + 1)))
-            yield known[-1]
+            square = sum(
+                (coefficients[i] * coefficients[k - i] for i in range(1, k + 1)), coefficients[0] * coefficients[k]
+            )
+            coefficients.append((square * sign + (1.0 if k == 0 else 0.0)) * (1 / (k + 1)))
+            yield coefficients[-1]
 
     return derivatives
 
@@ -283,13 +285,13 @@ def _error_function(a: Interval, _: Interval) -> Iterator[Interval]:
     """The derivatives of erf, by φ'' = −2aφ'."""
     bell = intervals.exp(NUMPY, -intervals.power(NUMPY, a, enclosing(2.0)))
     scale = enclosing(2.0) / intervals.sqrt(NUMPY, enclosing(math.pi).hull(enclosing(np.nextafter(math.pi, 4.0))))
-    known = [bell * scale]
-    yield known[0]
+    coefficients = [bell * scale]
+    yield coefficients[0]
     for k in range(1, DEGREE):
-        following = a * known[-1] * (-2.0 / (k + 1))
+        following = a * coefficients[-1] * (-2.0 / (k + 1))
         if k > 1:
-            following += known[-2] * (-2.0 * (k - 1) / (k * (k + 1)))
-        known.append(following)
+            following += coefficients[-2] * (-2.0 * (k - 1) / (k * (k + 1)))
+        coefficients.append(following)
         yield following
 
 

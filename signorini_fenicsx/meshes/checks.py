@@ -1,4 +1,4 @@
-"""From the contents of a mesh file to a mesh for computations; each error is one sentence.
+"""Checks of what a mesh file contains, and the mesh for computations; each error is one sentence.
 
 Checks compare lengths only with lengths, so they do not depend on the unit of length. All functions run on rank 0.
 """

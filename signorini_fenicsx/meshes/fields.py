@@ -88,7 +88,7 @@ def _linear(domain: Domain, *, vector: bool, degree: int = 1) -> fem.Function:
 
 
 def on_mesh_of(domain: Domain, field: fem.Function, source: Domain) -> fem.Function:
-    """The same function on another mesh, whose cells it is linear on (collective).
+    """The function on another mesh, on whose cells it is linear (collective).
 
     Raises:
         InputError: If it is not: the meshes are others, and the new one is no refinement of the old one.

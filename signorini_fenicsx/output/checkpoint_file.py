@@ -224,28 +224,28 @@ def read_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint:
                 files = sorted(file for file in path.glob("*.npy") if file.is_file())
                 headers = {file.stem: read_header(file) for file in files}
             about = About.model_validate_json(text)
-            found = Checkpoint(path, about, _case(about), headers, {})
-            _check_layout(found)
-        return found
+            checkpoint = Checkpoint(path, about, _case(about), headers, {})
+            _check_layout(checkpoint)
+        return checkpoint
 
-    found = on_root(comm, begin)
-    with _told(found.path):
-        if found.path.name == OLD_FILE:
-            empty = {name: np.empty((0, *head.shape[1:]), head.kind) for name, head in found.headers.items()}
-            found = replace(found, arrays=old[0] if old else empty)
+    checkpoint = on_root(comm, begin)
+    with _told(checkpoint.path):
+        if checkpoint.path.name == OLD_FILE:
+            empty = {name: np.empty((0, *head.shape[1:]), head.kind) for name, head in checkpoint.headers.items()}
+            checkpoint = replace(checkpoint, arrays=old[0] if old else empty)
         else:
-            files = {name: (found.path / f"{name}.npy", header) for name, header in found.headers.items()}
-            found = replace(found, arrays={name: read_share(comm, *file) for name, file in files.items()})
-        refuse(comm, _wrong_value(found))
+            files = {name: (checkpoint.path / f"{name}.npy", header) for name, header in checkpoint.headers.items()}
+            checkpoint = replace(checkpoint, arrays={name: read_share(comm, *file) for name, file in files.items()})
+        refuse(comm, _wrong_value(checkpoint))
         try:
-            check_cells(comm, found.arrays["points"], found.arrays["cells"])
+            check_cells(comm, checkpoint.arrays["points"], checkpoint.arrays["cells"])
         except InputError as error:
             raise InputError(f"is damaged: its mesh: {error}") from None
-    return found
+    return checkpoint
 
 
 def place_of(folder: Path) -> Path:
-    """Where the checkpoint of a results folder is.
+    """The path of the checkpoint of a results folder.
 
     Raises:
         InputError: If there is none.

@@ -173,7 +173,7 @@ def _refer_to_time(grid: Element) -> None:
 
 
 def _item(place: str, head: Header) -> Element:
-    """Where an array is."""
+    """The element of XDMF that says where an array is."""
     kind = {"f": "Float", "i": "Int"}[head.kind.kind]
     size = {"Dimensions": " ".join(map(str, head.shape)), "Precision": str(head.kind.itemsize)}
     item = ElementTree.Element("DataItem", {**size, "NumberType": kind, "Format": "HDF"})

@@ -1,1 +1,1 @@
-"""From a domain, a boundary and a problem to a solution."""
+"""Solutions, from a domain, a boundary and a problem."""

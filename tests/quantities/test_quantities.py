@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import ufl
 from agreement import on_one_rank
 from commands import signorini
 from made_cases import case_of

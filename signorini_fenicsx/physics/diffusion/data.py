@@ -310,7 +310,7 @@ def _trees(problem: Problem) -> dict[str, Tree | Rows]:
 
 
 def _mean_eigenvalues(spaces: Spaces, kappa: Datum, kappa_h: fem.Function | fem.Constant) -> Array:
-    """Of κ_h on each owned cell."""
+    """Mean eigenvalue of κ_h on each owned cell."""
     if kappa.number is not None:
         return np.full(spaces.Q.dofmap.index_map.size_local, kappa.number)
     shape = kappa.shape or (1, 1)

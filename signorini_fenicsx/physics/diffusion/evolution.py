@@ -140,7 +140,7 @@ class DiffusionSteps:
         return found
 
     def of_step(self, solution: Solution) -> dict[str, float]:
-        """With storage the integral of the content (collective)."""
+        """The integral of the content, where there is storage (collective)."""
         if not self.storage:
             return {}
         local = float(self.spaces.cell_measures @ self.left_by(solution).x.array)

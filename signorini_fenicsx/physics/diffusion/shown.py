@@ -90,7 +90,7 @@ def columns(solution: Solution, table: FacetTable) -> Columns:
 
 
 def other_tables(solution: Solution) -> dict[str, Columns]:
-    """With laws in Ω `free_boundary.csv`, see `Solved.other_tables` (collective)."""
+    """The table `free_boundary.csv` where there are laws in Ω, see `Solved.other_tables` (collective)."""
     return {} if solution.data.inside is None else {"free_boundary": _free_boundary(solution)}
 
 

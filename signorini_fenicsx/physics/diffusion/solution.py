@@ -57,8 +57,8 @@ def flux_through(
     chosen = outer if names is None else np.empty(0, dtype=np.int32)
     for name in names or ():
         if name not in domain.facets:
-            known = ", ".join(domain.facets)
-            raise InputError(f"unknown part '{name}'; there are {known}{did_you_mean(name, domain.facets)}")
+            names_of_parts = ", ".join(domain.facets)
+            raise InputError(f"unknown part '{name}'; there are {names_of_parts}{did_you_mean(name, domain.facets)}")
         inside = np.setdiff1d(domain.facets[name], outer)
         if spaces.mesh.comm.allreduce(len(inside)) > 0:
             raise InputError(f"part '{name}' has facets inside the domain; the flux is that through the boundary")
@@ -227,14 +227,14 @@ class Solution(Solved):
         It is exactly what the law says in cells on flat and sloped segments, such as 0 off an obstacle.
         """
         spaces, cells, laws = self.spaces, self.outcome.iterate.cells, self.data.inside
-        found = fem.Function(spaces.Q, name="force")
+        force = fem.Function(spaces.Q, name="force")
         if cells is not None and laws is not None:
             divergence = assembled(ufl.div(self.sigma) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
             beta, load = laws.as_linear(cells)
             held = np.isinf(beta)
             by_law = load - np.where(held, 0.0, beta) * self.u.x.array
-            found.x.array[:] = np.where(held, -divergence - self.data.source(self.u).x.array, by_law)
-        return found
+            force.x.array[:] = np.where(held, -divergence - self.data.source(self.u).x.array, by_law)
+        return force
 
     @collector_off()
     def in_regions(self) -> dict[str, dict[str, Any]]:
@@ -242,18 +242,18 @@ class Solution(Solved):
 
         The laws are listed as in the problem; an obstacle by its key is "obstacle".
         """
-        found: dict[str, dict[str, Any]] = {}
+        states: dict[str, dict[str, Any]] = {}
         spaces, laws = self.spaces, self.data.inside
         for part in laws.of_regions if laws is not None else ():
             names, segment = part.law.segments, self.segments_of_law(part)
             on = [part.rows[segment == number] for number in range(len(names))]
             local = np.array([[len(some), spaces.cell_measures[some].sum()] for some in on])
             counts = spaces.mesh.comm.allreduce(local).tolist()
-            found[part.name] = {
+            states[part.name] = {
                 name: {"cells": int(cells), "measure": measure}
                 for name, (cells, measure) in zip(names, counts, strict=True)
             }
-        return found
+        return states
 
     def segments_of_law(self, part: PartLaw) -> Indices:
         """The segment of one law in Ω that each of its cells is on (collective)."""
@@ -310,18 +310,18 @@ class Solution(Solved):
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
         spaces, segment = self.spaces, self.segments().segment
-        found: dict[str, dict[str, dict[str, float]]] = {}
+        states: dict[str, dict[str, dict[str, float]]] = {}
         for law in self.data.laws.of_parts:
             for part in law.law.parts:
-                here = spaces.part_of_facet == spaces.part_names.index(part)
-                on = [here & (segment == number) for number in range(len(law.law.segments))]
+                on_part = spaces.part_of_facet == spaces.part_names.index(part)
+                on = [on_part & (segment == number) for number in range(len(law.law.segments))]
                 local = np.array([[np.count_nonzero(some), spaces.facet_measure[some].sum()] for some in on])
                 counts = spaces.mesh.comm.allreduce(local).tolist()
-                found[part] = {
+                states[part] = {
                     name: {"facets": int(facets), "measure": measure}
                     for name, (facets, measure) in zip(law.law.segments, counts, strict=True)
                 }
-        return found
+        return states
 
     @collector_off()
     def violation(self) -> dict[str, float]:
@@ -344,7 +344,7 @@ class Solution(Solved):
         return {"sigma_V": sigma, "u_Q": norms["u_L2"], "p_Lambda": norms["p_L2"]}
 
     def of_step(self) -> dict[str, float]:
-        """With laws in Ω what `steps.csv` has of them (collective).
+        """The numbers that `steps.csv` has of laws in Ω (collective).
 
         Of an obstacle the cells in contact and its force, of other laws the measures of the cells on each segment.
         """
@@ -353,16 +353,16 @@ class Solution(Solved):
         if not self.data.inside.is_obstacle:
             of_laws = self.in_regions().items()
             return {f"{law} {name}": on["measure"] for law, segments in of_laws for name, on in segments.items()}
-        found = self.on_obstacle()
-        measure, force = found["contact_measure"], found["force"]
-        return {"contact_cells": found["contact_cells"], "cells_measure": measure, "force": force}
+        numbers = self.on_obstacle()
+        measure, force = numbers["contact_measure"], numbers["force"]
+        return {"contact_cells": numbers["contact_cells"], "cells_measure": measure, "force": force}
 
     def contradiction(self) -> str | None:
         """Whether σ·n and p do not have the values that the conditions prescribe, see `Solved.contradiction`."""
         spaces, conditions, iterate = self.spaces, self.outcome.conditions, self.outcome.iterate
         squares = [
-            spaces.facet_measure @ np.where(conditions.kind == given, values - conditions.value, 0.0) ** 2
-            for values, given in ((iterate.flux, Condition.NO_FLUX), (iterate.p, Condition.ZERO_TRACE))
+            spaces.facet_measure @ np.where(conditions.kind == condition, values - conditions.value, 0.0) ** 2
+            for values, condition in ((iterate.flux, Condition.NO_FLUX), (iterate.p, Condition.ZERO_TRACE))
         ]
         left = spaces.length * spaces.mesh.comm.allreduce(np.array(squares))
         sizes = [spaces.integrate(l2(field, ufl.dx)) for field in (self.sigma, self.u)]
@@ -381,7 +381,7 @@ class Solution(Solved):
         }
 
     def _inside(self) -> dict[str, Any]:
-        """Of an obstacle its contact, of other laws in Ω the cells on their segments."""
+        """The contact with an obstacle, or the cells on the segments of other laws in Ω."""
         if self.data.inside is None:
             return {}
         if self.data.inside.is_obstacle:

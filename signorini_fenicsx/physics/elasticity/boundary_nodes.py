@@ -79,8 +79,8 @@ class FacetCoefficients:
 
     def basis(self, points: Array) -> Array:
         """Bernstein's basis in points of the reference facet, shape (points, coefficients)."""
-        found: Array = self._element.tabulate(0, points)[0, :, :, 0]
-        return found
+        hats: Array = self._element.tabulate(0, points)[0, :, :, 0]
+        return hats
 
     def places(self) -> Array:
         """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""
@@ -130,9 +130,9 @@ class ContactCoefficients(FacetCoefficients):
 
     def jump(self, values: Array) -> Array:
         """Values of nodes on the facets, less those of the other side where there is one: (facets, coefficients, …)."""
-        found = values[self.nodes]
-        found[self.touched] -= values[self.across]
-        return found
+        jumps = values[self.nodes]
+        jumps[self.touched] -= values[self.across]
+        return jumps
 
     def openings(self, mesh: dolfinx.mesh.Mesh, data: ElasticData) -> Array:
         """The coefficients of g, less p at the references of the laws (collective)."""
@@ -191,13 +191,15 @@ def given_nodes(
     dim, index_map = spaces.dim, space.dofmap.index_map
     products, pulls = la.vector(index_map, dim**2), la.vector(index_map, dim)  # sums of d dᵀ and of (d·u_D)d
     for facets, k, letter in spaces.fixed:
-        there = facet_coefficients(split, space, facets)
-        axis = np.broadcast_to(np.eye(dim)[k], there.facets.normals.shape)
-        directions = (there.facets.normals if letter == NORMAL else axis)[:, None]
-        given = there.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[there.nodes]
-        along = np.einsum("nai,nbi->na", given, directions)
-        add_at(products, there.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
-        add_at(pulls, there.nodes, along[:, :, None] * directions)
+        coefficients = facet_coefficients(split, space, facets)
+        axis = np.broadcast_to(np.eye(dim)[k], coefficients.facets.normals.shape)
+        directions = (coefficients.facets.normals if letter == NORMAL else axis)[:, None]
+        displacement = (
+            coefficients.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[coefficients.nodes]
+        )
+        along = np.einsum("nai,nbi->na", displacement, directions)
+        add_at(products, coefficients.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
+        add_at(pulls, coefficients.nodes, along[:, :, None] * directions)
     if v is not None:
         ends = _ends(spaces, split, space)
         products.array.reshape(-1, dim, dim)[ends] += np.eye(dim)
@@ -223,14 +225,14 @@ def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> 
 def _framed(products: Array, pulls: Array) -> GivenNodes:
     number, dim = pulls.shape
     frames = np.broadcast_to(np.eye(dim), (number, dim, dim)).copy()
-    given, values = np.zeros((number, dim), dtype=bool), np.zeros((number, dim))
+    is_given, values = np.zeros((number, dim), dtype=bool), np.zeros((number, dim))
     some = np.flatnonzero(np.einsum("nii->n", products) > 0)
     sizes, vectors = np.linalg.eigh(products[some])
     sizes, frames[some] = sizes[:, ::-1], vectors[:, :, ::-1]
-    given[some] = sizes > ALONG
+    is_given[some] = sizes > ALONG
     along = np.einsum("nij,ni->nj", frames[some], pulls[some])
-    values[some] = np.where(given[some], along / np.where(given[some], sizes, 1.0), 0.0)
-    return GivenNodes(frames, given, values)
+    values[some] = np.where(is_given[some], along / np.where(is_given[some], sizes, 1.0), 0.0)
+    return GivenNodes(frames, is_given, values)
 
 
 def add_at(sums: la.Vector, nodes: npt.NDArray[np.int32], values: Array) -> None:
@@ -262,8 +264,8 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     jump = contact.jump(values)
     passed = np.einsum("nki,ni->nk", jump, normals)
     past = np.where(free <= ALONG, passed - gap, -np.inf) - TURNED * np.linalg.norm(jump, axis=2)
-    known = np.where(np.isfinite(gap), np.abs(gap), 0.0)
-    size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), known.max(initial=0.0))), MPI.MAX)
+    sizes = np.where(np.isfinite(gap), np.abs(gap), 0.0)
+    size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), sizes.max(initial=0.0))), MPI.MAX)
     worst = float(past.max(initial=-np.inf)), ""
     if worst[0] > LINEAR * size:
         facet, place = np.unravel_index(int(past.argmax()), past.shape)

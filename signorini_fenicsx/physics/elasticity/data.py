@@ -151,8 +151,8 @@ class ElasticData:
         values = self.material.strain(self.points(spaces, cells))
         values = values.reshape(len(cells), local.shape[1], len(weights), values.shape[-1])
         sums = np.einsum("q,qa,nsqe->nsae", weights, local, values, optimize=True)[spaces.as_dolfinx(cells)]
-        found: Array = measure[:, None, None, None] / local.shape[1] * sums
-        return found
+        strains: Array = measure[:, None, None, None] / local.shape[1] * sums
+        return strains
 
 
 def blocks_of_cells(spaces: ElasticSpaces) -> Iterator[npt.NDArray[np.int32]]:
@@ -325,9 +325,9 @@ def _on_split(
         if constant:
             by_point[dofs] = values[:, :, :1]
             continue
-        there = np.take_along_axis(points.x.reshape(*size, spaces.dim), order[:, :, None, None], axis=1)
-        here = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
-        nearest = np.square(here[:, :, :, None] - there[:, :, None]).sum(axis=4).argmin(axis=3)
+        places = np.take_along_axis(points.x.reshape(*size, spaces.dim), order[:, :, None, None], axis=1)
+        own_places = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
+        nearest = np.square(own_places[:, :, :, None] - places[:, :, None]).sum(axis=4).argmin(axis=3)
         by_point[dofs] = np.take_along_axis(values, nearest[..., None], axis=2)
     return function
 
@@ -376,17 +376,17 @@ def _tractions_given(spaces: ElasticSpaces, problem: ElasticProblem) -> dict[str
         InputError: If a text cannot be read, a part is unknown, or it has both.
     """
     by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N} if problem.g_N is not None else {}
-    found: dict[str, VectorDatum | PressureDatum] = {
+    tractions: dict[str, VectorDatum | PressureDatum] = {
         part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()
     }
     for part, given in problem.pressure.items():
         name = f"pressure.{part}"
-        if part in found or "" in found:
+        if part in tractions or "" in tractions:
             raise InputError(f"[problem] {name}: a traction g_N is given there, too; give one of them, by part")
         _check_loaded(spaces, "pressure", part)
         datum = datum_of(spaces, name, parsed(given, "xyz"[: spaces.dim], f"[problem] {name}"))
-        found[part] = PressureDatum(name, datum, spaces.part(part).normals)
-    return found
+        tractions[part] = PressureDatum(name, datum, spaces.part(part).normals)
+    return tractions
 
 
 def _check_loaded(spaces: ElasticSpaces, key: str, part: str) -> None:
@@ -395,9 +395,9 @@ def _check_loaded(spaces: ElasticSpaces, key: str, part: str) -> None:
     Raises:
         InputError: If it is not.
     """
-    known = [*spaces.boundary.neumann, *spaces.boundary.fixed]
-    if part not in known:
-        where = f"only on {', '.join(known)}" if known else "as no part is in Γ_N"
+    loaded = [*spaces.boundary.neumann, *spaces.boundary.fixed]
+    if part not in loaded:
+        where = f"only on {', '.join(loaded)}" if loaded else "as no part is in Γ_N"
         raise InputError(f"[problem] {key}: no traction is given on part '{part}', {where}")
 
 
@@ -413,8 +413,8 @@ def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum | Pre
         if name:
             _check_loaded(spaces, "g_N", name)
         part = spaces.part(name) if name else facets
-        here = np.searchsorted(facets.facets, part.facets)
-        moments[here] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")
+        rows = np.searchsorted(facets.facets, part.facets)
+        moments[rows] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")
     return moments
 
 

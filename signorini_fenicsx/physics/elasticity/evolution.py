@@ -57,7 +57,7 @@ class ElasticSteps:
         return by
 
     def at_start(self, _by: Array) -> Form:
-        """Nothing: the slip before the first step is 0."""
+        """A form without terms: the slip before the first step is 0."""
         return Form([])
 
     def left_by(self, solution: ElasticSolution) -> Array:
@@ -65,7 +65,7 @@ class ElasticSteps:
         return solution.slips
 
     def of_step(self, _solution: ElasticSolution) -> dict[str, float]:
-        """Nothing."""
+        """No number: all are of the solution itself."""
         return {}
 
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:

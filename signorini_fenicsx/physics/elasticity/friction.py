@@ -82,13 +82,13 @@ class FrictionBounds:
 
     @property
     def sticks(self) -> Mask:
-        """In space where u_t = 0 is held, shape (facets, 3)."""
+        """Mask of the vertices in space at which u_t = 0 is held, shape (facets, 3)."""
         assert self.slipping is not None
         return (self.bound > 0) & ~self.slipping.direction.any(axis=2)
 
     @property
     def forces(self) -> Array:
-        """In space −g s, shape (facets, 3, 2)."""
+        """The shear −g s in space, shape (facets, 3, 2)."""
         assert self.slipping is not None
         return -self.turning * np.where(self.sticks, 0.0, self.bound)[:, :, None] * self.slipping.direction
 
@@ -100,7 +100,7 @@ class FrictionBounds:
 
     @property
     def stiffness(self) -> Array:
-        """In space (g/a)(I − ssᵀ), 0 where nothing slips, shape (facets, 3, 2, 2)."""
+        """The derivative (g/a)(I − ssᵀ) of the shear in space, 0 where nothing slips, shape (facets, 3, 2, 2)."""
         assert self.slipping is not None
         s, slope = self.slipping.direction, np.zeros(self.bound.shape)
         slips = s.any(axis=2)
@@ -129,7 +129,7 @@ class FrictionBounds:
         return -self.slipping.direction.ravel()
 
     def residuals(self, slip: Array, shear: Array, unit: Array) -> tuple[Array, Array]:
-        """By how much |σ_t| is above g, and the distance of u_t and σ_t to the graph, shape (facets, d).
+        """How far |σ_t| is above g, and the distance of u_t and σ_t to the graph, both of shape (facets, d).
 
         In the plane it is that of `Chains.distances`. In space it is that of σ_t to −P(k u_t − σ_t), where P goes to
         the nearest vector that is not longer than g.

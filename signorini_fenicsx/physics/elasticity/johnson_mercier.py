@@ -143,7 +143,7 @@ def normal_of(simplex: Array) -> Array:
 
 
 def _of(subcell: int, vertex: int) -> int:
-    """Where a subcell has a vertex of the cell."""
+    """The place of a vertex of the cell among those of a subcell."""
     return vertex - (vertex > subcell)
 
 

@@ -80,7 +80,7 @@ def on_boundary(
 
 
 def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, str, Moments]]:
-    """Those of g_N, which make the right side (collective)."""
+    """Moments of g_N, which make the right side (collective)."""
     facets, dim = spaces.neumann, spaces.dim
     plain = np.broadcast_to(np.eye(dim**2), (len(facets.facets), dim**2, dim**2)).copy()
     for framed, matrices in spaces.frames[1:]:
@@ -104,7 +104,7 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
 
 
 def _friction(spaces: ElasticSpaces, problem: ElasticProblem) -> Iterator[tuple[str, str, Moments]]:
-    """Those of bounds of friction, and of μ (collective).
+    """Moments of bounds of friction, and of μ (collective).
 
     Raises:
         InputError: If one is not linear in x.

@@ -59,13 +59,13 @@ def in_space(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array
     In plane strain σ_zz is that of `Material.out_of_plane`, with means over the cell.
     """
     missing = 3 - spaces.dim
-    found = np.pad(stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
+    padded = np.pad(stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
     if data.material.in_strain:
         for cells in blocks_of_cells(spaces):
             share, rest = (values.mean(axis=1) for values in data.material.out_of_plane(data.points(spaces, cells)))
-            found[cells, :, :, 2, 2] = np.einsum("ne,nsae->nsa", share, to_entries(stresses[cells]))
-            found[cells, :, :, 2, 2] += rest[:, None, None]
-    return found
+            padded[cells, :, :, 2, 2] = np.einsum("ne,nsae->nsa", share, to_entries(stresses[cells]))
+            padded[cells, :, :, 2, 2] += rest[:, None, None]
+    return padded
 
 
 STATES = (*Friction.segments, "open", "slip")
@@ -133,9 +133,9 @@ def table(solution: ElasticSolution) -> ContactTable:
 
 def _vectors(spaces: ElasticSpaces, rough: Array) -> Array:
     """Vectors at the vertices of all facets of Γ_C, from those on the facets with friction."""
-    found = np.full((len(spaces.contact.facets), spaces.dim, 3), np.nan)
-    found[spaces.rough_rows] = np.pad(rough, ((0, 0), (0, 0), (0, 3 - spaces.dim)))
-    return found.reshape(-1, 3)
+    vectors = np.full((len(spaces.contact.facets), spaces.dim, 3), np.nan)
+    vectors[spaces.rough_rows] = np.pad(rough, ((0, 0), (0, 0), (0, 3 - spaces.dim)))
+    return vectors.reshape(-1, 3)
 
 
 def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
@@ -152,10 +152,10 @@ def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
     if solution.data.friction is None:
         return columns
     states = np.array(STATES)[table.state]
-    found = {"shear": table.shear, "slip": table.slip, "friction": states}
+    rubbing = {"shear": table.shear, "slip": table.slip, "friction": states}
     for name, vectors in {"shear": table.shear_vector, "slip": table.slip_vector}.items():
-        found |= {f"{name}_{axis}": vectors[:, i] for i, axis in enumerate("xyz") if solution.spaces.dim == 3}
-    for name, values in found.items():
+        rubbing |= {f"{name}_{axis}": vectors[:, i] for i, axis in enumerate("xyz") if solution.spaces.dim == 3}
+    for name, values in rubbing.items():
         columns[name] = values.astype(object)
         columns[name][table.state < 0] = None
     return columns
@@ -251,28 +251,28 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
 
 def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
-    found = {
+    texts = {
         "contact": f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}",
         "forces": _forces(summary["resultants"], solution.spaces.dim),
         "largest": _largest(summary["quantities"]),
     }
     for part, about in summary["quantities"]["contact"].items():
-        found[f"on {part}"] = _pressed(about)
+        texts[f"on {part}"] = _pressed(about)
     for part, about in summary["quantities"].get("tools", {}).items():
-        found[f"on {part}"] += f"; the tool has moved by {_moved(about)}"
+        texts[f"on {part}"] += f"; the tool has moved by {_moved(about)}"
     if "least_gap" in summary:
         least = f"negative, down to {summary['least_gap']:.4g}"
         other = "another body" if any(solution.boundary.inner) else "the foundation"
-        found["gap"] = f"{least}: there {other} reaches into the body at rest, and is taken to press it back"
+        texts["gap"] = f"{least}: there {other} reaches into the body at rest, and is taken to press it back"
     for part, segments in summary.get("segments", {}).items():
         counts = ", ".join(f"{name} {count['vertices']}" for name, count in segments.items())
-        found[f"on {part}"] += f"; facet vertices on each segment: {counts}"
+        texts[f"on {part}"] += f"; facet vertices on each segment: {counts}"
     if "friction" in summary:
         states = (f"{name} {of_state['vertices']}" for name, of_state in summary["friction"].items())
-        found["friction"] = f"facet vertices: {', '.join(states)}"
+        texts["friction"] = f"facet vertices: {', '.join(states)}"
     if "coulomb" in summary:
-        found["Coulomb"] = _fixed_point(summary["coulomb"])
-    return found
+        texts["Coulomb"] = _fixed_point(summary["coulomb"])
+    return texts
 
 
 def _forces(resultants: dict[str, list[float]], dim: int) -> str:
@@ -291,11 +291,11 @@ def _largest(about: Mapping[str, Any]) -> str:
 
 def _pressed(about: Mapping[str, Any]) -> str:
     """How a part is pressed."""
-    found = [f"pressure at most {_at(about['peak_pressure'])}", f"area {about['area']:.5g}"]
-    found += [f"width {about['width']:.5g}"] if "width" in about else []
+    words = [f"pressure at most {_at(about['peak_pressure'])}", f"area {about['area']:.5g}"]
+    words += [f"width {about['width']:.5g}"] if "width" in about else []
     if "center_of_pressure" in about:
-        found.append(f"center ({', '.join(f'{x:.4g}' for x in about['center_of_pressure'])})")
-    return ", ".join(found)
+        words.append(f"center ({', '.join(f'{x:.4g}' for x in about['center_of_pressure'])})")
+    return ", ".join(words)
 
 
 def _moved(about: Mapping[str, Any]) -> str:

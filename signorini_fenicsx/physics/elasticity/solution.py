@@ -179,8 +179,8 @@ class ElasticSolution(Solved):
     def _scalar(self, values: Array) -> Array:
         """Tangential values at the sites as one number for each vertex: in space the length."""
         by_vertex = values.reshape(-1, self.spaces.dim, self.spaces.dim - 1)
-        found: Array = by_vertex[:, :, 0] if self.spaces.dim == 2 else np.linalg.norm(by_vertex, axis=2)
-        return found
+        numbers: Array = by_vertex[:, :, 0] if self.spaces.dim == 2 else np.linalg.norm(by_vertex, axis=2)
+        return numbers
 
     @property
     def slip_vectors(self) -> Array:
@@ -205,11 +205,11 @@ class ElasticSolution(Solved):
             return np.where(self.data.friction.sticks, STATES.index("stick"), STATES.index("slip"))
         normal = len(self.spaces.sites)
         tangential = self.outcome.conditions.take(slice(normal, None))
-        found = self.data.friction.chains.segments(tangential).reshape(-1, 2)
-        return np.where(self.data.friction.bound > 0, found, np.where(self._scalar(self._after) < 0, 0, 2))
+        segments = self.data.friction.chains.segments(tangential).reshape(-1, 2)
+        return np.where(self.data.friction.bound > 0, segments, np.where(self._scalar(self._after) < 0, 0, 2))
 
     def segments(self) -> ElasticSegments:
-        """Where the next step in time starts."""
+        """The segments from which the next step in time starts."""
         friction = self.data.friction
         chains = law_of_sites(self.spaces, self.data.laws.chains, friction)
         bound = np.empty((0, self.spaces.dim)) if friction is None else friction.bound
@@ -224,13 +224,13 @@ class ElasticSolution(Solved):
 
     def on_all_contact(self) -> tuple[Array, Array, Array]:
         """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
-        found = np.full((3, *self.touching.shape), np.nan)
+        of_vertices = np.full((3, *self.touching.shape), np.nan)
         if self.data.friction is not None:
             vectors = self.slips.reshape(-1, self.spaces.dim, self.spaces.dim - 1)
             linear_slip = self._scalar(linear_from_means(vectors))
-            for values, rough in zip(found, (self.shear, linear_slip, self._states_or_open), strict=True):
+            for values, rough in zip(of_vertices, (self.shear, linear_slip, self._states_or_open), strict=True):
                 values[self.spaces.rough_rows] = rough
-        shear, slip, state = found
+        shear, slip, state = of_vertices
         return shear, slip, state
 
     def contact_set(self) -> FacetSet:
@@ -241,8 +241,8 @@ class ElasticSolution(Solved):
     def contact(self) -> InContact:
         """Number of facets with a vertex in contact, and the vertices' share of Γ_C (collective when first used)."""
         touching = self.touching
-        found = np.array([touching.any(axis=1).sum(), self.spaces.site_measure[touching.ravel()].sum()])
-        count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
+        local = np.array([touching.any(axis=1).sum(), self.spaces.site_measure[touching.ravel()].sum()])
+        count, measure = self.spaces.mesh.comm.allreduce(local).tolist()
         return InContact(int(count), measure)
 
     @cached_property
@@ -260,8 +260,8 @@ class ElasticSolution(Solved):
         states = self._states_or_open.ravel()
         number = len(STATES)
         measure = np.repeat(self.spaces.rough.measure / self.spaces.dim, self.spaces.dim)
-        found = np.stack([np.bincount(states, weights, number) for weights in (None, measure)])
-        counts, measures = self.spaces.mesh.comm.allreduce(found).tolist()
+        local = np.stack([np.bincount(states, weights, number) for weights in (None, measure)])
+        counts, measures = self.spaces.mesh.comm.allreduce(local).tolist()
         names = STATES[:-1] if self.spaces.dim == 2 else ("stick", "slip", "open")
         return {
             name: {"vertices": int(counts[index]), "measure": measures[index]}
@@ -272,26 +272,26 @@ class ElasticSolution(Solved):
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
-        spaces, found = self.spaces, {}
+        spaces, states = self.spaces, {}
         part_of_site = np.repeat(spaces.part_of_facet, spaces.dim)
         for law in self.data.laws.of_parts:
             names = law.law.segments
             for part in law.law.parts:
-                here = part_of_site == spaces.part_names.index(part)
-                weights = None, spaces.site_measure[here]
-                local = np.stack([np.bincount(self.segment[here], each, len(names)) for each in weights])
+                on_part = part_of_site == spaces.part_names.index(part)
+                weights = None, spaces.site_measure[on_part]
+                local = np.stack([np.bincount(self.segment[on_part], each, len(names)) for each in weights])
                 counts, measures = spaces.mesh.comm.allreduce(local).tolist()
-                found[part] = {
+                states[part] = {
                     name: {"vertices": int(count), "measure": measure}
                     for name, count, measure in zip(names, counts, measures, strict=True)
                 }
-        return found
+        return states
 
     @collector_off()
     def resultants(self) -> dict[str, list[float]]:
         """Forces and then moments about the origin on each part; and what is left of all and f, "sum" (collective)."""
-        found = resultants(self.spaces, self.data, self.stresses)
-        return {name: values.tolist() for name, values in found.items()}
+        forces = resultants(self.spaces, self.data, self.stresses)
+        return {name: values.tolist() for name, values in forces.items()}
 
     @collector_off()
     def quantities(self) -> dict[str, Any]:
@@ -307,9 +307,9 @@ class ElasticSolution(Solved):
         squares[0] = energy_squares(spaces, data, self.stresses).sum()
         for cells in blocks_of_cells(spaces):
             measure = Cells(spaces.vertices[cells]).measure
-            here, values = self.stresses[cells], u[cells]
+            stresses, values = self.stresses[cells], u[cells]
             own, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
-            squares[1] += (subcell_squares(here) * measure[:, None] / size).sum()
+            squares[1] += (subcell_squares(stresses) * measure[:, None] / size).sum()
             squares[2] += (measure * (own + of_sum)).sum() / (size * (size + 1))
         energy, sigma, displacement = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
         force = spaces.mesh.comm.allreduce(float(spaces.site_measure @ self.pressure.ravel()))
@@ -365,7 +365,7 @@ class ElasticSolution(Solved):
     def of_step(self) -> dict[str, float]:
         """The contact force, and of each part the force on it and the mean of u, for `steps.csv` (collective)."""
         spaces, axes = self.spaces, AXES[: self.spaces.dim]
-        found = {"contact_force": self.norms()["contact_force"]}
+        numbers = {"contact_force": self.norms()["contact_force"]}
         forces, u = self.resultants(), spaces.displacement_values(self.u)
         for name in spaces.domain.parts:
             part = spaces.part(name)
@@ -373,9 +373,9 @@ class ElasticSolution(Solved):
             means = u[part.cells][opposite].reshape(-1, spaces.dim, spaces.dim).mean(axis=1)
             sums = np.append(part.measure @ means, part.measure.sum())
             *moved, measure = spaces.mesh.comm.allreduce(sums)
-            found |= {f"{name}_force_{axis}": force for axis, force in zip(axes, forces[name], strict=False)}
-            found |= {f"{name}_u_{axis}": x / measure for axis, x in zip(axes, moved, strict=True)}
-        return found
+            numbers |= {f"{name}_force_{axis}": force for axis, force in zip(axes, forces[name], strict=False)}
+            numbers |= {f"{name}_u_{axis}": x / measure for axis, x in zip(axes, moved, strict=True)}
+        return numbers
 
     def sizes(self) -> dict[str, float]:
         """The energy norm of σ, and ‖u‖ (collective)."""
@@ -410,5 +410,5 @@ class ElasticSolution(Solved):
         means = given.reshape(self.touching.shape)  # of g, before tools move
         own = means[~in_laws].min(initial=np.inf)
         least = min(self.spaces.mesh.comm.allgather(float(own)))
-        found = {"resultants": self.resultants(), "quantities": self.quantities()}
-        return found | ({"least_gap": least} if least < 0 else {})
+        numbers = {"resultants": self.resultants(), "quantities": self.quantities()}
+        return numbers | ({"least_gap": least} if least < 0 else {})

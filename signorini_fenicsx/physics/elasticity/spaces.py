@@ -122,7 +122,7 @@ class ElasticSpaces(MeshSpaces):
         return self.mesh.geometry.x[self.nodes, : self.dim]
 
     def as_dolfinx(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Indices, Indices]:
-        """Where subcell vertices in this order are in DOLFINx's order of the cell's vertices.
+        """Indices of subcell vertices in this order for DOLFINx's order of the cell's vertices.
 
         With `found = values_of_dolfinx[spaces.as_dolfinx(cells)]` values at (cell, subcell, vertex) change their order.
         """
@@ -253,7 +253,7 @@ class ElasticSpaces(MeshSpaces):
         return function
 
     def displacement_values(self, function: fem.Function) -> Array:
-        """Its values at the vertices of the owned cells."""
+        """Values of a displacement at the vertices of the owned cells."""
         nodes = np.take_along_axis(self.displacements.dofmap.list[: len(self.order)], self.order, axis=1)
         return function.x.array.reshape(-1, self.dim)[nodes]
 

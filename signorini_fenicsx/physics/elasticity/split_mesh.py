@@ -37,7 +37,7 @@ class SplitMesh:
 
     @cached_property
     def cells(self) -> Indices:
-        """Its cell of each subcell, shape (cells, d + 1); −1 where it has none."""
+        """The cell of this mesh for each subcell of the domain, shape (cells, d + 1); −1 where it has none."""
         found = np.full((self.size, self.mesh.geometry.dim + 1), -1)
         found.ravel()[self.subcells] = np.arange(len(self.subcells))
         return found

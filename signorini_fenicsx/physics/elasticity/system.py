@@ -78,8 +78,8 @@ def eliminate(
     coupled = product[:, free:, :free]
     given = functional[:, :free] - np.einsum("nmf,nm->nf", coupled, balance)
     right = np.concatenate([of_free.transpose(0, 2, 1), given[:, :, None]], axis=2)
-    found = np.linalg.solve(product[:, :free, :free], right)
-    stress, stress_of_f = found[:, :, :-1], found[:, :, -1]
+    multipliers = np.linalg.solve(product[:, :free, :free], right)
+    stress, stress_of_f = multipliers[:, :, :-1], multipliers[:, :, -1]
     matrix = of_free @ stress
     load = -np.einsum("nib,nb->ni", of_free, stress_of_f) - np.einsum("nib,nb->ni", of_rest, balance)
     displacement_of_f = functional[:, free:] - np.einsum("nmf,nf->nm", coupled, stress_of_f)
@@ -177,16 +177,16 @@ class ElasticSystem:
     def _on_sides(self, x: Array) -> Array:
         """Traces on both sides of facets inside the domain, from the jumps and those of the other side."""
         named, across = self.spaces.sides
-        found = x.copy()
-        found[named] += x[across]
-        return found
+        on_sides = x.copy()
+        on_sides[named] += x[across]
+        return on_sides
 
     def _of_jumps(self, forces: Array) -> Array:
         """The forces on the jumps and on the traces of the other side, from those on both sides."""
         named, across = self.spaces.sides
-        found = forces.copy()
-        found[across] += forces[named]
-        return found
+        of_jumps = forces.copy()
+        of_jumps[across] += forces[named]
+        return of_jumps
 
     def _assembled(self) -> PETSc.Mat:
         space = self.spaces.traces
@@ -227,13 +227,13 @@ class ElasticSystem:
         sigma = np.empty((len(spaces.order), dim + 1, dim + 1, dim, dim))
         u = np.empty((len(spaces.order), dim + 1, dim))
         for block in self._blocks if blocks is None else blocks:
-            here, cells = x[self._unknowns(block.cells)], Cells(spaces.vertices[block.cells])
-            coefficients = np.einsum("nbi,ni->nb", block.stress, here) + with_f * block.stress_of_f
+            unknowns, cells = x[self._unknowns(block.cells)], Cells(spaces.vertices[block.cells])
+            coefficients = np.einsum("nbi,ni->nb", block.stress, unknowns) + with_f * block.stress_of_f
             on_reference = np.einsum("veb,nb->nve", self.element.stresses, coefficients)
             F = cells.derivative[:, None]
             mapped = F @ to_matrices(on_reference) @ F.swapaxes(2, 3) / cells.determinant[:, None, None, None]
             sigma[block.cells] = mapped.reshape(-1, dim + 1, dim + 1, dim, dim)
-            pulled = np.einsum("nmi,ni->nm", block.displacement, here) + with_f * block.displacement_of_f
+            pulled = np.einsum("nmi,ni->nm", block.displacement, unknowns) + with_f * block.displacement_of_f
             u[block.cells] = np.linalg.solve(
                 cells.derivative.transpose(0, 2, 1), pulled.reshape(-1, dim + 1, dim).transpose(0, 2, 1)
             ).transpose(0, 2, 1)
