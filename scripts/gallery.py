@@ -16,7 +16,7 @@ from PIL import Image
 
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elastic_case import ElasticCase
+from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time

@@ -41,7 +41,7 @@ from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.options import BACKENDS
 
-MODELS = {"elasticity": "signorini_fenicsx.cases.elastic_case.ElasticCase"}
+MODELS = {"elasticity": "signorini_fenicsx.cases.elasticity.ElasticCase"}
 """The cases of other physics than diffusion, by what a file has for `physics`."""
 
 

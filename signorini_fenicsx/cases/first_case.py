@@ -16,7 +16,7 @@ from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.case import MODELS
-from signorini_fenicsx.cases.elastic_case import NORMAL, WITH_CONTACT
+from signorini_fenicsx.cases.elasticity import NORMAL, WITH_CONTACT
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.contact.law import names_of_data
 from signorini_fenicsx.contact.laws import LAWS

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elastic_case import ElasticCase
+from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.comparison import compare, differences

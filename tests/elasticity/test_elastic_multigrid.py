@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elastic_case import ElasticCase
+from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem

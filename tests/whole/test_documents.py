@@ -15,7 +15,7 @@ from pydantic import BaseModel
 import signorini_fenicsx.api
 from signorini_fenicsx import extend
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.elastic_case import ElasticCase
+from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cli.app import app
 from signorini_fenicsx.contact.laws import LAWS
 

@@ -14,7 +14,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.gather import Fields, Gathered, gather
-from signorini_fenicsx.output.pictures import elastic, elastic_steps, plane_files, style
+from signorini_fenicsx.output.pictures import elastic, load_steps, plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors
 from signorini_fenicsx.output.pictures.evolution import (
     animate,
@@ -50,7 +50,7 @@ OF_PHYSICS = {"elasticity": elastic}
 """Physics whose pictures are others than those of `plane_files` and `space_files`: modules with the same functions."""
 
 
-STEPS_OF = {"diffusion": draw_sets_over_time, "elasticity": elastic_steps.draw_steps}
+STEPS_OF = {"diffusion": draw_sets_over_time, "elasticity": load_steps.draw_steps}
 """What draws the pictures of a run in time, for each physics."""
 
 

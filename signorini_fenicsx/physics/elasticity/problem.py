@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
 from types import NoneType
@@ -227,22 +227,15 @@ class Elasticity:
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
         gaps = {part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}
+        same = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("u_D", "conditions")}
         problem = ElasticProblem(
-            young=self.young,
-            poisson=self.poisson,
-            shear=self.shear,
-            axes=self.axes,
-            eigenstrain=self.eigenstrain,
-            initial_stress=self.initial_stress,
-            f=self.f,
+            **same,
             u_D=one_value(u_D, None),
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
             gap=one_value(gaps, 0.0),
             force={part: each.force for each in touching if each.force for part in each.parts},
             moment={part: each.moment for each in touching if each.moment for part in each.parts},
-            plane=self.plane,
-            exact=self.exact,
             laws=(*(each.friction.law(each.parts) for each in touching if each.friction is not None), *normal),
         )
         return boundary, problem
