@@ -115,7 +115,11 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
+SELDOM = "wall", "stiff wall", "regulator", "sticky"
+"""Laws whose bounds have no path of their own."""
+
+
+@pytest.mark.parametrize("law", [pytest.param(law, marks=pytest.mark.slow if law in SELDOM else ()) for law in LAWS])
 def test_bound(law: str):
     """With several states along the part the bound is above the distance to a finer solution, and near it."""
     coarse, fine = (on(LAWS[law], n, MPI.COMM_SELF) for n in (4, 12))
