@@ -1,9 +1,11 @@
 """Tests intervals of quantities on random problems against solutions on a mesh 4 times as fine: never outside.
 
 uv run python scripts/random_quantities.py --seeds 60        (also under mpirun)
+uv run python scripts/random_quantities.py --bodies --seeds 30   of elastic bodies, on a mesh half or a third as fine
 uv run python scripts/random_quantities.py --orders          how intervals shrink with h
 
-A seed chooses a shape, a load, κ, laws on parts of the boundary and in Ω, and a quantity. A row has the interval, and
+A seed chooses a shape, a load, κ, laws on parts of the boundary and in Ω, and a quantity; of a body its friction, loads
+and contact. A row has the interval, and
 that on the finer mesh (in space 3 times as fine). The exact value is in both; if they do not meet, one of them is
 wrong. The centre of the finer one is expected in the coarser one, unless both are about as long.
 """
@@ -18,8 +20,11 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx import (
+    Contact,
     Corners,
     Diffusion,
+    Dirichlet,
+    Elasticity,
     Friction,
     Neumann,
     Obstacle,
@@ -28,6 +33,7 @@ from signorini_fenicsx import (
     River,
     Seepage,
     Signorini,
+    Tresca,
     TwoSided,
     Wall,
     solve,
@@ -35,7 +41,7 @@ from signorini_fenicsx import (
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.quantities import Energy, Flux, Integral, Kind, Mean, Quantity
+from signorini_fenicsx.quantities import Energy, Flux, Force, Integral, Kind, Mean, Moment, Quantity
 
 LAWS = {
     "signorini": lambda part, a, b: Signorini(part, psi=f"{-abs(a) / 10} + {b / 40}*x*y", q_S=b / 4),
@@ -89,7 +95,7 @@ class Row:
     def __str__(self) -> str:
         ends = " in ".join(f"[{each.lower:.6g}, {each.upper:.6g}]" for each in (self.fine, self.coarse))
         verdict = "holds" if self.holds else "OUTSIDE"
-        return f"{self.seed:4d} {self.what:40s} {type(self.kind).__name__:8s} {ends} {verdict}"
+        return f"{self.seed:4d} {self.what:40s} {type(self.kind).__name__:8s} {ends} {verdict} {self.coarse.reason}"
 
 
 def random_row(seed: int, shapes: tuple[str, ...] = ("square", "lshape", "cube")) -> Row:
@@ -114,8 +120,7 @@ def random_row(seed: int, shapes: tuple[str, ...] = ("square", "lshape", "cube")
         Flux(parts[0]),
         Flux(parts[:2]),
     ]
-    if all(law == "signorini" for law in laws) and not inside:
-        kinds.append(Energy())
+    kinds.append(Energy())
     kind = kinds[rng.integers(len(kinds))]
     problem = Diffusion(f=load, kappa=kappa, conditions=conditions)
     h, finer = (float(rng.uniform(0.35, 0.6)), 3) if shape == "cube" else (float(rng.uniform(0.12, 0.25)), 4)
@@ -124,6 +129,43 @@ def random_row(seed: int, shapes: tuple[str, ...] = ("square", "lshape", "cube")
         solve(build_domain(MPI.COMM_WORLD, shape, size, mesh=mesh), problem).quantity(kind) for size in (h, h / finer)
     ]
     return Row(seed, f"{shape}, {', '.join(laws)}, {inside or 'no law'} in Ω", kind, *found)
+
+
+def random_body(seed: int, shapes: tuple[str, ...] = ("square", "square", "cube")) -> Row:
+    """The row of a seed for an elastic body that is pressed onto a foundation (collective)."""
+    rng = np.random.default_rng(seed)
+    shape = str(rng.choice(shapes))
+    dim = 3 if shape == "cube" else 2
+    a, b, c, d = np.round(rng.uniform(-1, 1, 4), 3).tolist()
+    friction = [None, Tresca(abs(b) / 20), Tresca(f"{abs(a) / 40} + 0.01*x")][rng.integers(3)]
+    touching = [
+        Contact("bottom", gap=f"{abs(a) / 40}*(1 + {c}*x)", friction=friction),
+        Wall("bottom", beta=1 + abs(a), level=b / 20),
+        Signorini("bottom", psi=-abs(b) / 20),
+    ][rng.integers(3)]
+    none = [0] * (dim - 2)
+    sides = [part for part in SHAPES[shape].parts if part not in ("top", "bottom")]
+    loads = Neumann(sides, [f"{c / 20}*{'xyz'[dim - 1]}", *none, d / 40])
+    top = Dirichlet("top", [f"{d / 20}", *none, f"-0.05 + {a / 40}*x"])
+    along = np.eye(dim)[[0, dim - 1]].tolist()[rng.integers(2)]
+    kinds = [
+        Mean(direction=along),
+        Integral(direction=along, weight="1 if x < 0.4 else 0"),
+        Mean(direction=along, parts="right"),
+        Force("top", along),
+        Force("bottom", along),
+        Moment("bottom", None if dim == 2 else [0, 1, 0]),
+        Energy(),
+    ]
+    kind = kinds[rng.integers(len(kinds))]
+    body = Elasticity(1.0, float(rng.uniform(0, 0.4)), f=[a / 10, *none, b / 10], conditions=[touching, top, loads])
+    h, finer = (float(rng.uniform(0.9, 1.8)), 2) if dim == 3 else (float(rng.uniform(0.3, 0.5)), 3)
+    found = [
+        solve(build_domain(MPI.COMM_WORLD, shape, size, mesh="structured"), body).quantity(kind)
+        for size in (h, h / finer)
+    ]
+    rubs = "" if not isinstance(touching, Contact) or friction is None else " with friction"
+    return Row(seed, f"{shape}, {type(touching).__name__.lower()}{rubs}", kind, *found)
 
 
 def orders() -> None:
@@ -142,6 +184,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--bodies", action="store_true")
     parser.add_argument("--orders", action="store_true")
     given = parser.parse_args()
     if given.orders:
@@ -149,7 +192,7 @@ def main() -> None:
         return
     rows = []
     for seed in range(given.first, given.first + given.seeds):
-        rows.append(random_row(seed))
+        rows.append(random_body(seed) if given.bodies else random_row(seed))
         collect_garbage(MPI.COMM_WORLD)
         if MPI.COMM_WORLD.rank == 0:
             print(rows[-1], flush=True)

@@ -1,6 +1,7 @@
 """Continuous functions from mesh files of other programs: linear on each cell, by their values at the points."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from dolfinx import fem
@@ -17,6 +18,8 @@ from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.meshing import handed_out
 from signorini_fenicsx.meshes.sampling import at_points
 
+WITHOUT = (".msh", ".geo")
+"""Endings of files whose values are not read, as Gmsh reads their meshes."""
 SAME = 1e-5
 """Values on two meshes are the same if they differ by at most this share of all values; files may have few digits."""
 
@@ -36,6 +39,8 @@ def read_field(comm: MPI.Comm, path: str, name: str | None, *, vector: bool) -> 
     read: list[tuple[FileMesh, Array]] = []
 
     def values() -> None:
+        if Path(path).suffix in WITHOUT:
+            raise InputError(f"field {path}: no values are read from {Path(path).suffix} files; take .vtu or .xdmf")
         mesh = read_mesh_file(path)
         try:
             read.append((mesh, _chosen(mesh, name, mesh.dim if vector else 1)))

@@ -113,7 +113,9 @@ def write_solution(
         if proof is not None:
             summary["certificate"] |= proof.summary()
         if quantities:
-            summary["quantities"] = {name: found.summary() for name, found in quantities.items()}
+            summary["quantities"] = summary.get("quantities", {}) | {
+                name: found.summary() for name, found in quantities.items()
+            }
         if of_field is not None:
             summary["field"] = of_field.summary()
     summary["timings"] |= watch.longest(comm)

@@ -20,6 +20,8 @@ from signorini_fenicsx.solving.solver import Solver
 
 FAILED = "a problem beside it"
 """What the reason begins with if such a problem has no solution."""
+OF_SUMS = 1e-12
+"""Rounding of a quantity, as a share of its size: a quantity that is known has an interval that is not shorter."""
 NEVER = 2.0**40
 """The scale of τ if the solution does not change with it: the quantity is known, and its length is rounding."""
 
@@ -42,11 +44,16 @@ class Beside[Fields](ABC):
         self.domain: Domain = solution.spaces.domain
         self.comm = self.spaces.mesh.comm
         self._solver: Solver | None = None
+        self._rounding = 0.0
         self._options = Options(tuning=solution.options.tuning)
 
     def interval(self) -> Quantity:
         """The interval (collective)."""
-        found = bracket(self.ends, self.first(), self.discrete)
+        size, response = self.size(), self.response()
+        self._rounding = OF_SUMS * size * response
+        first = size / response if response > 0 else 0.0
+        first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
+        found = bracket(self.ends, first, self.discrete)
         if not math.isfinite(found.width) and self.of_flux and not found.reason.startswith(FAILED):
             found = replace(found, reason=f"{UNBOUNDED}: {found.reason}")
         return found.divided(self.of_weight()) if isinstance(self.kind, Mean) else found
@@ -60,7 +67,8 @@ class Beside[Fields](ABC):
                 for sign in (-1.0, 1.0):
                     of_v, of_y = (above, below) if (sign < 0) is not self.of_flux else (below, above)
                     half = self.half(of_v, of_y)
-                    found.append((self.value(of_v, of_y) + sign * (half.value / tau + half.unseen), half.reason))
+                    radius = half.value / tau + half.unseen + self._rounding
+                    found.append((self.value(of_v, of_y) + sign * radius, half.reason))
         except (NumericalFailure, InputError) as failure:
             return Ends(-math.inf, math.inf, 0.0, f"{FAILED}: {failure}")
         apart, size = self.apart(below, above) / (2 * tau), self.size()
@@ -87,12 +95,6 @@ class Beside[Fields](ABC):
         if self._solver is None:
             self._solver = Solver(self.domain, posed)
         return self._solver.solve(posed, self._options, start=self.start(posed), memory=self.memory(tau))
-
-    def first(self) -> float:
-        """A τ of the right size (collective)."""
-        response, size = self.response(), self.size()
-        found = size / response if response > 0 else 0.0
-        return 2.0 ** round(math.log2(found)) if 0 < found < math.inf else 1.0
 
     @abstractmethod
     def posed(self, tau: float) -> Any:

@@ -164,6 +164,7 @@ def test_any_ranks(folder: Path):
     ("arguments", "words"),
     [
         (["--field", "none.vtu"], "no such file"),
+        (["--field", "field.msh"], "no values are read from .msh files"),
         (["--field", "field.vtu", "--name", "w"], "has no values 'w' with a number at each point; it has 'u'"),
         (["--field", "half.vtu"], "not that of the shape 'square'"),
         (["--field", "field.vtu", "--refine", "9"], "must be between 0 and 5"),

@@ -48,6 +48,9 @@ def test_elastic(friction: Tresca | None, known: float):
     assert force.lower - 1e-12 <= known <= force.upper + 1e-12
     assert one.lower <= other.value <= one.upper
     assert other.width < one.width / 2
+    if friction is None:
+        smooth = coarse.quantity(Force("bottom", [1, 0]))
+        assert smooth.lower < 0 < smooth.upper < 1e-11
 
 
 SLIDING = (
