@@ -77,6 +77,11 @@ def words(physics: str) -> tuple[str, ...]:
     return HELD, GIVEN, *(LAWS if physics == DIFFUSION else (SYMMETRIC, *WITH_CONTACT, *NORMAL))
 
 
+def first_law(physics: str) -> str:
+    """The plainest law of a physics, which one part has if no other law was chosen."""
+    return next(word for word in words(physics) if word not in (HELD, GIVEN, SYMMETRIC))
+
+
 def check_word(word: str, physics: str) -> str:
     """The word, if there is such a condition.
 

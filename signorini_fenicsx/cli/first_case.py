@@ -86,7 +86,17 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
     Raises:
         InputError: If the answers end too early, or the mesh cannot be used.
     """
-    from signorini_fenicsx.cases.first_case import DIFFUSION, HELD, PHYSICS, Place, case_text, words
+    from signorini_fenicsx.cases.first_case import (
+        DIFFUSION,
+        GIVEN,
+        HELD,
+        PHYSICS,
+        SYMMETRIC,
+        Place,
+        case_text,
+        first_law,
+        words,
+    )
     from signorini_fenicsx.meshes.shapes import SHAPES
 
     try:
@@ -94,7 +104,11 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
         place = Place.of(where, case.parent)
         physics = physics or _choice("Physics", PHYSICS, DIFFUSION)
         typer.echo(f"Conditions: {', '.join(words(physics))}")
-        conditions = {part: _choice(f"  on {part}", words(physics), HELD) for part in place.parts}
+        conditions: dict[str, str] = {}
+        for left, part in enumerate(place.parts, start=1 - len(place.parts)):  # one part has a law, at last the last
+            has_law = not {HELD, GIVEN, SYMMETRIC}.issuperset(conditions.values())
+            default = HELD if left or has_law else first_law(physics)
+            conditions[part] = _choice(f"  on {part}", words(physics), default)
     except typer.Abort:
         raise InputError("init: the answers ended; nothing is written") from None
     return case_text(title, place, physics, {part: word for part, word in conditions.items() if word != HELD})

@@ -95,6 +95,11 @@ def test_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert "did you mean 'signorini'?" in done.stdout
     case = load_case(tmp_path / "my-case.toml")
     assert (case.boundary.signorini, case.boundary.neumann) == (["bottom"], ["right"])
+    for physics, law in (("diffusion", "signorini"), ("elasticity", "contact")):
+        monkeypatch.setattr(sys, "stdin", Answers(f"\n{physics}\n" + 4 * "\n"))
+        done = signorini(tmp_path, "init", f"{physics}.toml")
+        assert done.returncode == 0, done.stderr
+        assert f"on top [{law}]" in done.stdout  # the last part has a law if no other one has
     monkeypatch.setattr(sys, "stdin", Answers("square\n"))
     assert "the answers ended; nothing is written" in signorini(tmp_path, "init", "other.toml").stderr
 
