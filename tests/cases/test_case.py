@@ -125,7 +125,7 @@ def test_malformed(tmp_path: Path, old: str, new: str, message: str):
 
 
 def test_unknown_names():
-    with pytest.raises(InputError, match="unknown case 'example7'; use one of ball, biactive, "):
+    with pytest.raises(InputError, match="unknown case 'example7'; use one of ball, bar, biactive, "):
         load_case("example7")
     with pytest.raises(InputError, match="no such file"):
         load_case("nowhere/case.toml")
