@@ -63,6 +63,8 @@ class Xdmf:
             times.append((t, self._attributes(f"{name}/{len(times)}", found)))
 
     def _begin(self, fields: Fields) -> None:
+        """Write the meshes into a new file, also where an earlier result has left one."""
+        on_root(self._spaces.mesh.comm, lambda: self._path.unlink(missing_ok=True))
         spaces, domain = self._spaces, self._spaces.domain
         mesh, dim = spaces.mesh, spaces.mesh.topology.dim
         nodes, corners = mesh.geometry.index_map(), spaces.corners
