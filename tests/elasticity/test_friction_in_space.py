@@ -132,8 +132,8 @@ def test_bound_where_slip_turns():
         bounds.append(certify(solution).sigma_bound)
     assert errors[1] < errors[0] / 2
     assert bounds[1] < bounds[0] / 1.8
-    assert errors[0] < bounds[0] < 5 * errors[0]
-    assert errors[1] < bounds[1] < 6 * errors[1]
+    assert errors[0] < bounds[0] < 3.2 * errors[0]
+    assert errors[1] < bounds[1] < 3.9 * errors[1]
 
 
 @pytest.mark.parallel([1, 3])

@@ -34,6 +34,8 @@ from signorini_fenicsx.physics.elasticity.vector_datum import VectorDatum
 
 ALONG = 1e-12
 """v is given at a node along directions on which the squares of what is given of unit directions add up to more."""
+HALVINGS = 3
+"""How often the edges of facets in space are halved where lengths of vectors are integrated."""
 TURNED = 0.5
 """The sine of the angle by which the normal of a facet may differ from that of a curved body."""
 
@@ -81,6 +83,39 @@ class FacetCoefficients:
         """Bernstein's basis in points of the reference facet, shape (points, coefficients)."""
         hats: Array = self._element.tabulate(0, points)[0, :, :, 0]
         return hats
+
+    def lengths(self, vectors: Array, bound: Array, moments: Array) -> Array:
+        """Bounds of the means of g|v| over facets: |v| is at most a mean of the lengths of its coefficients.
+
+        In space these are the coefficients on parts of a facet, on which v turns less.
+
+        Args:
+            vectors: The coefficients of v, shape (facets, coefficients, components).
+            bound: G ≥ 0 at the vertices, linear between them, shape (facets, d).
+            moments: ∫ φ_a B for the hats and the basis, the facet being of measure 1, shape (d, coefficients).
+        """
+        hats, on_parts = self._parts
+        lengths = np.linalg.norm(np.einsum("pkl,nlm->npkm", on_parts, vectors), axis=3)
+        weights = np.einsum("pab,nb->npa", hats, bound) @ moments
+        return np.asarray((weights * lengths).sum(axis=(1, 2)) / len(hats))
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        """The hats at the vertices of the parts of a facet, and the coefficients on each from those on the facet.
+
+        Shapes (parts, d, d) and (parts, coefficients, coefficients). An edge is one part.
+        """
+        corners = np.eye(self.facets.vertices.shape[2])[None]
+        for _ in range(HALVINGS if corners.shape[1] == 3 else 0):
+            a, b, c = (corners[:, i] for i in range(3))
+            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+            quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+            corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
+        points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        there = (hats @ corners)[:, :, 1:]
+        values = self.basis(there.reshape(-1, there.shape[2])).reshape(len(corners), len(points), -1)
+        return corners, np.linalg.inv(self.basis(points)) @ values
 
     def places(self) -> Array:
         """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""

@@ -89,6 +89,11 @@ class ElasticData:
     given: Values = ()
 
     @property
+    def bound_of_shear(self) -> Array:
+        """The bound g at the vertices of the facets with friction, shape (facets, d)."""
+        return np.zeros((0, self.laws.dim)) if self.friction is None else self.friction.bound
+
+    @property
     def slip_before(self) -> Array:
         """What of û_t at the sites with friction is no slip: that of the last step, and of tools."""
         return self.slipped + self.moved[len(self.laws.opening) :]

@@ -381,8 +381,7 @@ class BestDisplacement:
     def _rubbing_weights(self) -> Array:
         """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
         rough, here = self.rough
-        bound = np.zeros((0, self.spaces.dim)) if self._data.friction is None else self._data.friction.bound[here]
-        return self._in_coefficients(bound, self.contact.facets.measure[rough])
+        return self._in_coefficients(self._data.bound_of_shear[here], self.contact.facets.measure[rough])
 
     def _slipped(self) -> Array:
         """The slip of the last step in time and of tools on the facets with friction, by its coefficients.
@@ -425,8 +424,10 @@ class BestDisplacement:
         return np.einsum("n,ak,nkm->nam", self.contact.facets.measure[self.rough[0]], self._moments, coefficients)
 
     def rubbed(self, v: fem.Function) -> Array:
-        """A bound of ∫ g|v_t − w| over the facets with friction: |v_t − w| is at most a mean of its |coefficients|."""
-        return (self._rubbing_weights() * np.linalg.norm(self._slips(v), axis=2)).sum(axis=1)
+        """A bound of ∫ g|v_t − w| over the facets with friction, see `FacetCoefficients.lengths`."""
+        rough, here = self.rough
+        means = self.contact.lengths(self._slips(v), self._data.bound_of_shear[here], self._moments)
+        return np.asarray(self.contact.facets.measure[rough] * means)
 
     def _slips(self, v: fem.Function) -> Array:
         """The coefficients of v_t − w on the facets with friction, shape (facets, nodes, d − 1)."""
