@@ -25,7 +25,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from signorini_fenicsx.base.arguments import names_of
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 
 type Given = Any
@@ -148,6 +148,10 @@ class Law(OnParts, metaclass=Placed):
         """The graph between u and what falls with u: κ∇u·n, or −s in regions."""
         graph = self.graph(values)
         return graph.mirrored() if self.region else graph
+
+    def named(self, segment: Indices) -> Indices:
+        """The number of the name of each segment; a line has a corner without a bend, and one name on both sides."""
+        return np.minimum(segment, len(self.segments) - 1)
 
     def level_of(self, segment: int) -> str | None:
         """The name of the datum with which u varies on a vertical or steep segment; None if it is not one datum."""

@@ -83,6 +83,10 @@ class Change:
     p: fem.Function | None
     spaces: MeshSpaces
 
+    def __repr__(self) -> str:
+        names = [name for name in ("sigma", "u", "p") if getattr(self, name) is not None]
+        return f"<Change of {', '.join(names)} on {self.spaces.domain.name}>"
+
     def at(self, points: npt.ArrayLike) -> tuple[Array, Array]:
         """The changes of u and σ at points, as `Solution.at` has u and σ there (collective).
 

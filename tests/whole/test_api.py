@@ -229,6 +229,19 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
     assert compare(finest, solution).hausdorff < 0.2
 
 
+def test_values_by_part_are_written_and_read(folder: Path):
+    """Other given u and fluxes than those of the problem, as numbers and texts, are in the file."""
+    mesh, _ = square()
+    walls = WALLS | {"top": lambda x: np.isclose(x[1], 1)}
+    del walls["middle"]
+    given = [api.Dirichlet("right", 0.2), api.Neumann("top", 0.3), api.Neumann("bottom", 1)]
+    solution = solve(domain_of(mesh, walls), api.Diffusion(f=1.0, conditions=given))
+    write_solution(solution, folder, fields=False)
+    found = load_solution(folder)
+    assert found.norms() == pytest.approx(solution.norms(), rel=1e-12)
+    assert [law.value for law in found.problem.laws] == [law.value for law in solution.problem.laws] == [0.2, 1]
+
+
 def test_an_elastic_problem_is_written_and_read(folder: Path):
     """Also conditions of Neumann without a value."""
     walls = {side: WALLS[side] for side in ("bottom", "right")}

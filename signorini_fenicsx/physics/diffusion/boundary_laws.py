@@ -43,7 +43,7 @@ class BoundaryLaws:
         labels = np.array(segment, dtype=np.int64)
         first = 0
         for part in self.of_parts:
-            labels[part.rows] += first
+            labels[part.rows] = part.law.named(labels[part.rows]) + first
             first += len(part.law.segments)
         return labels
 

@@ -8,7 +8,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE
+from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, Dirichlet, Neumann
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import project_data
@@ -75,7 +75,7 @@ def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) 
 KEEPING = Keeping(
     boundary=Boundary,
     problem=Problem,
-    laws={**LAWS, **LAWS_INSIDE},
+    laws={**LAWS, **LAWS_INSIDE, **{kind.__name__: kind for kind in (Dirichlet, Neumann)}},
     layout=LAYOUT,
     codes={"facet_condition": len(Condition)},
     in_cells=_in_cells,

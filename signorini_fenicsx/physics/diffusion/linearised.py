@@ -300,7 +300,9 @@ def linearised(solution: Solution, tolerance: float) -> Linearised:
         InputError: If its method solves another discrete problem.
     """
     if solution.outcome.own_residual is not None:
-        raise InputError(f"{solution.options.algorithm_name} solves another discrete problem; it has no derivatives")
+        raise InputError(
+            f"{solution.options.algorithm_name} solves another discrete problem; alg1 to alg4 have derivatives"
+        )
     system = None if solution.system is None else solution.system()
     backend = None if system is None else system.backend_of(solution.outcome)
     backend = backend or HybridBackend(solution.spaces, solution.data, tuning=solution.options.tuning)

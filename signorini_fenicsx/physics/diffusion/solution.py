@@ -245,7 +245,7 @@ class Solution(Solved):
         states: dict[str, dict[str, Any]] = {}
         spaces, laws = self.spaces, self.data.inside
         for part in laws.of_regions if laws is not None else ():
-            names, segment = part.law.segments, self.segments_of_law(part)
+            names, segment = part.law.segments, part.law.named(self.segments_of_law(part))
             on = [part.rows[segment == number] for number in range(len(names))]
             local = np.array([[len(some), spaces.cell_measures[some].sum()] for some in on])
             counts = spaces.mesh.comm.allreduce(local).tolist()
@@ -314,7 +314,7 @@ class Solution(Solved):
         for law in self.data.laws.of_parts:
             for part in law.law.parts:
                 on_part = spaces.part_of_facet == spaces.part_names.index(part)
-                on = [on_part & (segment == number) for number in range(len(law.law.segments))]
+                on = [on_part & (law.law.named(segment) == number) for number in range(len(law.law.segments))]
                 local = np.array([[np.count_nonzero(some), spaces.facet_measure[some].sum()] for some in on])
                 counts = spaces.mesh.comm.allreduce(local).tolist()
                 states[part] = {

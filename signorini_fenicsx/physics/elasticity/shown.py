@@ -170,7 +170,7 @@ def _labels(solution: ElasticSolution) -> npt.NDArray[np.int64]:
     """For each facet vertex the row of its segment in `_segment_names`."""
     found, first = solution.segment.reshape(solution.touching.shape).astype(np.int64), len(Signorini.segments)
     for law in solution.data.laws.of_parts:
-        found[law.rows] += first
+        found[law.rows] = law.law.named(found[law.rows]) + first
         first += len(law.law.segments)
     return found.ravel()
 

@@ -279,7 +279,9 @@ class ElasticSolution(Solved):
             for part in law.law.parts:
                 on_part = part_of_site == spaces.part_names.index(part)
                 weights = None, spaces.site_measure[on_part]
-                local = np.stack([np.bincount(self.segment[on_part], each, len(names)) for each in weights])
+                local = np.stack(
+                    [np.bincount(law.law.named(self.segment[on_part]), each, len(names)) for each in weights]
+                )
                 counts, measures = spaces.mesh.comm.allreduce(local).tolist()
                 states[part] = {
                     name: {"vertices": int(count), "measure": measure}
