@@ -19,7 +19,7 @@ import ffcx.naming
 import ffcx.options
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
+from dolfinx import common, cpp, fem
 from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
@@ -73,6 +73,22 @@ def submesh(mesh: dolfinx.mesh.Mesh, dim: int, entities: Facets) -> tuple[dolfin
     """The mesh of some entities of a mesh, and the map from it to the mesh (collective)."""
     made, entity_map, *_ = dolfinx.mesh.create_submesh(mesh, dim, entities)
     return made, entity_map
+
+
+def sub_index_map(
+    index_map: common.IndexMap, numbers: npt.NDArray[np.int32]
+) -> tuple[common.IndexMap, npt.NDArray[np.int32]]:
+    """Number some of the things that an index map numbers (collective).
+
+    Args:
+        index_map: The map.
+        numbers: Those of this rank, ghosts too, ascending; on all ranks the same ones.
+
+    Returns:
+        The new map, and the old number of each of its things.
+    """
+    made, old = cpp.common.create_sub_index_map(index_map, numbers, False)
+    return made, old
 
 
 def partitioned(

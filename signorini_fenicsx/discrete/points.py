@@ -158,6 +158,11 @@ class CellPoints(Points):
         consecutive = len(self.cells) > 0 and bool((np.diff(self.cells) == 1).all())
         return slice(int(self.cells[0]), int(self.cells[-1]) + 1) if consecutive else self.cells
 
+    @property
+    def first(self) -> Self:
+        """The first point of each cell."""
+        return replace(self, points=self.points[:1], weights=self.weights[:1])
+
     @cached_property
     def barycentric(self) -> Array:
         """Barycentric coordinates of the points, shape (1, points, dim + 1)."""

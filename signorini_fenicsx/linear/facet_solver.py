@@ -9,6 +9,9 @@ from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, LinearSolver, set_direct
 
+TO_THE_END = LINEAR / 10
+"""With `LINEAR` the certificate often needs one more solve for the balance."""
+
 
 class FacetSolver[Levels](LinearSolver):
     """A solver of an SPD system. CG with multigrid starts from the present x and can stop early.
@@ -25,6 +28,7 @@ class FacetSolver[Levels](LinearSolver):
         defaults: dict[str, str],
         make: Callable[[PETSc.PC], Levels] | None,
         most: int | None,
+        tolerance: float = TO_THE_END,
     ):
         """Set defaults, then the user's options (collective).
 
@@ -34,6 +38,7 @@ class FacetSolver[Levels](LinearSolver):
             defaults: Those of multigrid, see `options_of`.
             make: Makes the preconditioner a multigrid; None if a factorisation is the default.
             most: If CG needs more iterations, it gives way to a factorisation; None if never.
+            tolerance: Relative residual at which CG stops.
 
         Raises:
             InputError: If PETSc refuses an option.
@@ -48,8 +53,7 @@ class FacetSolver[Levels](LinearSolver):
             return
         pc = self.ksp.getPC()
         self.ksp.setType("cg")
-        # with LINEAR the certificate often needs one more solve for the balance
-        self.ksp.setTolerances(rtol=LINEAR / 10, max_it=most)
+        self.ksp.setTolerances(rtol=tolerance, max_it=most)
         self.ksp.setInitialGuessNonzero(True)
         pc.setType("mg")
         levels = make(pc)

@@ -28,7 +28,7 @@ from signorini_fenicsx.linear.gmres import coupled
 from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
-from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, ElasticCoarse
+from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
 from signorini_fenicsx.physics.elasticity.normal_laws import Springs
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
@@ -91,7 +91,7 @@ class ElasticBackend:
         large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
         stiff = data.stiffness_of_volume(spaces) >= STIFF
         prefix = "certificate_" if direct else "facet_"
-        make = partial(ElasticCoarse, spaces, self._operator.matrix, stiff) if large else None
+        make = partial(of_facets, spaces, self._operator.matrix, stiff) if large else None
         self._solver = FacetSolver(self._operator.matrix, prefix, DEFAULTS, make, MOST_ITERATIONS)
         self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, spaces.dim)
         self._x, self._b = self._operator.matrix.createVecs()

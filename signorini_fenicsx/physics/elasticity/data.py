@@ -15,7 +15,7 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, datum_on_parts
@@ -116,11 +116,16 @@ class ElasticData:
         """The points of the quadrature."""
         return CellPoints(spaces.mesh, cells, self.quadrature.points, self.quadrature.weights)
 
+    def compliances(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> Array:
+        """𝔸 in the points of the quadrature, or in one of each cell where all have the same (collective)."""
+        points = self.points(spaces, cells)
+        return self.material.compliance(points.first if self.material.uniform else points)
+
     def stiffness_of_volume(self, spaces: ElasticSpaces) -> float:
         """The largest λ/μ, without limit as ν → ½; in plane stress λ is that in the plane (collective)."""
         largest = 0.0
         for cells in blocks_of_cells(spaces):
-            of_shape, of_volume = mean_compliances(self.material.compliance(self.points(spaces, cells)))
+            of_shape, of_volume = mean_compliances(self.compliances(spaces, cells))
             largest = max(largest, float((2 * (of_shape / of_volume - 1) / spaces.dim).max(initial=0.0)))
         return float(spaces.mesh.comm.allreduce(largest, MPI.MAX))
 
@@ -141,8 +146,9 @@ class ElasticData:
         """
         local, weights = self.quadrature.local, self.quadrature.weights
         size = local.shape[1]
-        values = self.material.compliance(self.points(spaces, cells))
+        values = self.compliances(spaces, cells)
         number = values.shape[-1]
+        values = np.broadcast_to(values, (len(cells), size * len(weights), number, number))
         products = np.einsum("q,qa,qb->qab", weights, local, local)
         sums = np.tensordot(values.reshape(len(cells), size, len(weights), number, number), products, (2, 0))
         cell, subcell, vertex = (place[..., None] for place in spaces.as_dolfinx(cells))
@@ -249,13 +255,32 @@ class OnSplit:
         compliance: 𝔸.
         stiffness: ℂ.
         eigenstrain: The entries of ε₀.
-        dx: The measure with the points in which they are.
+        degree: For which the points in which they are are exact.
     """
 
     compliance: fem.Function
     stiffness: fem.Function
     eigenstrain: Expr
-    dx: ufl.Measure
+    degree: int
+
+    @property
+    def dx(self) -> ufl.Measure:
+        """The measure with these points."""
+        rule = {"quadrature_degree": self.degree, "quadrature_scheme": "default"}
+        return ufl.Measure("dx", domain=self.stiffness.function_space.mesh, metadata=rule)
+
+    def in_points(self, cells: Indices, least: int) -> tuple[Array, int]:
+        """ℂ in points of cells of the split mesh, and the degree for which these are exact; the least if ℂ is constant.
+
+        The shape is (cells, points, entries, entries), with one point for all if it is constant.
+        """
+        space = self.stiffness.function_space
+        lower = self.stiffness.x.array.reshape(-1, space.dofmap.index_map_bs)[space.dofmap.list[cells]]
+        number = self.stiffness.ufl_shape[0]
+        found = np.empty((*lower.shape[:2], number, number))
+        rows, columns = np.tril_indices(number)
+        found[:, :, rows, columns] = found[:, :, columns, rows] = lower
+        return found, least if lower.shape[1] == 1 else self.degree
 
 
 def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, degree: int) -> OnSplit:
@@ -288,9 +313,7 @@ def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh
         eigenstrain=on_split(material.strain, number, constant=constant and material.degree == 0)
         if material.own
         else ufl.zero(number),
-        dx=ufl.Measure(
-            "dx", domain=split.mesh, metadata={"quadrature_degree": rule.degree, "quadrature_scheme": "default"}
-        ),
+        degree=rule.degree,
     )
 
 
@@ -324,12 +347,12 @@ def _on_split(
         cells = block[split.cells[block, 0] >= 0]
         size = len(cells), spaces.dim + 1, len(rule.weights)
         points, order = CellPoints(spaces.mesh, cells, rule.points, rule.weights), spaces.order[cells]
-        values = of_points(points).reshape(*size, by_point.shape[1])
-        values = np.take_along_axis(values, order[:, :, None, None], axis=1)
         dofs = function.function_space.dofmap.list[split.cells[cells]]
         if constant:
-            by_point[dofs] = values[:, :, :1]
+            by_point[dofs] = of_points(points.first)[:, None]
             continue
+        values = of_points(points).reshape(*size, by_point.shape[1])
+        values = np.take_along_axis(values, order[:, :, None, None], axis=1)
         places = np.take_along_axis(points.x.reshape(*size, spaces.dim), order[:, :, None, None], axis=1)
         own_places = np.einsum("qa,nsai->nsqi", rule.local, split_vertices(spaces.vertices[cells]))
         nearest = np.square(own_places[:, :, :, None] - places[:, :, None]).sum(axis=4).argmin(axis=3)

@@ -38,26 +38,34 @@ DIRECT_UP_TO = {2: 500_000, 3: 60_000}
 
 
 class ElasticCoarse:
-    """The traces of the coarse displacements are traces of the facet system, so Galerkin's operator is theirs.
+    """Two levels for a system of displacements or of their traces, of which those in P1 are some: Galerkin's operator.
 
     It is made anew for each set, while GAMG's hierarchy is that of all of Γ_C free, see
     `AuxiliarySpace._build_hierarchy`. Vertices of fixed unknowns stay free: the operator holds them as springs do.
     """
 
-    def __init__(self, spaces: ElasticSpaces, system: PETSc.Mat, normals: bool, pc: PETSc.PC):
-        """Make `pc` a two-level multigrid with a smoother on the facets' blocks (collective).
+    def __init__(
+        self,
+        system: PETSc.Mat,
+        size: int,
+        space: fem.FunctionSpace,
+        interpolation: PETSc.Mat,
+        pc: PETSc.PC,
+        *,
+        normals: bool = False,
+    ):
+        """Make `pc` a two-level multigrid with a smoother on blocks (collective).
 
         Args:
-            spaces: The spaces.
-            system: The facet system, whose values change with the conditions.
-            normals: Whether the coarse space has the normals of the facets.
+            system: The system, whose values change with the conditions.
+            size: Size of its blocks.
+            space: Displacements in P1.
+            interpolation: From these to the system.
             pc: The preconditioner.
+            normals: Whether the coarse space has the normals of the facets, too.
         """
-        self._system, self._normals = system, normals
-        size = spaces.dim**2
+        self._system, self._normals, self._space = system, normals, space
         system.setVariableBlockSizes(np.full(system.getLocalSize()[0] // size, size, dtype=PETSc.IntType))
-        self._space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
-        interpolation = trace_interpolation(spaces, self._space, normals=normals)
         self._levels = TwoLevel(pc, interpolation)
         pc.getMGSmoother(1).setType("chebyshev")
         pc.getMGSmoother(1).getPC().setType("vpbjacobi")  # pbjacobi keeps its first blocks
@@ -99,6 +107,13 @@ class ElasticCoarse:
         x: Array = self._space.tabulate_dof_coordinates()[:size, :dim].ravel()
         coordinates = PETSc.Vec().createWithArray(x, bsize=dim, comm=self._space.mesh.comm)
         return PETSc.NullSpace().createRigidBody(coordinates)
+
+
+def of_facets(spaces: ElasticSpaces, system: PETSc.Mat, normals: bool, pc: PETSc.PC) -> ElasticCoarse:
+    """Make a preconditioner a multigrid of the facet system, perhaps with normals in the coarse space (collective)."""
+    space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
+    interpolation = trace_interpolation(spaces, space, normals=normals)
+    return ElasticCoarse(system, spaces.dim**2, space, interpolation, pc, normals=normals)
 
 
 def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace, *, normals: bool) -> PETSc.Mat:

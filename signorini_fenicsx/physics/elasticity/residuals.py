@@ -63,7 +63,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     for cells in blocks_of_cells(spaces):
         measure = Cells(spaces.vertices[cells]).measure
         square += float((subcell_squares(stresses[cells]) * measure[:, None] / (dim + 1)).sum())
-        stiffness[cells] = 1 / mean_compliances(data.material.compliance(data.points(spaces, cells)))[0].mean(axis=1)
+        stiffness[cells] = 1 / mean_compliances(data.compliances(spaces, cells))[0].mean(axis=1)
         volume += float(measure.sum())
         unbalanced += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
     sums = np.array([volume, square, unbalanced, _jumps(spaces, data, stresses)])

@@ -302,7 +302,11 @@ class ElasticSolution(Solved):
 
     @collector_off()
     def norms(self) -> dict[str, float]:
-        """‖σ‖ in the energy norm and in L², ‖u‖, and the resulting and the largest contact pressure (collective)."""
+        """‖σ‖ in the energy norm and in L², ‖u‖, and the resulting contact force (collective)."""
+        return dict(self._norms)
+
+    @cached_property
+    def _norms(self) -> dict[str, float]:
         spaces, data = self.spaces, self.data
         u, squares = spaces.displacement_values(self.u), np.zeros(3)
         size = spaces.dim + 1

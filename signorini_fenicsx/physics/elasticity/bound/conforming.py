@@ -8,14 +8,13 @@ friction, |v_t| is bounded by its coefficients, and there is one more term for e
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 
 import basix.ufl
 import numpy as np
-import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
-from dolfinx.fem.petsc import assemble_matrix
+from dolfinx import common, fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.core.expr import Expr
@@ -23,14 +22,21 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.discrete.matrices import of_entries
-from signorini_fenicsx.forms.elasticity import product, square, strain, vector
-from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.forms.elasticity import square, strain, vector
+from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
+from signorini_fenicsx.physics.elasticity.bound.condensed import (
+    Nodes,
+    Triples,
+    condensed,
+    displacement_solver,
+    means_at_nodes,
+)
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
 from signorini_fenicsx.physics.elasticity.bound.interior_point import minimise
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, facet_rule, material_on_split
+from signorini_fenicsx.physics.elasticity.multigrid import STIFF
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
@@ -38,6 +44,8 @@ FREE = 1e-12
 """A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""
 SHIFT = 1e-13
 """Share of the diagonal that is added in factorisations: no motion is free, and nothing else is changed."""
+MANY = 20_000
+"""With more unknowns nearly the best displacement is enough if it is found in few solves, which are by CG."""
 PUSHES = 20
 """Rounds in which nodes are pushed off foundations by what rounding leaves."""
 
@@ -78,7 +86,6 @@ class BestDisplacement:
         self.sigma = split.stress(y.stresses)
         element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
         self.space = fenicsx.function_space(mesh, element)
-        self._numbers = self.space.dofmap.index_map
         self.contact = contact_coefficients(spaces, split, self.space)
         self.laws = [
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
@@ -124,7 +131,7 @@ class BestDisplacement:
         axes[self._given.given[nodes]] = 0.0
         low, high = np.append(np.zeros(len(on)), -weights[rubs]), np.append(most, weights[rubs])
         free = (axes**2).sum(axis=(1, 2)) > FREE
-        self._nodes, self._axes, self.bound = nodes[free], axes[free], bound[free]
+        self._nodes, self._axes, self.bound = self._left.number_of[nodes[free]], axes[free], bound[free]
         self.low, self.high = low[free], high[free]
         forces, apart = self._pressing()
         measure = contact.facets.measure[rough]
@@ -179,43 +186,34 @@ class BestDisplacement:
                 apart -= float((law.weights * np.where(held, rest, 0.0) * corner[:, None]).sum())
         return forces, apart + float((forces * self.openings).sum())
 
-    def _springs(self, natural: PETSc.Mat) -> PETSc.Mat:
-        """The matrix of ∫ β v_n w_n under the laws, β that of the line of v (collective)."""
-        dim, places = self.spaces.dim, []
+    def _springs(self) -> Iterator[Triples]:
+        """The entries of ∫ β v_n w_n under the laws, β that of the line of v."""
         for law in self.laws:
             nodes, signs = self.contact.of_jumps(law.rows)
-            number = signs.shape[1] // 2
             basis = np.repeat(law.basis, 2, axis=2) * signs[:, None]
             mass = np.einsum("fq,fqk,fql->fkl", law.weights * law.line()[0], basis, basis)
-            normals = self.contact.facets.normals[law.rows]
-            values = np.einsum("fkl,fi,fj->fkilj", mass, normals, normals)
-            first = dim * self._numbers.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
-            unknowns = (first[:, :, None] + np.arange(dim)).reshape(len(nodes), 2 * number * dim)
-            shape = len(nodes), 2 * number * dim, 2 * number * dim
-            rows, columns = (np.broadcast_to(each, shape) for each in (unknowns[:, :, None], unknowns[:, None]))
-            places.append((rows.ravel(), columns.ravel(), values.ravel()))
-        rows, columns, values = (np.concatenate([each[k] for each in places]) for k in range(3))
-        return of_entries(self.comm, natural.getLocalSize()[0], rows, columns, values, dim)
+            normals = np.einsum("fkij,fi->fkj", self._given.frames[nodes], self.contact.facets.normals[law.rows])
+            values = np.einsum("fkl,fki,flj->fkilj", mass, normals, normals)
+            size = nodes.shape[1] * self.spaces.dim
+            yield self._left.triples(
+                self._left.number_of[nodes].astype(np.int64), values.reshape(len(nodes), size, size)
+            )
 
     def _assemble(self) -> None:
         """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
-        dim, size = self.spaces.dim, self._numbers.size_local
-        u, w = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        material = self.material
-        natural = assemble_matrix(fenicsx.form(product(material.stiffness, strain(u), strain(w), material.dx)))
-        natural.assemble()
-        if self.laws:
-            natural.axpy(1.0, self._springs(natural), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        self._natural = natural.ptap(self._turn(natural))
-        if self.spaces.inner.present:
-            self._natural.axpy(1.0, self._coupling(natural), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        self._lift = self._given.values[:size].ravel()
-        load = np.einsum("nij,ni->nj", self._given.frames[:size], self._pull.array.reshape(-1, dim)[:size]).ravel()
+        dim, size, material, left = self.spaces.dim, self._numbers.size_local, self.material, self._left
+        forces = np.einsum("nij,ni->nj", self._given.frames, self._pull.array.reshape(-1, dim))
+        inside = self._condensed = condensed(self.split, self.space, left, material, self._given.frames, forces)
+        coupling = left.triples(self._nodes, np.zeros((len(self._nodes), 2 * dim, 2 * dim)))
+        self._natural = left.matrix(inside.triples(), *self._springs(), coupling)
+        own = left.of_space[:size]
+        self._lift, load = self._given.values[own].ravel(), inside.load
         image = self.times(self._lift)
         energy = fem.assemble_scalar(fenicsx.form(square(material.stiffness, self._without_v, 1.0, material.dx)))
-        parts = self.comm.allreduce(np.array([energy / 2 + self._apart, self._lift @ (image / 2 - load)]))
+        constants = energy / 2 + self._apart + inside.energy
+        parts = self.comm.allreduce(np.array([constants, self._lift @ (image / 2 - load)]))
         self.constant, self.scale = float(parts.sum()), float(np.abs(parts).sum())
-        essential = np.flatnonzero(self._given.given[:size]).astype(np.int32)
+        essential = np.flatnonzero(self._given.given[own]).astype(np.int32)
         self.load = load - image
         self.load[essential] = 0.0
         diagonal = self._natural.getDiagonal()
@@ -224,41 +222,29 @@ class BestDisplacement:
         for option in (PETSc.Mat.Option.KEEP_NONZERO_PATTERN, PETSc.Mat.Option.SPD):
             self._matrix.setOption(option, True)
         stiffness = la.vector(self._numbers, dim)
-        stiffness.array[: size * dim] = diagonal.array_r
+        stiffness.array[: size * dim] = diagonal.array_r + inside.softened
         stiffness.scatter_forward()
         self.unit = stiffness.array.reshape(-1, dim)[self._nodes].max(axis=(1, 2), initial=0.0)
         self._shift = (1 + SHIFT) * self._natural.getDiagonal()
-        self._solver = direct_solver(self._matrix, "cholesky", "facet_")
-        self._touched = np.flatnonzero(self._summed(np.ones(self._nodes.shape)))
+        self._essential = essential
+        self._solver = displacement_solver(
+            self.spaces, self.split, self.space, left, self._given.frames, self._matrix, iterate=self._iterates
+        )
 
-    def _turn(self, natural: PETSc.Mat) -> PETSc.Mat:
-        """From coefficients in the frames of the nodes to those in coordinates."""
-        dim, frames = self.spaces.dim, self._given.frames[: self._numbers.size_local]
-        places = self._places(np.arange(len(frames)), natural)
-        return of_entries(self.comm, natural.getLocalSize()[0], *places, frames.ravel(), dim)
+    @property
+    def _many(self) -> bool:
+        """Whether the whole mesh has so many unknowns that a factorisation takes long."""
+        return self.split is self.spaces.split and self.spaces.dim * self._numbers.size_global > MANY
 
-    def _places(self, nodes: Indices, matrix: PETSc.Mat) -> tuple[npt.NDArray, npt.NDArray]:
-        """Rows and columns of the blocks of owned nodes."""
-        dim = self.spaces.dim
-        number = matrix.getOwnershipRange()[0] + dim * nodes[:, None] + np.arange(dim)
-        shape = len(nodes), dim, dim
-        pairs = np.broadcast_to(number[:, :, None], shape), np.broadcast_to(number[:, None, :], shape)
-        return pairs[0].ravel().astype(PETSc.IntType), pairs[1].ravel().astype(PETSc.IntType)
+    @property
+    def _iterates(self) -> bool:
+        """Whether CG with multigrid is faster than factorisations: for many unknowns, unless they lock (collective)."""
+        return self._many and self._data.stiffness_of_volume(self.spaces) < STIFF
 
-    def _coupling(self, natural: PETSc.Mat) -> PETSc.Mat:
-        """Zeros where terms between two nodes will have entries (collective)."""
-        rows, columns = self._between(self._nodes)
-        size = natural.getLocalSize()[0]
-        return of_entries(self.comm, size, rows, columns, np.zeros(len(rows)), self.spaces.dim)
-
-    def _between(self, pairs: Indices) -> tuple[npt.NDArray, npt.NDArray]:
-        """Rows and columns of the blocks of pairs of nodes of this rank, ghosts too, each in both orders."""
-        dim = self.spaces.dim
-        both = np.concatenate([pairs, pairs[:, ::-1]])
-        first = dim * self._numbers.local_to_global(both.ravel().astype(np.int32)).reshape(both.shape)
-        number, shape = first[:, :, None] + np.arange(dim), (len(both), dim, dim)
-        rows, columns = np.broadcast_to(number[:, 0, :, None], shape), np.broadcast_to(number[:, 1, None, :], shape)
-        return rows.ravel().astype(PETSc.IntType), columns.ravel().astype(PETSc.IntType)
+    @property
+    def _numbers(self) -> common.IndexMap:
+        """Which ranks have the nodes that are left."""
+        return self._left.numbers
 
     def times(self, x: Array) -> Array:
         """Kx (collective)."""
@@ -289,34 +275,28 @@ class BestDisplacement:
 
     def factorise(self, stiffness: Array) -> None:
         """Get ready to solve with K + Σ d aaᵀ (collective)."""
-        dim = self.spaces.dim
-        stiff = stiffness[:, None, None, None] * self._axes[:, :, :, None]
-        blocks = self._summed(stiff * self._axes[:, :, None])
+        axes = self._axes.reshape(len(stiffness), 2 * self.spaces.dim)
+        values = stiffness[:, None, None] * axes[:, :, None] * axes[:, None]
         self._natural.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._matrix.setDiagonal(self._shift)
-        places = self._places(self._touched, self._matrix)
-        values = blocks.reshape(-1, dim * dim)[self._touched]
-        self._matrix.setValuesRCV(*(each.reshape(-1, 1) for each in (*places, values.ravel())), addv=True)
-        if self.spaces.inner.present:
-            two = np.flatnonzero(self._nodes[:, 0] != self._nodes[:, 1])
-            block = stiff[two, 0] * self._axes[two, 1, None]
-            both = np.concatenate([block, block.swapaxes(1, 2)]).ravel()
-            places = self._between(self._nodes[two])
-            self._matrix.setValuesRCV(*(each.reshape(-1, 1) for each in (*places, both)), addv=True)
+        triples = self._left.triples(self._nodes, values)
+        self._matrix.setValuesRCV(*(each.reshape(-1, 1) for each in triples), addv=True)
         self._matrix.assemble()
+        if self._solver.levels is not None:
+            with self._solver.options():
+                self._solver.levels.update(self._essential, self._essential)
 
-    def solve(self, load: Array) -> Array:
-        """Solve with the matrix that was factorised last (collective)."""
+    def solve(self, load: Array, left: float = 0.0) -> Array:
+        """Solve with the matrix that was factorised last; in the energy norm so much may be left (collective)."""
+        self._solver.ksp.setTolerances(atol=left)
         x, b = self._matrix.createVecs()
+        x.set(0.0)
         b.array_w[:] = load
         self._solver.solve(b, x)
         return np.array(x.array_r)
 
-    def minimum(self) -> tuple[fem.Function, str]:
-        """The best v, and why it is not admissible; empty if it is (collective)."""
-        self._collect_terms()
-        self._assemble()
-        x = minimise(self, self._forces)
+    def pushed(self, x: Array) -> Array:
+        """The x off all foundations that is near this one (collective)."""
         feet = np.isinf(self.high)
         lengths = (self._axes**2).sum(axis=(1, 2))
         for _ in range(PUSHES):
@@ -324,12 +304,34 @@ class BestDisplacement:
             if not self.comm.allreduce(bool((past > 0).any()), MPI.LOR):
                 break
             x = x - self.spread(past / lengths)
+        return x
+
+    def _beginning(self) -> Array:
+        """The means of u at the nodes, less what is given of v (collective)."""
+        means, left = means_at_nodes(self.split, self.space, self._left, self._y.displacement), self._left
+        x: Array = np.einsum("nij,ni->nj", self._given.frames[left.of_space[: len(means)]], means).ravel() - self._lift
+        x[self._essential] = 0.0
+        return x
+
+    def minimum(self) -> tuple[fem.Function, str]:
+        """The best v, and why it is not admissible; empty if it is (collective).
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self._left = Nodes.of(self.split, self.space)
+        self._collect_terms()
+        self._assemble()
+        x = nearly_minimal(self, self._forces, self._beginning()) if self._many else None
+        x = self.pushed(minimise(self, self._forces)) if x is None else x
         turned = la.vector(self._numbers, self.spaces.dim)
         turned.array[: len(x)] = x + self._lift
         turned.scatter_forward()
         v = fem.Function(self.space, name="v")
-        coefficients = turned.array.reshape(-1, self.spaces.dim)
-        v.x.array[:] = np.einsum("nij,nj->ni", self._given.frames, coefficients).ravel()
+        coefficients = v.x.array.reshape(-1, self.spaces.dim)
+        coefficients[self._left.of_space] = turned.array.reshape(-1, self.spaces.dim)
+        coefficients[self._condensed.inside] = self._condensed.coefficients(turned.array)
+        coefficients[:] = np.einsum("nij,nj->ni", self._given.frames, coefficients)
         return v, self._past_foundation(v)
 
     def _past_foundation(self, v: fem.Function) -> str:

@@ -35,6 +35,7 @@ class AdmissibleStress:
         pressure: −y_nn at the vertices of the facets of Γ_C, measured from the references of the laws and within what
             they allow: in contact ≥ 0, and 0 where there is none, shape (facets, d).
         shear: y_t at those with friction, at most the bound, shape (facets, d, d − 1).
+        displacement: u of the same solve at the vertices of the cells, shape (cells, d + 1, d).
         segment: The segment of its law on which each of the vertices of Γ_C is, shape (facets, d).
         distance: A bound of ‖y − σ_h‖; infinite if too much is left.
     """
@@ -42,6 +43,7 @@ class AdmissibleStress:
     stresses: Array
     pressure: Array
     shear: Array
+    displacement: Array
     segment: Indices
     distance: float
 
@@ -49,7 +51,7 @@ class AdmissibleStress:
 def admissible_stress(solution: ElasticSolution) -> AdmissibleStress:
     """The stress y and its distance from σ_h (collective)."""
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
-    energy = _energy(solution, solution.stresses)
+    energy = solution.norms()["energy"]
     rounding, unit = ROUNDING * energy, _energy_of_residuals(solution)
     if _left(solution.kkt) * unit <= rounding:
         return _of(solution, solution.stresses, solution.outcome.iterate.p, rounding)
@@ -81,7 +83,7 @@ def _energy_of_residuals(solution: ElasticSolution) -> float:
     spaces, data = solution.spaces, solution.data
     softest = 0.0
     for cells in blocks_of_cells(spaces):
-        compliance = data.material.compliance(data.points(spaces, cells))
+        compliance = data.compliances(spaces, cells)
         softest = max(softest, float(np.linalg.eigvalsh(compliance).max(initial=0.0)))
     softest = spaces.mesh.comm.allreduce(softest, MPI.MAX)
     return float(np.sqrt(softest) * solution.norms()["sigma_L2"])
@@ -97,4 +99,5 @@ def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -
         shear = shortened(shear.reshape(-1, spaces.dim, spaces.dim - 1), data.friction.bound)
     pressure = np.clip(pressure, *data.laws.chains.extent()[2:]).reshape(-1, spaces.dim)
     segment = solution.segment.reshape(pressure.shape)
-    return AdmissibleStress(stresses, pressure, shear.reshape(-1, spaces.dim, spaces.dim - 1), segment, distance)
+    shear, u = shear.reshape(-1, spaces.dim, spaces.dim - 1), spaces.displacement_values(solution.u)
+    return AdmissibleStress(stresses, pressure, shear, u, segment, distance)

@@ -70,8 +70,11 @@ class Terms(Protocol):
     def factorise(self, stiffness: Array) -> None:
         """Get ready to solve with K + Σ d aaᵀ, for a d of each term (collective)."""
 
-    def solve(self, load: Array) -> Array:
-        """Solve with the matrix that was factorised last (collective)."""
+    def solve(self, load: Array, left: float = 0.0) -> Array:
+        """Solve with the matrix that was factorised last; in the energy norm so much may be left (collective)."""
+
+    def pushed(self, x: Array) -> Array:
+        """The x inside all foundations that is near this one (collective)."""
 
 
 def minimise(terms: Terms, forces: Array) -> Array:

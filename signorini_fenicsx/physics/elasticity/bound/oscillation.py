@@ -44,7 +44,7 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
     np.add.at(found, facets.cells, constants * rest)
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
-        compliance = above(data.material.compliance(data.points(spaces, numbers)))
+        compliance = above(data.compliances(spaces, numbers))
         inside, missed = _force(spaces, data, stresses, numbers)
         here = np.flatnonzero(np.isin(facets.cells, numbers))
         on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))

@@ -1,0 +1,308 @@
+"""Conforming displacements on the split mesh without the nodes inside the cells.
+
+What a displacement is inside a cell follows from what it is on the facets of the cell, as its energy is least there. So
+the nodes inside are eliminated cell by cell, as the stresses are in `physics.elasticity.system`. Of the unknowns of
+quadratic displacements a third is left in the plane, a fifth in space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx import common, fem, la
+from petsc4py import PETSc
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.matrices import of_entries
+from signorini_fenicsx.forms.elasticity import pairs as entries
+from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.physics.elasticity.data import BLOCK, OnSplit
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
+from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, ElasticCoarse
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+
+TOLERANCE = 1e-5
+"""Relative residual of a solve by CG; each step of the interior point also removes what the last one left."""
+MOST = 200
+"""If CG needs more iterations, it gives way to a factorisation."""
+
+type Triples = tuple[npt.NDArray, npt.NDArray, Array]
+"""Rows and columns over all ranks, and values that are added there."""
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """The nodes that are left, those on the facets of cells.
+
+    Attributes:
+        dim: d, the number of unknowns of each.
+        numbers: Which ranks have them.
+        of_space: Which node of the space each of them is, ghosts too.
+        number_of: Which of them a node of the space is; −1 for one inside a cell.
+    """
+
+    dim: int
+    numbers: common.IndexMap
+    of_space: npt.NDArray[np.int32]
+    number_of: npt.NDArray[np.int32]
+
+    @classmethod
+    def of(cls, split: SplitMesh, space: fem.FunctionSpace) -> Nodes:
+        """The nodes on the outer facets of the subcells, opposite to the last vertex (collective)."""
+        everywhere = space.dofmap.index_map
+        left = np.zeros(everywhere.size_local + everywhere.num_ghosts, dtype=bool)
+        left[space.dofmap.list[:, space.element.basix_element.entity_closure_dofs[-2][-1]]] = True
+        numbers, of_space = fenicsx.sub_index_map(everywhere, np.flatnonzero(left).astype(np.int32))
+        number_of = np.full(len(left), -1, dtype=np.int32)
+        number_of[of_space] = np.arange(len(of_space), dtype=np.int32)
+        return cls(split.mesh.geometry.dim, numbers, of_space, number_of)
+
+    def unknowns(self, nodes: Indices) -> Indices:
+        """The unknowns of nodes that are left, shape (…, d), numbered over all ranks."""
+        first = self.numbers.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
+        found: Indices = self.dim * first[..., None] + np.arange(self.dim)
+        return found
+
+    def triples(self, nodes: Indices, matrices: Array) -> Triples:
+        """The entries of matrices of shape (n, d m, d m) that belong to some nodes, shape (n, m)."""
+        places = self.unknowns(nodes).reshape(matrices.shape[:2]).astype(PETSc.IntType)
+        rows, columns = (np.broadcast_to(each, matrices.shape) for each in (places[:, :, None], places[:, None]))
+        return rows.ravel(), columns.ravel(), matrices.ravel()
+
+    def matrix(self, *parts: Triples) -> PETSc.Mat:
+        """The matrix with the sums of these entries (collective)."""
+        rows, columns, values = (np.concatenate([each[k] for each in parts]) for k in range(3))
+        return of_entries(self.numbers.comm, self.dim * self.numbers.size_local, rows, columns, values, self.dim)
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """Displacements of least energy inside the cells, as functions of the coefficients at the nodes that are left.
+
+    Attributes:
+        nodes: The nodes that are left.
+        matrices: The stiffness of each cell, shape (cells, outer, outer).
+        load: The forces on the owned nodes that are left.
+        energy: What the forces inside the cells add to the least energy, of this rank.
+        softened: By how much the diagonal of the stiffness is less without the nodes inside, for owned unknowns.
+        around: The nodes that are left of each cell, shape (cells, outer).
+        inside: Those inside it, as nodes of the space, shape (cells, inner).
+        share: The coefficients inside for each of those around, negative, shape (cells, d inner, d outer).
+        own: Those inside where the others are 0, shape (cells, d inner).
+    """
+
+    nodes: Nodes
+    matrices: Array
+    load: Array
+    energy: float
+    softened: Array
+    around: Indices
+    inside: Indices
+    share: Array
+    own: Array
+
+    def coefficients(self, x: Array) -> Array:
+        """The coefficients at the nodes inside, shape (cells, inner, d), from those of the others, ghosts too."""
+        around = x.reshape(-1, self.nodes.dim)[self.around].reshape(self.share.shape[::2])
+        found = self.own - np.einsum("nio,no->ni", self.share, around)
+        return found.reshape(*self.inside.shape, self.nodes.dim)
+
+    def triples(self) -> Triples:
+        """The entries of the stiffness."""
+        return self.nodes.triples(self.around, self.matrices)
+
+
+def condensed(
+    split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes, material: OnSplit, frames: Array, forces: Array
+) -> Condensed:
+    """Eliminate the nodes inside the cells (collective).
+
+    Args:
+        split: The split mesh, or a part of it.
+        space: The displacements on it.
+        nodes: The nodes that are left.
+        material: The material on it.
+        frames: Directions of the coefficients at all nodes of this rank, see `GivenNodes`.
+        forces: Forces along these, complete for owned nodes, shape (nodes, d).
+    """
+    dim, size = split.mesh.geometry.dim, nodes.numbers.size_local
+    load, softened, energy = la.vector(nodes.numbers, dim), la.vector(nodes.numbers, dim), 0.0
+    load.array.reshape(-1, dim)[:size] = forces[nodes.of_space[:size]]
+    cells, found = split.cells[split.cells[:, 0] >= 0], list[tuple[Any, ...]]()
+    for block in np.array_split(cells, -(-len(cells) // BLOCK[dim])) if len(cells) > 0 else []:
+        around, inside, where = _numbered(space.dofmap.list[block], nodes)
+        strains, stresses = _on_cells(split, space, material, block, frames, where)
+        stiffness, first = strains @ stresses.swapaxes(1, 2), dim * around.shape[1]
+        pull = forces[inside].reshape(len(block), -1, 1)
+        eliminated = np.linalg.solve(
+            stiffness[:, first:, first:], np.concatenate([stiffness[:, first:, :first], pull], axis=2)
+        )
+        share, own = eliminated[:, :, :-1], eliminated[:, :, -1]
+        coupling, around = stiffness[:, :first, first:], nodes.number_of[around].astype(np.int64)
+        left = stiffness[:, :first, :first] - coupling @ share
+        for sums, values in (
+            (load, -np.einsum("noi,ni->no", coupling, own)),
+            (softened, np.einsum("noi,nio->no", coupling, share)),
+        ):
+            np.add.at(sums.array.reshape(-1, dim), around, values.reshape(*around.shape, dim))
+        energy -= float((pull[:, :, 0] * own).sum()) / 2
+        found.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, own))
+    for sums in (load, softened):
+        sums.scatter_reverse(la.InsertMode.add)
+    none = np.empty((0, 0), dtype=np.int32)
+    without_cells = [(np.empty((0, 0, 0)), none, none, np.empty((0, 0, 0)), np.empty((0, 0)))]
+    matrices, *others = (np.concatenate(each) for each in zip(*(found or without_cells), strict=True))
+    of_nodes = (each.array[: dim * size].copy() for each in (load, softened))
+    return Condensed(nodes, matrices, next(of_nodes), energy, next(of_nodes), *others)
+
+
+def _numbered(of_subcells: Indices, nodes: Nodes) -> tuple[Indices, Indices, Indices]:
+    """The nodes around and inside each cell, shapes (cells, …), and which of both those of its subcells are."""
+    count, many = len(of_subcells), len(nodes.number_of)
+    key = (of_subcells + many * (nodes.number_of[of_subcells] < 0)).reshape(count, -1)
+    order = np.argsort(key, axis=1)
+    ascending = np.take_along_axis(key, order, axis=1)
+    new = np.column_stack([np.ones(count, dtype=bool), ascending[:, 1:] != ascending[:, :-1]])
+    where = np.empty_like(order)
+    np.put_along_axis(where, order, np.cumsum(new, axis=1) - 1, axis=1)
+    distinct = ascending[new].reshape(count, -1)
+    first = int(np.count_nonzero(distinct[0] < many))
+    return distinct[:, :first], distinct[:, first:] - many, where.reshape(of_subcells.shape)
+
+
+def _on_cells(
+    split: SplitMesh, space: fem.FunctionSpace, material: OnSplit, block: Indices, frames: Array, where: Indices
+) -> tuple[Array, Array]:
+    """The strains of the basis of cells in points of their subcells, and their stresses times the weights.
+
+    Both have a row for each unknown: shape (cells, unknowns, subcells × points × entries).
+    """
+    (count, subcells), dim, mesh = block.shape, split.mesh.geometry.dim, split.mesh
+    element, numbers, pairs = space.element.basix_element, block.ravel(), entries(dim)
+    stiffness, degree = material.in_points(numbers, 2 * element.degree - 2)
+    points, weights = basix.make_quadrature(element.cell_type, degree)
+    x = mesh.geometry.x[mesh.geometry.dofmaps[0][numbers], :dim]
+    edges = x[:, 1:] - x[:, :1]
+    gradients = np.tensordot(np.linalg.inv(edges), element.tabulate(1, points)[1:, :, :, 0], (2, 0))
+    nodes = space.dofmap.list[numbers]
+    strains = np.zeros((*nodes.shape, dim, len(points), len(pairs)))
+    for k, (i, j) in enumerate(pairs):
+        for component, along in {(i, j), (j, i)}:
+            strains[:, :, component, :, k] = gradients[:, along].swapaxes(1, 2) * (1 if i == j else np.sqrt(0.5))
+    some = np.flatnonzero((frames != np.eye(dim)).any(axis=(1, 2))[nodes].any(axis=1))
+    strains[some] = np.einsum("nacqe,naci->naiqe", strains[some], frames[nodes[some]])
+    weighted = stiffness * (np.abs(np.linalg.det(edges))[:, None] * weights)[:, :, None, None]
+    stresses = np.einsum("nacqe,nqef->nacqf", strains, weighted, optimize=True)
+    found = np.zeros((2, count, where.max() + 1, dim, subcells, len(points) * len(pairs)))
+    rows, columns = np.arange(count)[:, None, None], np.arange(subcells)[None, :, None]
+    for one, values in zip(found, (strains, stresses), strict=True):
+        one[rows, where, :, columns] = values.reshape(*where.shape, dim, -1)
+    shape = count, -1, subcells * len(points) * len(pairs)
+    return found[0].reshape(shape), found[1].reshape(shape)
+
+
+def displacement_solver(
+    spaces: ElasticSpaces,
+    split: SplitMesh,
+    space: fem.FunctionSpace,
+    nodes: Nodes,
+    frames: Array,
+    matrix: PETSc.Mat,
+    *,
+    iterate: bool,
+) -> FacetSolver[ElasticCoarse]:
+    """A solver for displacements at the nodes that are left: a factorisation, or CG with multigrid (collective).
+
+    Args:
+        spaces: The spaces.
+        split: The split mesh.
+        space: Quadratic displacements on it, if the solver iterates.
+        nodes: The nodes that are left.
+        frames: Directions of the coefficients at all nodes.
+        matrix: Its operator.
+        iterate: Whether it iterates.
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+
+    def levels(pc: PETSc.PC) -> ElasticCoarse:
+        linear = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
+        interpolation = _from_linear(spaces, split, space, linear, nodes, frames)
+        return ElasticCoarse(matrix, spaces.dim, linear, interpolation, pc)
+
+    solver = FacetSolver(matrix, "facet_", DEFAULTS, levels if iterate else None, MOST, tolerance=TOLERANCE)
+    if solver.iterates:
+        solver.ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # the energy norm of the error, nearly
+    return solver
+
+
+def _from_linear(
+    spaces: ElasticSpaces,
+    split: SplitMesh,
+    space: fem.FunctionSpace,
+    linear: fem.FunctionSpace,
+    nodes: Nodes,
+    frames: Array,
+) -> PETSc.Mat:
+    """From linear displacements to the nodes that are left, each the mean of those at its two ends (collective)."""
+    dim, own = spaces.dim, nodes.numbers.size_local
+    ends = np.zeros((len(nodes.of_space), 2), dtype=np.int32)
+    vertices = np.take_along_axis(linear.dofmap.list[: len(spaces.order)], spaces.order, axis=1)
+    for mine, corners in _between_vertices(split, space, nodes):
+        ends[mine] = vertices[:, corners]
+    made = PETSc.Mat().create(spaces.mesh.comm)
+    of_linear = linear.dofmap.index_map
+    sizes = [(dim * each.size_local, dim * each.size_global) for each in (nodes.numbers, of_linear)]
+    made.setSizes(sizes, bsize=dim)
+    made.setType("aij")
+    rows = (dim * nodes.numbers.local_range[0] + np.arange(dim * own)).reshape(own, 1, dim, 1)
+    columns = of_linear.local_to_global(ends[:own].ravel()).reshape(own, 2, 1, 1) * dim + np.arange(dim)
+    values = np.broadcast_to(frames[nodes.of_space[:own]].swapaxes(1, 2)[:, None] / 2, (own, 2, dim, dim))
+    places = (np.broadcast_to(each, values.shape).ravel().astype(PETSc.IntType) for each in (rows, columns))
+    made.setPreallocationCOO(*places)
+    made.setValuesCOO(values.ravel(), PETSc.InsertMode.ADD_VALUES)
+    return made
+
+
+def _between_vertices(
+    split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes
+) -> Iterator[tuple[npt.NDArray[np.int32], Indices]]:
+    """For each node around a cell its number in all cells, and the two vertices of the cell that it is between.
+
+    These are vertices, which are between themselves, and the middles of edges; the displacements are quadratic.
+    """
+    dim, element = split.mesh.geometry.dim, space.element.basix_element
+    for subcell, facet in enumerate(opposite(dim)):
+        mine = nodes.number_of[space.dofmap.list[split.cells[:, subcell]]]
+        for sort in (0, 1):
+            for corners, dofs in zip(basix.topology(element.cell_type)[sort], element.entity_dofs[sort], strict=True):
+                if corners[-1] < dim:  # the last vertex is inside
+                    yield mine[:, dofs[0]], facet[[corners[0], corners[-1]]]
+
+
+def means_at_nodes(split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes, u: Array) -> Array:
+    """Means over cells of displacements linear on each cell, at the owned nodes that are left (collective).
+
+    Args:
+        split: The split mesh.
+        space: Quadratic displacements on it.
+        nodes: The nodes that are left.
+        u: Values at the vertices of the cells, as in `ElasticSpaces.order`, shape (cells, d + 1, d).
+    """
+    dim = nodes.dim
+    sums = la.vector(nodes.numbers, dim + 1)
+    by_node = sums.array.reshape(-1, dim + 1)
+    for mine, corners in _between_vertices(split, space, nodes):
+        np.add.at(by_node[:, :dim], mine, u[:, corners].mean(axis=1))
+        np.add.at(by_node[:, dim], mine, 1.0)
+    sums.scatter_reverse(la.InsertMode.add)
+    own = by_node[: nodes.numbers.size_local]
+    return own[:, :dim] / own[:, dim:]
