@@ -67,7 +67,6 @@ class Xdmf:
         on_root(self._spaces.mesh.comm, lambda: self._path.unlink(missing_ok=True))
         spaces, domain = self._spaces, self._spaces.domain
         mesh, dim = spaces.mesh, spaces.mesh.topology.dim
-        on_root(mesh.comm, lambda: self._path.unlink(missing_ok=True))  # arrays are added to what is there
         nodes, corners = mesh.geometry.index_map(), spaces.corners
         points = mesh.geometry.x[: nodes.size_local, :dim]
         facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
