@@ -270,17 +270,13 @@ class OnSplit:
         return ufl.Measure("dx", domain=self.stiffness.function_space.mesh, metadata=rule)
 
     def in_points(self, cells: Indices, least: int) -> tuple[Array, int]:
-        """ℂ in points of cells of the split mesh, and the degree for which these are exact; the least if ℂ is constant.
-
-        The shape is (cells, points, entries, entries), with one point for all if it is constant.
-        """
+        """ℂ in points of cells of the split mesh, one if it is constant, and their degree, then the least one."""
         space = self.stiffness.function_space
         lower = self.stiffness.x.array.reshape(-1, space.dofmap.index_map_bs)[space.dofmap.list[cells]]
-        number = self.stiffness.ufl_shape[0]
-        found = np.empty((*lower.shape[:2], number, number))
-        rows, columns = np.tril_indices(number)
-        found[:, :, rows, columns] = found[:, :, columns, rows] = lower
-        return found, least if lower.shape[1] == 1 else self.degree
+        at = np.tril_indices(self.stiffness.ufl_shape[0])
+        place = np.zeros(self.stiffness.ufl_shape, dtype=np.int64)
+        place[at] = place[at[::-1]] = np.arange(len(at[0]))
+        return lower[:, :, place], least if lower.shape[1] == 1 else self.degree
 
 
 def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, degree: int) -> OnSplit:
