@@ -47,10 +47,11 @@ def certify(
     Raises:
         InputError: If the solution has not converged, or is none that can be bounded; if v is not such a function.
     """
-    check_kind("solution", solution, Solved, Domain)
-    if isinstance(solution, Domain):
+    if isinstance(solution, Domain) and problem is not None:
         check_kind("v", v, fem.Function)
-    solved: Solved = solve(solution, problem) if isinstance(solution, Domain) else solution
+        solution = solve(solution, problem)
+    check_kind("solution", solution, Solved, hint="; with a Domain give the problem and v as well")
+    solved: Solved = solution
     if v is not None:
         return bound_field(solved, v)
     of_physics, watch = bound_of(solved.physics, "certify"), Stopwatch()

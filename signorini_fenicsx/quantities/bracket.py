@@ -165,8 +165,10 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: Callable[[], 
             while len(tried) < MOST and width(tau * factor) < ENOUGH * width(tau):
                 tau *= factor
     best = max(tried.values(), key=lambda each: each.lower), min(tried.values(), key=lambda each: each.upper)
-    lower, upper = sorted((best[0].lower, best[1].upper))  # where a quantity is known they are equal but for rounding
+    lower, upper = best[0].lower, best[1].upper
     reason = best[0].reason or best[1].reason
+    if lower > upper:
+        reason, lower, upper = f"the bounds exclude each other by {lower - upper:.1e}", upper, lower
     finite = math.isfinite(upper - lower)
     middle = (lower + upper) / 2 if finite else discrete()
     shares = min(tried.values(), key=lambda each: each.width).shares if finite else None

@@ -38,6 +38,7 @@ from signorini_fenicsx.expressions import read, values
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.solution import flux_through
 from signorini_fenicsx.quantities import Energy, Flux, Integral, Kind, Mean
+from signorini_fenicsx.quantities.bracket import Ends, bracket
 
 COMM = MPI.COMM_WORLD
 LEFT = "1 if x < 0.5 else 0"
@@ -65,6 +66,13 @@ def test_known_means(name: str):
         assert found.lower <= exact_mean(text, solution.spaces.domain.box()[0, 0]) <= found.upper
         widths.append(found.width)
     assert widths[1] < widths[0] / 2
+
+
+def test_bounds_that_exclude_each_other_are_told():
+    """Such as those of a problem without a solution; they are no guaranteed interval."""
+    found = bracket(lambda tau: Ends(1.0, 0.5, 1.0, ""), 1.0, lambda: 0.7)
+    assert (found.lower, found.upper, found.guaranteed) == (0.5, 1.0, False)
+    assert found.reason == "the bounds exclude each other by 5.0e-01"
 
 
 def test_design_order():

@@ -67,8 +67,8 @@ def test_cases_on_coarse_meshes(name: str, h: str, tmp_path: Path):
     assert signorini(tmp_path, "solve", name, "--h", h, "--output", "out", "--quiet").returncode == 0
     found = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["quantities"]
     page = (DOCS / "guide" / "questions.md").read_text(encoding="utf-8")
-    assert list(found) == [each.name for each in load_case(name).quantity]
-    for each, interval in found.items():
+    for each in [quantity.name for quantity in load_case(name).quantity]:
+        interval = found[each]
         assert interval["guaranteed"], interval["reason"]
         told = [row for row in ROWS if row["quantity"] == each and f" {name} " in row["command"]]
         ends = [(float(row["lower"]), float(row["upper"])) for row in told]
