@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import numpy as np
 from dolfinx import fem
@@ -49,9 +49,10 @@ def certify(
     """
     if isinstance(solution, Domain) and problem is not None:
         check_kind("v", v, fem.Function)
-        solution = solve(solution, problem)
-    check_kind("solution", solution, Solved, hint="; with a Domain give the problem and v as well")
-    solved: Solved = solution
+        solved: Solved = solve(solution, problem)
+    else:
+        check_kind("solution", solution, Solved, hint="; with a Domain give the problem and v as well")
+        solved = cast(Solved, solution)
     if v is not None:
         return bound_field(solved, v)
     of_physics, watch = bound_of(solved.physics, "certify"), Stopwatch()
