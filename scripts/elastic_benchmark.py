@@ -151,7 +151,7 @@ def main() -> None:
         for n in sizes:
             domain = block(dim, n)
             coarser_mesh = partial(coarser, dim, n)
-            solution, ours = timed(partial(solve, domain, boundary, problem, remesh=coarser_mesh))
+            solution, ours = timed(partial(solve, domain, (boundary, problem), remesh=coarser_mesh))
             _, bound = timed(solution.certify)
             _, known = timed(partial(solved_with, domain, boundary, problem, solution.outcome.conditions))
             other = solve_p2(domain.mesh, YOUNG, POISSON, f, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP)

@@ -142,8 +142,8 @@ class ElasticBackend:
         return self._pairs(self._x, conditions)
 
     def reached(self, conditions: SiteConditions) -> Iterate:
-        """The iterate of the last solve, see `Inexact.reached` (collective)."""
-        return self._recovered(conditions)
+        """The iterate of the last solve, see `Inexact.reached`; no refinement, as other sets follow (collective)."""
+        return self._recovered(conditions, refine=False)
 
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
         """None: there are no solves on patches."""
@@ -367,11 +367,11 @@ class ElasticBackend:
         if not blocks:
             self._factors.keep(essential, contact)
 
-    def _recovered(self, conditions: SiteConditions) -> Iterate:
+    def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
         iterations = self._solver.ksp.getIterationNumber()
         stresses, displacements = self.system.recover(self.everywhere(self._x.array_r) + self._data.lift)
-        if not self._sprung:
+        if refine and not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
         traction = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
         traction[: len(spaces.sites)] -= self._data.laws.pressure
