@@ -20,13 +20,13 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Graph, Law, Values
-from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, Signorini, TwoSided, Wall
+from signorini_fenicsx.contact.laws import Corners, Dirichlet, Friction, Regulator, Signorini, TwoSided, Wall
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, Present
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.problem import Diffusion, Problem
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
 
@@ -173,6 +173,17 @@ def test_laws_in_python():
         long = solve(domain, (boundary, Problem(f, psi="0.01*x", q_S=0.1, laws=laws)))
         assert long.norms() == pytest.approx(short.norms(), rel=1e-12)
         assert [step.changed for step in long.outcome.history] == [step.changed for step in short.outcome.history]
+
+
+def test_a_given_u_is_no_contact():
+    """Where u is given there is nothing to decide: these facets do not count, though their law is one on Γ_S."""
+    square = build_domain(COMM, "square", 0.2, mesh="structured")
+    held = Signorini("bottom", psi=-0.05)
+    alone = Diffusion(f="40*(x - 0.6)", conditions=[held])
+    beside = replace(alone, conditions=[held, Dirichlet("left", 0), Dirichlet("top", "0.1*x*(1 - x)")])
+    assert 0 < solve(square, alone).contact.facets < 7
+    both = solve(square, beside)
+    assert both.contact == tuple(both.segments_of_parts()["bottom"]["contact"].values())
 
 
 def test_results_of_python_are_kept(folder: Path):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Signorini
@@ -33,6 +33,12 @@ class BoundaryLaws:
     def listed(self) -> bool:
         """Whether there are laws besides ψ and q_S of the problem."""
         return any(part.name for part in self.of_parts)
+
+    @property
+    def leave_open(self) -> Mask:
+        """The facets whose law leaves open which of its segments holds; a given u or flux has one segment alone."""
+        rows = [part.rows for part in self.of_parts if len(part.law.segments) > 1]
+        return np.isin(np.arange(len(self.chains.p)), np.concatenate([*rows, np.empty(0, dtype=np.int64)]))
 
     def names(self) -> list[str]:
         """Names of all segments, law after law; see `labels`."""

@@ -201,8 +201,9 @@ class Solution(Solved):
         return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, contact)}
 
     def contact_set(self) -> FacetSet:
-        """The Γ_S facets in contact, by their final condition; under another law, those on which it holds u."""
-        return FacetSet(self.spaces, self.outcome.conditions.kind == self.method.contact)
+        """The Γ_S facets in contact, by their final condition: where a law holds u that leaves it open."""
+        holds = self.outcome.conditions.kind == self.method.contact
+        return FacetSet(self.spaces, holds & self.data.laws.leave_open)
 
     @collector_off()
     def free_boundary(self) -> npt.NDArray[np.int32]:
