@@ -12,7 +12,7 @@ from in_time import ending_after
 from mpi4py import MPI
 from random_bounds import difference
 
-from signorini_fenicsx import Diffusion, Evolution, Neumann, Obstacle, Storage, evolve
+from signorini_fenicsx import Diffusion, Evolution, Neumann, Obstacle, Signorini, Storage, evolve
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -54,6 +54,17 @@ def test_similarity_solutions(name: str, front: float):
         assert certificate.guaranteed
         assert certificate.relative < 0.5
     assert math.log2(errors[0] / errors[1]) > 0.85
+
+
+def test_all_is_held():
+    """A jump of storage that takes all of the load holds u = 0 in every cell; σ = 0 is no failure, and θ is f t."""
+    graph = Storage(region="all", corners=[[0, 0], [0, 1]], beyond=1)
+    warmed = Diffusion(f="0.5 + x", conditions=[graph, Signorini("bottom", psi=-1), Neumann("top")])
+    for instant in evolve(strip(0.2), warmed, Evolution(end=0.2, steps=2)):
+        assert max(vars(instant.solution.kkt).values()) < 1e-12
+        assert abs(instant.solution.u.x.array).max() < 1e-15
+        content = instant.steps.of_step(instant.solution)["content"]
+        assert content == pytest.approx(0.125 * instant.t, rel=1e-12)
 
 
 def test_oxygen():

@@ -189,16 +189,26 @@ def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Arr
 def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
     """Whether a load makes u vary, or a u_D that varies on a body; then a tiny σ beside a huge ψ is wrong (collective).
 
-    Where c > 0 a load cu of a constant u drives nothing, nor does cu alone, without any other load. In time neither
-    does an earlier u that is only rounding.
+    Where c > 0 a load cu of a constant u drives nothing, nor does cu alone, without any other load; neither does a load
+    that laws in Ω carry where they are. In time neither does an earlier u that is only rounding.
     """
     comm = spaces.mesh.comm
     source, f_h, flux = (
-        comm.allreduce(np.abs(values.x.array).max(initial=0.0), MPI.MAX)
-        for values in (data.source(u), data.f_h, data.sigma_lift)
+        comm.allreduce(np.abs(values).max(initial=0.0), MPI.MAX)
+        for values in (_not_carried(spaces, u, data), data.f_h.x.array, data.sigma_lift.x.array)
     )
     loaded = source > ROUNDING * f_h and not _is_at_rest(spaces, data)
     return bool(loaded or flux > 0 or data.dirichlet_varies(spaces, ROUNDING))
+
+
+def _not_carried(spaces: Spaces, u: fem.Function, data: Data) -> Array:
+    """The load of each owned cell less what laws in Ω take of it: what makes u vary."""
+    source = data.source(u).x.array
+    if data.inside is None:
+        return source
+    unit = data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
+    low, *off = data.inside.chains.distances(u.x.array - data.inside.means, -source, unit)
+    return np.abs([unit * low, *off]).max(axis=0)
 
 
 def _is_at_rest(spaces: Spaces, data: Data) -> bool:
