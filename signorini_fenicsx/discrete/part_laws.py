@@ -13,6 +13,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Graph, Law
+from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, in_problem
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -63,6 +64,15 @@ class PartLaw:
         return {"": "on Γ_S", SHORT: "in the domain"}.get(
             self.name, "in its regions" if self.law.region else "on its parts"
         )
+
+    def titles(self) -> list[str]:
+        """What pictures call the segments: those of a graph by their u, if its data are numbers."""
+        numbers = {name: np.array(datum.number) for name, datum in self.data.items() if datum.number is not None}
+        if not isinstance(self.law, Corners) or len(numbers) < len(self.data):
+            return list(self.law.segments)
+        corners = [f"{float(u):g}" for u, _ in self.law.graph(numbers).corners]
+        between = [f"jump at $u = {a}$" if a == b else f"$u$ from {a} to {b}" for a, b in pairwise(corners)]
+        return [f"up to $u = {corners[0]}$", *between, f"from $u = {corners[-1]}$"]
 
     def quadrature(self, spaces: MeshSpaces, degree: int) -> list[Points]:
         """The points of a quadrature in its facets or cells, some at a time (collective)."""

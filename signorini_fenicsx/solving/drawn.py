@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,7 @@ class Drawn:
         contact: Whether laws in Ω hold u in a cell, as an obstacle does in contact; None without such laws.
         states: The segment of its laws that each cell is on; None without laws in Ω.
         edges: What the facets between cells in different states are called.
+        columns: What pictures call the columns of `steps.csv` that have measures of cells under laws in Ω.
         segments: Names of the segments of all laws, if there are others than the Signorini law.
         inside: The parts of Γ_S inside the domain.
         strength: What |σ_h| is called.
@@ -47,6 +48,7 @@ class Drawn:
     contact: Mask | None = None
     states: Indices | None = None
     edges: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
     segments: Sequence[str] = ()
     inside: Sequence[str] = ()
     strength: str = r"$|\sigma_h|$"

@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.conditions import Condition
@@ -27,9 +27,10 @@ from signorini_fenicsx.output.gather import Boundary, Fields, gather
 from signorini_fenicsx.output.pictures import caption, draw_all, gathered_scene, overview, scene_of, style, traces
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps, moves
 from signorini_fenicsx.output.pictures.cuts import SLANTED, Cut, outward
-from signorini_fenicsx.output.pictures.elastic import _pressure, foundation_of, without_rounding
+from signorini_fenicsx.output.pictures.elastic import _near, _pressure, foundation_of, without_rounding
 from signorini_fenicsx.output.pictures.evolution import draw_sets
 from signorini_fenicsx.output.pictures.page import plain
+from signorini_fenicsx.output.pictures.plane import Plane, on_levels
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet, _wrapped
 from signorini_fenicsx.output.pictures.space import Space
@@ -408,3 +409,35 @@ def test_numbers_in_mathematical_type():
     values = np.array([*np.linspace(0, 1, 1000), 50.0])
     assert style.limits(values, np.ones(1001)) == (0, pytest.approx(0.99, abs=0.01), "max")
     assert style.limits(np.zeros(3), np.ones(3)) == (0, 1, "neither")
+
+
+def test_a_level_that_is_a_bound_is_drawn_where_contact_ends():
+    """On cells in contact u is its bound but for rounding, which a line of this level must not follow."""
+    plateau = np.array([-1, 0, 0, 1.0]) + 1e-15 * np.array([1, -1, 1, 0])
+    assert on_levels(plateau, [-1.0, 0.0]).tolist() == [-1, 0, 0, 1]
+    plane = Plane(scene("two_obstacles", h="1/8"))
+    x = plane.scene.fields.points[:, 0]
+    settled = on_levels(plane.scene.u, [-0.1, 0.1])
+    assert (settled[x < 0.2] == -0.1).all()
+    assert (settled[x > 0.8] == 0.1).all()
+
+
+def test_small_parts_inside_have_a_panel():
+    """Beside the whole rock there is the crack, moved by u less its mean there; a stack of blocks has no such panel."""
+    rock = scene("rock")
+    near = _near(rock)
+    own = np.unique(rock.facets.vertices)
+    assert np.allclose((near.moved - rock.fields.points)[own].mean(axis=0), 0, atol=1e-12)
+    assert 0 < len(near.scene.fields.cells) < len(rock.fields.cells)
+    assert np.ptp(near.frame, axis=0) == pytest.approx(1.5 * np.ptp(rock.fields.points[own], axis=0).max())
+    assert [axes.get_title() for axes in overview(rock).axes if axes.get_title()] == [
+        rf"less the mean displacement, $\times$ {near.factor:g}"
+    ]
+    assert _near(scene("stack")) is None
+
+
+def test_states_of_cells_are_in_words():
+    """The segments of a graph in Ω are named by their u, with the region if there are several laws."""
+    *_, last = evolve_case(load_case("melting").with_values({"time.steps": 2, "solve.h": "1/8"}))
+    assert set(last.solution.of_step()) == set(last.solution.drawn().columns)
+    assert list(last.solution.drawn().columns.values()) == ["up to $u = 0$", "jump at $u = 0$", "from $u = 0$"]

@@ -92,6 +92,7 @@ def scene_of(
         strength=gathered.of.strength,
         gamma=gathered.of.gamma,
         edges=gathered.of.edges,
+        columns=gathered.of.columns,
         inside=gathered.of.inside,
         phreatic_line=phreatic_line,
         physics=physics,

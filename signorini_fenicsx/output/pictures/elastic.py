@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,6 +27,12 @@ SHARE = 0.1
 """Of the body's size that the largest displacement is drawn as."""
 APART = 0.08
 """Of the body's size: the distance of bodies that are drawn apart."""
+SMALL = 0.25
+"""Of the body's size: parts inside it that are smaller have a panel of their own."""
+AROUND = 0.75
+"""Of the size of these parts: how far the panel reaches from their middle."""
+NEAR_WIDTH = 4.4
+"""Inches of this panel."""
 NEAR = 0.12
 """Of the body's size: where the gap is drawn larger than this, the foundation is not drawn."""
 
@@ -133,23 +140,71 @@ def _deformed_plane(scene: Scene, moved: Scene, foundation: Array, title: str) -
     """The deformed body, coloured by the equivalent stress, over its mesh before, and the foundation."""
     frame = framed(np.concatenate([scene.fields.points, moved.fields.points, foundation.reshape(-1, 2)]))
     aspect = float(np.divide(*np.ptp(frame, axis=0)))
-    width = 7.0 if aspect > WIDE else min(5.4, 6.0 * aspect)
-    sheet = Sheet([width], [width / aspect], title=title)
+    width, near = 7.0 if aspect > WIDE else min(5.4, 6.0 * aspect), _near(scene)
+    sheet = Sheet([width, NEAR_WIDTH] if near else [width], [width / aspect], title=title)
     axes = sheet.panel(0, 0, aspect=aspect)
-    axes.triplot(Triangulation(*scene.fields.points.T, scene.fields.cells), color="0.85", linewidth=0.3)
-    low, high, extend = style.limits(scene.sigma_norm, scene.measure)
-    after = Triangulation(*moved.fields.points.T, scene.fields.cells)
-    look = {"cmap": style.FLUX_MAP, "vmin": low, "vmax": high, "edgecolors": "face", "linewidth": 0.3}
-    image = axes.tripcolor(after, facecolors=scene.sigma_norm, rasterized=True, **look)
+    _draw_body(sheet, axes, scene, moved.fields.points)
     axes.add_collection(PolyCollection(foundation, facecolors="0.75", edgecolors="face", linewidths=0.3, zorder=0.5))
     axes.add_collection(LineCollection(foundation[:, :2], colors="black", linewidths=1.2))
-    touching = moved.fields.points[scene.facets.vertices[_inside(scene)]]
-    axes.add_collection(LineCollection(touching, colors="black", linewidths=0.8))
-    sheet.bar(axes, image, scene.strength, extend)
     style.shape_axes(axes, "", frame)
+    if near:
+        axes = sheet.panel(0, 1, aspect=1.0)
+        _draw_body(sheet, axes, near.scene, near.moved)
+        style.shape_axes(axes, rf"less the mean displacement, $\times$ {near.factor:g}", near.frame)
     below = [Patch(color="0.75", label="foundation")] if len(foundation) else []
     sheet.legend_below([*below, Patch(color="0.9", label="before")])
     return sheet
+
+
+def _draw_body(sheet: Sheet, axes: Axes, scene: Scene, moved: Array) -> None:
+    """The cells where they are drawn, coloured by the equivalent stress, over the mesh before, and parts inside."""
+    fields = scene.fields
+    axes.triplot(Triangulation(*fields.points.T, fields.cells), color="0.85", linewidth=0.3)
+    low, high, extend = style.limits(scene.sigma_norm, scene.measure)
+    look = {"cmap": style.FLUX_MAP, "vmin": low, "vmax": high, "edgecolors": "face", "linewidth": 0.3}
+    after = Triangulation(*moved.T, fields.cells)
+    image = axes.tripcolor(after, facecolors=scene.sigma_norm, rasterized=True, **look)
+    touching = moved[scene.facets.vertices[_inside(scene)]]
+    axes.add_collection(LineCollection(touching, colors="black", linewidths=0.8))
+    sheet.bar(axes, image, scene.strength, extend)
+
+
+class Near(NamedTuple):
+    """What a panel shows of the surroundings of parts inside the domain that are small beside it.
+
+    Attributes:
+        scene: The cells there.
+        moved: Where points are drawn: by the displacement less the mean one of these parts.
+        factor: This is drawn larger by this factor.
+        frame: Smallest and largest coordinates of what is shown, shape (2, 2).
+    """
+
+    scene: Scene
+    moved: Array
+    factor: float
+    frame: Array
+
+
+def _near(scene: Scene) -> Near | None:
+    """The surroundings of the parts inside the domain; None if there are none, or they are not small."""
+    fields, own = scene.fields, np.unique(scene.facets.vertices[_inside(scene)])
+    assert fields.displacement is not None
+    if not len(own):
+        return None
+    low, high = fields.points[own].min(axis=0), fields.points[own].max(axis=0)
+    size = float((high - low).max())
+    if size > SMALL * np.ptp(fields.points, axis=0).max():
+        return None
+    moves = fields.displacement - fields.displacement[own].mean(axis=0)
+    largest = float(np.linalg.norm(moves[own], axis=1).max())
+    factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
+    frame = np.stack([(low + high) / 2 - AROUND * size, (low + high) / 2 + AROUND * size])
+    moved = fields.points + factor * moves
+    shown = [places[fields.cells] for places in (fields.points, moved)]
+    reaches = [(each.max(axis=1) > frame[0]).all(axis=1) & (each.min(axis=1) < frame[1]).all(axis=1) for each in shown]
+    cells = reaches[0] | reaches[1]
+    few = replace(fields, cells=fields.cells[cells], sigma=fields.sigma[cells])
+    return Near(replace(scene, fields=few), moved, factor, frame)
 
 
 def _pressure(scene: Scene) -> Sheet:

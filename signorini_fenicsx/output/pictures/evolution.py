@@ -42,8 +42,7 @@ def draw_sets_over_time(
     rows: Sequence[Mapping[str, Any]],
 ) -> None:
     """Draw `contact.png` (rank 0)."""
-    names = {"cells_measure": "contact with the obstacle"} | {key: key for key in rows[-1] if key.startswith("law.")}
-    in_cells = {name: [row[key] for row in rows] for key, name in names.items() if key in rows[-1]}
+    in_cells = {name: [row[key] for row in rows] for key, name in scene.columns.items() if key in rows[-1]}
     draw_sets(folder / "contact.png", scene, tables, times, in_cells)
 
 

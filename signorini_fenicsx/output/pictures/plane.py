@@ -1,5 +1,6 @@
 """Maps of a solution in the plane: u_h, σ_h, the certificate, the mesh. Each is drawn into given axes."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.base.tolerances import ROUNDING, TIE
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
@@ -106,7 +107,8 @@ class Plane:
         values = -scene.u if self.water else scene.u
         image = axes.tripcolor(self.triangulation, values, cmap=style.U_MAP, shading="gouraud", rasterized=True)
         levels = scene.plot.levels or MaxNLocator(12).tick_values(float(values.min()), float(values.max()))
-        lines = axes.tricontour(self.triangulation, values, levels, colors="white", linewidths=0.6, alpha=0.8)
+        settled = on_levels(values, levels)
+        lines = axes.tricontour(self.triangulation, settled, levels, colors="white", linewidths=0.6, alpha=0.8)
         bar = sheet.bar(axes, image, self.u_label)
         bar.add_lines(lines)
         self._surroundings(axes, title)
@@ -222,6 +224,17 @@ def log_norm(indicator: Array) -> LogNorm:
     """A logarithmic scale of four decades up to the largest η_T, or up to rounding if all are 0."""
     largest = float(indicator.max()) or ROUNDING
     return LogNorm(max(float(indicator.min()), 1e-4 * largest), largest)
+
+
+def on_levels(values: Array, levels: Iterable[float]) -> Array:
+    """The values, but levels in the place of those that are levels up to rounding.
+
+    Else the level of an obstacle would be drawn all over the cells in contact, wherever rounding crosses it.
+    """
+    near, settled = TIE * np.ptp(values), values.copy()
+    for level in levels:
+        settled[np.abs(values - level) <= near] = level
+    return settled
 
 
 def framed(points: Array) -> Array:

@@ -1,8 +1,8 @@
 """The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
 import itertools
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -51,6 +51,7 @@ class Scene:
         strength: What |σ_h| is called.
         gamma: What Γ_S is called.
         edges: What the facets between cells in different states of laws in Ω are called.
+        columns: What the columns of `steps.csv` are called that have measures of cells under laws in Ω.
         inside: The parts of Γ_S inside the domain.
         phreatic_line: Points of the phreatic line of a dam, shape (points, 2), or None.
         physics: Name of the physics.
@@ -70,6 +71,7 @@ class Scene:
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
     edges: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
     inside: Collection[str] = ()
     phreatic_line: Array | None = None
     physics: str = "diffusion"

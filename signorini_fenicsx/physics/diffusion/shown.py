@@ -128,9 +128,25 @@ def drawn(solution: Solution) -> Drawn:
         contact=solution.outcome.iterate.contact,
         states=solution.segments().cells,
         edges="edge of the contact" if is_obstacle else "fronts",
+        columns=_columns_of_cells(solution),
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
     )
+
+
+def _columns_of_cells(solution: Solution) -> dict[str, str]:
+    """What pictures call the measures of cells that `Solution.of_step` gives."""
+    laws = solution.data.inside
+    if laws is None:
+        return {}
+    if laws.is_obstacle:
+        return {"cells_measure": "contact with the obstacle"}
+    several = len(laws.of_regions) > 1
+    return {
+        f"{part.name} {segment}": f"{title} by the law in {' and '.join(part.law.region)}" if several else title
+        for part in laws.of_regions
+        for segment, title in zip(part.law.segments, part.titles(), strict=True)
+    }
 
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
