@@ -75,27 +75,8 @@ def solve_p2(
     Raises:
         RuntimeError: If the sets do not settle.
     """
-    assert mesh.comm.size == 1
     began = time.process_time()
-    dim = mesh.geometry.dim
-    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
-    space = fem.functionspace(mesh, element)
-    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    load = ufl.dot(ufl.as_vector([float(x) for x in f]), v) * ufl.dx
-    sides = [_facets(mesh, side) for side in g_N]
-    numbers = np.concatenate([np.full(len(facets), number, dtype=np.int32) for number, facets in enumerate(sides)])
-    facets = np.concatenate(sides)
-    order = np.argsort(facets)
-    tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets[order], numbers[order])
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    for number, traction in enumerate(g_N.values()):
-        load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds(number)
-    A = fem.assemble_matrix(fem.form(ufl.inner(stress(u, young, poisson), ufl.sym(ufl.grad(v))) * ufl.dx)).to_scipy()
-    A = A.tocsr()
-    b = fem.assemble_vector(fem.form(load)).array
-    zero = [_dofs(space, mesh, side, k) for side, components in fixed.items() for k in components]
-    held = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *zero]))
-    contact = np.setdiff1d(_dofs(space, mesh, (dim - 1, 0.0), dim - 1), held)
+    space, A, b, held, contact = assembled(mesh, young, poisson, f, g_N, fixed)
     jumps = scipy.sparse.eye_array(len(b)).tocsr()
     if between:
         contact, jumps = _jumps(space, contact, len(b))
@@ -117,6 +98,38 @@ def solve_p2(
             return P2Contact(found, energy, int(active.sum()), steps, len(free), time.process_time() - began)
         active = following
     raise RuntimeError("the sets do not settle")
+
+
+def assembled(
+    mesh: dolfinx.mesh.Mesh,
+    young: float | ufl.core.expr.Expr,
+    poisson: float,
+    f: Sequence[float],
+    g_N: Mapping[tuple[int, float], Sequence[float]],
+    fixed: Mapping[tuple[int, float], Sequence[int]],
+) -> tuple[fem.FunctionSpace, scipy.sparse.csr_array, np.ndarray, np.ndarray, np.ndarray]:
+    """The space, A, b, the unknowns that are 0, and the normal ones on Γ_C, of a problem as `solve_p2` takes it."""
+    assert mesh.comm.size == 1
+    dim = mesh.geometry.dim
+    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
+    space = fem.functionspace(mesh, element)
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    load = ufl.dot(fem.Constant(mesh, np.array(f, dtype=float)), v) * ufl.dx
+    sides = [_facets(mesh, side) for side in g_N]
+    numbers = np.concatenate([np.full(len(facets), number, dtype=np.int32) for number, facets in enumerate(sides)])
+    facets = np.concatenate(sides)
+    order = np.argsort(facets)
+    tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets[order], numbers[order])
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    for number, traction in enumerate(g_N.values()):
+        load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds(number)
+    A = fem.assemble_matrix(fem.form(ufl.inner(stress(u, young, poisson), ufl.sym(ufl.grad(v))) * ufl.dx)).to_scipy()
+    A = A.tocsr()
+    b = fem.assemble_vector(fem.form(load)).array
+    zero = [_dofs(space, mesh, side, k) for side, components in fixed.items() for k in components]
+    held = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *zero]))
+    contact = np.setdiff1d(_dofs(space, mesh, (dim - 1, 0.0), dim - 1), held)
+    return space, A, b, held, contact
 
 
 def stress_norm(mesh: dolfinx.mesh.Mesh, sigma: ufl.core.expr.Expr, young: float, poisson: float) -> float:

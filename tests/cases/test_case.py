@@ -36,6 +36,7 @@ def test_examples_are_shipped():
             "membrane",
             "membrane_steady",
             "mindlin",
+            "mindlin3d",
             "moving_transition",
             "muskat",
             "oxygen",

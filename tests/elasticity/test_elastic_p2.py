@@ -1,4 +1,4 @@
-"""Elastic contact against a second program: conforming P2 displacements, whose energy is on the other side."""
+"""Elastic contact, also with friction in space, against a second program: P2, whose energy is on the other side."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,10 @@ from dolfinx.mesh import compute_midpoints
 from elastic import box, two_boxes
 from mpi4py import MPI
 from p2_contact import solve_p2, stress, stress_norm
+from p2_friction import GAP as OBLIQUE_GAP
+from p2_friction import LAWS, oblique
 
-from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann
+from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca
 from signorini_fenicsx import solve as solve_problem
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
@@ -72,3 +74,24 @@ def test_energies_of_two_bodies(dim: int):
     assert solution.contact.facets > 0
     assert solution.touching.sum() < solution.touching.size
     assert between[-1] < 0.5 * between[-2]
+
+
+@pytest.mark.parametrize("law", [LAWS[0], *LAWS[2:]], ids=str)
+def test_oblique_friction_in_space(law: Tresca | Coulomb):
+    """Forces on the plane, and the energy of Tresca's problem, agree with those of P2 better and better."""
+    between, off = [], []
+    for n in (2, 3):
+        solution, other = oblique(n, law)
+        force = solution.resultants()["bottom"][:3]
+        off.append(np.linalg.norm(other.force - force) / np.linalg.norm(force))
+        norms = solution.norms()
+        complementary = norms["energy"] ** 2 / 2 + OBLIQUE_GAP * norms["contact_force"]
+        between.append(complementary + other.energy)
+        size = stress_norm(solution.spaces.mesh, stress(other.v, 1.0, 0.3), 1.0, 0.3)
+        assert abs(size - norms["energy"]) < np.sqrt(2 * between[-1])
+    assert off[1] < 0.6 * off[0] < 0.04
+    slips = solution.friction_states()["slip"]["vertices"]
+    assert slips > (25 if law == Coulomb(1.0) else 60)
+    assert 0 < between[1] < 0.6 * between[0]
+    if isinstance(law, Tresca):  # Coulomb's k is each program's own
+        assert certify(solution).gap < between[1]

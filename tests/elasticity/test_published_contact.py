@@ -1,8 +1,9 @@
-"""Bodies that touch against numbers of others: Hertz, Cattaneo and Mindlin, a plate of Code_Aster, cracks in rock."""
+"""Bodies that touch against numbers of others: Hertz, Mindlin, also in space, a plate of Code_Aster, cracks in rock."""
 
 import dolfinx.mesh
 import numpy as np
 import pytest
+from mindlin import steps
 from mpi4py import MPI
 from plate_values import values
 
@@ -68,6 +69,21 @@ def test_cylinders_of_unequal_materials():
         measure * np.abs(solution.pressure - p0 * ellipse(x, a))
     ).sum() < 0.02 * measure.ravel() @ solution.pressure.ravel()
     assert solution.pressure.max() == pytest.approx(p0, rel=0.01)
+
+
+def test_mindlin_in_space():
+    """A sphere that is pressed and pushed: pressure, shear, what sticks and how far it goes, within some per cent."""
+    law = {"kind": "friction", "parts": ["contact"], "mu": MU, "gap": "(x^2 + y^2)/16"}
+    law["force"] = {"z": -0.109666, "x": f"{MU}*0.109666*max(t - 1, 0)*3/4"}
+    case = load_case("mindlin3d").with_values({"law": [law], "time": {"end": 2, "steps": 2}})
+    pressed, pushed = steps(case)
+    assert pressed["peak"] == pytest.approx(1, rel=0.02)
+    assert max(abs(pressed[name] - 1) for name in ("radius", "depth")) < 0.03
+    assert pressed["off_pressure"] < 0.08
+    assert pushed["push"] == pytest.approx(0.75, rel=1e-6)
+    assert pushed["sticks"] == pytest.approx(pushed["c"], abs=0.03)  # facets are 0.2 long
+    assert pushed["off_shear"] < 0.17
+    assert pushed["moved"] == pytest.approx(pushed["way"], rel=0.05)
 
 
 PLATE = {0.0: 2.86e-5, 1.25e-3: 2.72e-5, 5e-3: 2.28e-5, 7.5e-3: 1.98e-5}

@@ -1,0 +1,177 @@
+"""Contact with friction by conforming P2 displacements, as a second program: SciPy, one process.
+
+The bodies are those of `p2_contact`, and so is Bernstein's basis. Condensed to Γ_C, u is u₀ + Fλ with the forces λ of
+the coefficients. These satisfy λ_n ≥ 0, u_n ≤ g, λ_n(g − u_n) = 0, and |λ_t| ≤ k, −λ_t·u_t = k|u_t|; k is ∫ gB with a
+bound g of the shear (Tresca), and μλ_n by Coulomb's law. Block by block, projections find them (Gauss and Seidel).
+|u_t| is at most the mean of the lengths of its coefficients, so with Tresca's law the energy is above that of the exact
+u.
+
+Usage: python scripts/p2_friction.py [--cells N …]     print the block of `oblique` beside the solution of the package
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+import scipy.sparse.linalg
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from p2_contact import assembled, stress, stress_norm
+
+from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca, domain_of, solve
+
+SWEEPS, ENOUGH = 20_000, 1e-10
+"""Sweeps at most, and the change of the forces in one, as a share of the largest, with which they end."""
+GAP, PUSH, LIFT = 0.01, [0.05, 0.03, -0.1], [0.0, 0.0, 0.03]
+"""Of the block of `oblique`: the gap, and the tractions on its top and on its end."""
+LAWS = (Tresca(0.02), Coulomb(0.1), Coulomb(0.3), Coulomb(1.0))
+
+
+@dataclass(frozen=True)
+class P2Friction:
+    """A solution by P2 displacements.
+
+    Attributes:
+        v: The displacement.
+        energy: ½(ℂε(v), ε(v)) − (f, v) − ⟨g_N, v⟩ + Σ k|v_t|.
+        force: ∫ σn over Γ_C.
+        sweeps: Sweeps.
+        unknowns: Unknowns of the linear system.
+    """
+
+    v: fem.Function
+    energy: float
+    force: np.ndarray
+    sweeps: int
+    unknowns: int
+
+
+def solve_p2_friction(
+    mesh: dolfinx.mesh.Mesh,
+    young: float,
+    poisson: float,
+    g_N: Mapping[tuple[int, float], Sequence[float]],
+    fixed: Mapping[tuple[int, float], Sequence[int]],
+    gap: float,
+    law: Tresca | Coulomb,
+) -> P2Friction:
+    """Solve on a box whose last coordinate is 0 on Γ_C; the arguments are those of `solve_p2`, and the law.
+
+    Raises:
+        RuntimeError: If the forces do not settle.
+    """
+    dim = mesh.geometry.dim
+    space, A, b, held, contact = assembled(mesh, young, poisson, [0.0] * dim, g_N, fixed)
+    free = np.setdiff1d(np.arange(len(b)), held)
+    nodes = contact[np.isin(contact, free)] // dim
+    rows = np.searchsorted(free, nodes[:, None] * dim + np.arange(dim))
+    factors = scipy.sparse.linalg.splu(A[free][:, free].tocsc())
+    pulls = np.zeros((len(free), rows.size))
+    pulls[rows.ravel(), np.arange(rows.size)] = 1.0
+    flexible = factors.solve(pulls)
+    at_rest = factors.solve(b[free])
+    given = law.g * _weights(space, nodes) if isinstance(law, Tresca) else None
+    mu = law.mu if isinstance(law, Coulomb) else 0.0
+    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], gap, mu, given)
+    x = np.zeros(len(b))
+    x[free] = at_rest + flexible @ forces.ravel()
+    slips = np.linalg.norm(x[nodes[:, None] * dim + np.arange(dim - 1)], axis=1)
+    bound = mu * forces[:, -1] if given is None else given
+    found = fem.Function(space)
+    found.x.array[:] = x
+    energy = float(x @ (A @ x) / 2 - b @ x + bound @ slips)
+    return P2Friction(found, energy, forces.sum(axis=0), sweeps, len(free))
+
+
+def _weights(space: fem.FunctionSpace, nodes: np.ndarray) -> np.ndarray:
+    """∫ B over Γ_C, where the last coordinate is 0, for the B of each of these nodes."""
+    mesh, dim = space.mesh, space.mesh.geometry.dim
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, lambda x: np.isclose(x[dim - 1], 0))
+    tags = dolfinx.mesh.meshtags(mesh, dim - 1, np.sort(facets), np.zeros(len(facets), dtype=np.int32))
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    sums = fem.assemble_vector(fem.form(ufl.TestFunction(space)[dim - 1] * ds(0))).array
+    return np.asarray(sums[nodes * dim + dim - 1])
+
+
+def _forces(
+    flexible: np.ndarray, at_rest: np.ndarray, gap: float, mu: float, given: np.ndarray | None
+) -> tuple[np.ndarray, int]:
+    """The forces on the coefficients of Γ_C, the normal one upwards and last, and the number of sweeps.
+
+    Args:
+        flexible: F.
+        at_rest: u₀, shape (nodes, d).
+        gap: g; −u_last ≤ g.
+        mu: μ of Coulomb's law.
+        given: The k of Tresca's law.
+    """
+    number, dim = at_rest.shape
+    forces, u = np.zeros((number, dim)), at_rest.copy()
+    blocks = flexible.reshape(number, dim, number, dim)
+    normal = np.array([blocks[i, -1, i, -1] for i in range(number)])
+    along = np.array([np.linalg.norm(blocks[i, :-1, i, :-1], 2) for i in range(number)])
+    for sweeps in range(1, SWEEPS + 1):
+        change = 0.0
+        for i in range(number):
+            new = forces[i].copy()
+            new[-1] = max(new[-1] - (u[i, -1] + gap) / normal[i], 0.0)
+            u_t = u[i, :-1] + blocks[i, :-1, i, -1] * (new[-1] - forces[i, -1])
+            new[:-1] -= u_t / along[i]
+            bound, size = mu * new[-1] if given is None else given[i], np.linalg.norm(new[:-1])
+            new[:-1] *= min(1.0, bound / size) if size > 0 else 1.0
+            u += (blocks[:, :, i] @ (new - forces[i])).reshape(number, dim)
+            change, forces[i] = max(change, float(np.abs(new - forces[i]).max())), new
+        if change <= ENOUGH * np.abs(forces).max():
+            return forces, sweeps
+    raise RuntimeError("the forces do not settle")
+
+
+def oblique(n: int, law: Tresca | Coulomb) -> tuple[Any, P2Friction]:
+    """A block, n cells high, that is held at one end and pushed obliquely on a plane: by the package, and by P2."""
+    mesh = dolfinx.mesh.create_box(MPI.COMM_SELF, [[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]], [2 * n, n, n])
+    places = {
+        "bottom": (2, 0.0),
+        "top": (2, 1.0),
+        "held": (0, 0.0),
+        "end": (0, 2.0),
+        "front": (1, 0.0),
+        "back": (1, 1.0),
+    }
+    parts = {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in places.items()}
+    contact = Contact("bottom", gap=GAP, friction=law)
+    sides = [Neumann("top", PUSH), Neumann("end", LIFT), Neumann(["front", "back"]), Dirichlet("held", 0)]
+    solution = solve(domain_of(mesh, parts), Elasticity(1.0, 0.3, conditions=[contact, *sides]))
+    other = solve_p2_friction(mesh, 1.0, 0.3, {(2, 1.0): PUSH, (0, 2.0): LIFT}, {(0, 0.0): [0, 1, 2]}, GAP, law)
+    return solution, other
+
+
+def main() -> None:
+    """Print a line for each law and mesh."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, nargs="*", default=[2, 3], help="cells along the height")
+    sys.stdout.write("law     cells  stick slip open  energies: P2, ours, between   stress: P2, ours     ")
+    sys.stdout.write("force on the plane: P2; ours\n")
+    for law in LAWS:
+        for n in parser.parse_args().cells:
+            solution, other = oblique(n, law)
+            norms = solution.norms()
+            complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
+            size = stress_norm(solution.spaces.mesh, stress(other.v, 1.0, 0.3), 1.0, 0.3)
+            name = f"mu {law.mu:g}" if isinstance(law, Coulomb) else "Tresca"
+            states = "".join(f"{each['vertices']:6d}" for each in solution.friction_states().values())
+            told = (
+                f"{name:7} {n:5} {states}  {other.energy:.6f} {-complementary:.6f} {other.energy + complementary:.1e}"
+            )
+            pulls = ("  ".join(f"{x:.5f}" for x in each[:3]) for each in (other.force, solution.resultants()["bottom"]))
+            sys.stdout.write(f"{told}    {size:.5f} {norms['energy']:.5f}   {';  '.join(pulls)}\n")
+
+
+if __name__ == "__main__":
+    main()
