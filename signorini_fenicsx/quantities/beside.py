@@ -14,7 +14,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
-from signorini_fenicsx.quantities.kinds import Mean
+from signorini_fenicsx.quantities.kinds import Integral, Mean
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 
@@ -24,6 +24,8 @@ OF_SUMS = 1e-12
 """Rounding of a quantity, as a share of its size: a quantity that is known has an interval that is not shorter."""
 NEVER = 2.0**40
 """The scale of τ if the solution does not change with it: the quantity is known, and its length is rounding."""
+NOTHING = 1e-12
+"""An integral that is at most this share of what it could be by the size of its integrand is rounding of 0."""
 
 
 class Beside[Fields](ABC):
@@ -40,7 +42,8 @@ class Beside[Fields](ABC):
     of_flux: ClassVar[bool]
 
     def __init__(self, solution: Any, kind: Any):
-        self.solution, self.kind, self.spaces = solution, kind, solution.spaces
+        self.solution, self.spaces = solution, solution.spaces
+        self.kind = kind
         self.domain: Domain = solution.spaces.domain
         self.comm = self.spaces.mesh.comm
         self._solver: Solver | None = None
@@ -56,7 +59,7 @@ class Beside[Fields](ABC):
         found = bracket(self.ends, first, self.discrete)
         if not math.isfinite(found.width) and self.of_flux and not found.reason.startswith(FAILED):
             found = replace(found, reason=f"{UNBOUNDED}: {found.reason}")
-        return found.divided(self.of_weight()) if isinstance(self.kind, Mean) else found
+        return found
 
     def ends(self, tau: float) -> Ends:
         """The bounds from one τ (collective)."""
@@ -108,9 +111,13 @@ class Beside[Fields](ABC):
     def start(self, posed: Any) -> Any:
         """Where its solve starts."""
 
-    @abstractmethod
     def fields(self, tau: float) -> Fields:
         """The admissible fields of the problem with data that differ by τ (collective)."""
+        return self.admissible(self.solved(tau))
+
+    @abstractmethod
+    def admissible(self, solution: Any) -> Fields:
+        """The admissible fields of a solution (collective)."""
 
     @abstractmethod
     def half(self, of_v: Fields, of_y: Fields) -> Half:
@@ -136,6 +143,42 @@ class Beside[Fields](ABC):
     def response(self) -> float:
         """The size of the flux that belongs to τ = 1, about (collective)."""
 
-    def of_weight(self) -> float:
-        """The integral of the weight, for a mean (collective)."""
-        raise NotImplementedError
+    @abstractmethod
+    def softness(self) -> float:
+        """The root of κ⁻¹ or of 𝔸, about (collective)."""
+
+
+class Integrals[Fields](Beside[Fields]):
+    """The problems beside that of a solution for the integral of u with a weight, or its mean."""
+
+    of_flux = False
+    kind: Integral
+
+    def interval(self) -> Quantity:
+        """The interval (collective)."""
+        found = super().interval()
+        return found.divided(self._of_weight()) if isinstance(self.kind, Mean) else found
+
+    def value(self, of_v: Fields, of_y: Fields) -> float:
+        """The integral of v (collective)."""
+        return self.integral(of_v)
+
+    def discrete(self) -> float:
+        """The integral of the v of the solution (collective)."""
+        return self.integral(self.admissible(self.solution))
+
+    def response(self) -> float:
+        """The size of the flux under the weight as a load (collective)."""
+        length, direction = self.spaces.length, self.kind.direction
+        square = self.integral(power=2) * (length if self.kind.parts else 1.0)
+        size = 1.0 if direction is None else math.hypot(*direction)
+        return math.sqrt(square) * size * length * self.softness() / 4
+
+    def _of_weight(self) -> float:
+        """The integral of the weight, 0 if it is rounding (collective)."""
+        found, square, measure = (self.integral(power=power) for power in (1, 2, 0))
+        return found if found**2 > NOTHING**2 * square * measure else 0.0
+
+    @abstractmethod
+    def integral(self, of: Fields | None = None, power: int = 1) -> float:
+        """The integral of v, or for None of 1, times a power of the weight (collective)."""

@@ -21,9 +21,10 @@ from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import positive_quadrature
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
+from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
-from signorini_fenicsx.quantities.diffusion_energy import energy, reason_of
+from signorini_fenicsx.quantities.diffusion_energy import reason_of
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind
 from signorini_fenicsx.quantities.shifts import Posed, with_flux, with_load, with_trace
 
@@ -33,20 +34,9 @@ STEP = "the exact solution of the step with the computed u of those before"
 """Of what the quantities of a step in time are."""
 
 
-def quantity(solution: Solution, kind: Kind) -> Quantity:
-    """The interval for a quantity of a problem that a solution approximates (collective).
-
-    Of a solution by a penalty method it is that of the problem without the penalty, of a step in time that of its own
-    problem.
-    """
-    if isinstance(kind, Energy):
-        found = energy(solution)
-    elif isinstance(kind, Flux):
-        found = _Fluxes(solution, kind).interval()
-    else:
-        assert isinstance(kind, Integral)
-        found = _Integrals(solution, kind).interval()
-    return found if solution.step is None else replace(found, of=STEP)
+def named_for(solution: Solution) -> str:
+    """Of which solution the quantities are, in words; empty if it is that of the problem itself."""
+    return "" if solution.step is None else STEP
 
 
 def check(domain: Domain, posed: Posed, kind: Kind) -> None:
@@ -121,10 +111,9 @@ class _Beside(Beside[Admissible]):
         same = posed[0] == self.solution.boundary and self.solution.method.starts_from_sets
         return self.solution if same else None
 
-    def fields(self, tau: float) -> Admissible:
-        """The admissible fields of the problem with data that differ by τ (collective)."""
-        found = self.solved(tau)
-        return Admissible.of(found, Goal.of(found, for_signorini=True))
+    def admissible(self, solution: Solution) -> Admissible:
+        """The admissible fields of a solution (collective)."""
+        return Admissible.of(solution, Goal.of(solution, for_signorini=True))
 
     def half(self, of_v: Admissible, of_y: Admissible) -> Half:
         """The right side of the theorem, with the laws that have moved (collective)."""
@@ -137,10 +126,14 @@ class _Beside(Beside[Admissible]):
     def size(self) -> float:
         """‖σ_h‖, about (collective)."""
         norms: dict[str, float] = self.solution.norms()
-        return norms["sigma_L2"] / math.sqrt(self.kappa)
+        return norms["sigma_L2"] * self.softness()
+
+    def softness(self) -> float:
+        """The root of κ⁻¹, about."""
+        return 1 / math.sqrt(self.kappa)
 
 
-class _Fluxes(_Beside):
+class Fluxes(_Beside):
     """The flux through some parts."""
 
     of_flux = True
@@ -187,36 +180,12 @@ class _Fluxes(_Beside):
         return math.sqrt(self.kappa * self.comm.allreduce(self.spaces.cell_measures.sum())) / self.spaces.length
 
 
-class _Integrals(_Beside):
+class Integrals(_Beside, beside.Integrals[Admissible]):
     """The integral of u with a weight, or its mean."""
 
-    of_flux = False
-
-    def value(self, of_v: Admissible, of_y: Admissible) -> float:
-        """The integral of v (collective)."""
-        return self._integral(of_v.trace)
-
-    def discrete(self) -> float:
-        """The integral of the v of the solution (collective)."""
-        return self._integral(Admissible.of(self.solution, Goal.of(self.solution, for_signorini=True)).trace)
-
-    def response(self) -> float:
-        """The size of the flux under the weight as a load (collective)."""
-        square = self._integral(power=2)
-        length = self.spaces.length
-        if self.kind.parts:
-            square *= length
-        return math.sqrt(square / self.kappa) * length / 4
-
-    def of_weight(self) -> float:
-        """The integral of the weight, 0 if it is rounding (collective)."""
-        found, square, dim = self._integral(), self._integral(power=2), self.spaces.mesh.topology.dim
-        size = square * self.spaces.length ** (dim - 1 if self.kind.parts else dim)
-        return found if found**2 > ROUNDING**2 * size else 0.0
-
-    def _integral(self, trace: Trace | None = None, power: int = 1) -> float:
+    def integral(self, of: Admissible | None = None, power: int = 1) -> float:
         """The integral of v, or for None of 1, times a power of the weight (collective)."""
-        mesh, total = self.spaces.mesh, 0.0
+        mesh, total, trace = self.spaces.mesh, 0.0, None if of is None else of.trace
         degree = min(QUADRATIC + power * quadrature_degree(self.weight), DEGREES[1])
         fine = degree if trace is None else max(degree, degree_near(trace))
         for part in self.kind.parts:

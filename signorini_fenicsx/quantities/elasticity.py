@@ -29,9 +29,10 @@ from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillat
 from signorini_fenicsx.physics.elasticity.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside
-from signorini_fenicsx.quantities.bracket import Half, Quantity
-from signorini_fenicsx.quantities.elastic_energy import energy, indicator
+from signorini_fenicsx.quantities.bracket import Half
+from signorini_fenicsx.quantities.elastic_energy import indicator
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
 from signorini_fenicsx.quantities.motions import Posed, components, direction_of, moved, moved_slip
 from signorini_fenicsx.quantities.shifts import added, in_regions
@@ -42,20 +43,13 @@ STEP = "the exact solution of the step after the computed slip of the last one"
 """Of what the quantities of a step in time with friction are."""
 
 
-def quantity(solution: ElasticSolution, kind: Kind) -> Quantity:
-    """The interval for a quantity (collective)."""
-    if isinstance(kind, Energy):
-        found = energy(solution)
-    elif isinstance(kind, Force):
-        found = _Forces(solution, kind).interval()
-    else:
-        assert isinstance(kind, Integral)
-        found = _Integrals(solution, kind).interval()
+def named_for(solution: ElasticSolution) -> str:
+    """Of which solution the quantities are, in words; empty if it is that of the problem itself."""
     friction = solution.data.friction
     if friction is None:
-        return found
+        return ""
     of = [STEP] if solution.step is not None else []
-    return replace(found, of=" and ".join([*of, *([TRESCA] if friction.by_pressure else [])]))
+    return " and ".join([*of, *([TRESCA] if friction.by_pressure else [])])
 
 
 def check(domain: Domain, posed: Posed, kind: Kind) -> None:
@@ -146,9 +140,9 @@ class _Beside(Beside[_Side]):
         in_space = self.spaces.dim == 3 and self.solution.data.friction is not None
         return None if in_space else self.solution.segments()
 
-    def fields(self, tau: float) -> _Side:
-        """The admissible fields of the problem with data that differ by τ (collective)."""
-        return _Side.of(self.solved(tau))
+    def admissible(self, solution: ElasticSolution) -> _Side:
+        """The admissible fields of a solution (collective)."""
+        return _Side.of(solution)
 
     def half(self, of_v: _Side, of_y: _Side) -> Half:
         """The right side of the theorem, with the laws that v obeys (collective).
@@ -185,7 +179,7 @@ class _Beside(Beside[_Side]):
         return float(norms["energy"] / norms["sigma_L2"]) if norms["sigma_L2"] > 0 else 1.0
 
 
-class _Forces(_Beside):
+class Fluxes(_Beside):
     """A force, or a moment."""
 
     of_flux = True
@@ -222,37 +216,16 @@ class _Forces(_Beside):
         return float(total[2] if dim == 2 else total[3:] @ direction_of(self.kind.direction, dim))
 
 
-class _Integrals(_Beside):
+class Integrals(_Beside, beside.Integrals[_Side]):
     """The integral of a component of the displacement with a weight, or its mean."""
-
-    of_flux = False
 
     def posed(self, tau: float) -> Posed:
         """The problem with data that differ by τ (collective)."""
         return _loaded(self.domain, (self.solution.boundary, self.solution.problem), self.kind, tau)
 
-    def value(self, of_v: _Side, of_y: _Side) -> float:
-        """The integral of v (collective)."""
-        return self._integral(of_v.v)
-
-    def discrete(self) -> float:
-        """The integral of the v of the solution (collective)."""
-        return self._integral(_Side.of(self.solution).v)
-
-    def response(self) -> float:
-        """The size of the stress under the weight as a load (collective)."""
-        length, size = self.spaces.length, float(np.linalg.norm(self.kind.direction))
-        return math.sqrt(self._integral(None, power=2) * (length if self.kind.parts else 1.0)) * (
-            size * length * self.softness() / 4
-        )
-
-    def of_weight(self) -> float:
-        """The integral of the weight (collective)."""
-        return self._integral(None)
-
-    def _integral(self, v: fem.Function | None, power: int = 1) -> float:
-        """∫ weight·v·direction, or for None ∫ weight to a power (collective)."""
-        dim, split = self.spaces.dim, self.spaces.split
+    def integral(self, of: _Side | None = None, power: int = 1) -> float:
+        """The integral of v along the direction, or for None of 1, times a power of the weight (collective)."""
+        dim, split, v = self.spaces.dim, self.spaces.split, None if of is None else of.v
         mesh = split.mesh if v is None else v.function_space.mesh
         weight = parsed(self.kind.weight, "xyz"[:dim], "weight")
         degree = QUADRATIC + power * quadrature_degree(datum_of(self.spaces, "weight", weight))

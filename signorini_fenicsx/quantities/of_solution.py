@@ -2,19 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.quantities import diffusion, elasticity
+from signorini_fenicsx.quantities import diffusion, diffusion_energy, elastic_energy, elasticity
+from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Quantity
-from signorini_fenicsx.quantities.kinds import Kind
+from signorini_fenicsx.quantities.kinds import Energy, Integral, Kind
 from signorini_fenicsx.solving.solved import Solved
 
-QUANTITIES: dict[str, Any] = {"diffusion": diffusion, "elasticity": elasticity}
-"""The quantities of the physics that have some: each module has `quantity`, and `check` for what may be asked."""
+
+@dataclass(frozen=True)
+class OfPhysics:
+    """The quantities of a physics.
+
+    Attributes:
+        check: Refuses what is no quantity of a problem.
+        energy: Gives the interval for the energy.
+        integrals: The problems beside that of a solution for an integral or a mean.
+        fluxes: Those for a flux, or a force or a moment.
+        named_for: Of which solution quantities are, in words; empty if it is that of the problem itself.
+    """
+
+    check: Callable[[Domain, Any, Kind], None]
+    energy: Callable[[Any], Quantity]
+    integrals: Callable[[Any, Any], Beside[Any]]
+    fluxes: Callable[[Any, Any], Beside[Any]]
+    named_for: Callable[[Any], str]
+
+
+QUANTITIES = {
+    name: OfPhysics(physics.check, energy, physics.Integrals, physics.Fluxes, physics.named_for)
+    for name, physics, energy in (
+        ("diffusion", diffusion, diffusion_energy.energy),
+        ("elasticity", elasticity, elastic_energy.energy),
+    )
+}
+"""The physics that have quantities."""
 
 
 def quantity(solution: Solved, kind: Kind) -> Quantity:
@@ -25,8 +53,13 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
     """
     check_kind("solution", solution, Solved)
     check_quantities(solution.spaces.domain, (solution.boundary, solution.problem), [kind])
-    found: Quantity = QUANTITIES[solution.physics].quantity(solution, kind)
-    return found
+    physics = QUANTITIES[solution.physics]
+    if isinstance(kind, Energy):
+        found: Quantity = physics.energy(solution)
+    else:
+        of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
+        found = of(solution, kind).interval()
+    return replace(found, of=physics.named_for(solution))
 
 
 def check_quantities(domain: Domain, posed: tuple[Any, Any], kinds: Sequence[Kind]) -> None:
