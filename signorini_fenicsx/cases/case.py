@@ -39,6 +39,7 @@ from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
 from signorini_fenicsx.solving.options import BACKENDS
 
 MODELS = {"elasticity": "signorini_fenicsx.cases.elasticity.ElasticCase"}
@@ -127,7 +128,7 @@ class CaseFile(Section):
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
         """What is printed of a step besides that of all physics: title, width and format of some keys of its row."""
-        return {}
+        return {f"{QUANTITY}{each.name}{VALUE}": (each.name, max(11, len(each.name)), ".5g") for each in self.quantity}
 
     @property
     def inner(self) -> list[str]:
@@ -153,8 +154,6 @@ class CaseFile(Section):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"quantity.{i}.name: '{name}' is the name of two quantities")
-        if names and self.time is not None:
-            raise ValueError("[[quantity]]: a problem in time has none")
         return self
 
     @model_validator(mode="after")
@@ -209,10 +208,13 @@ class CaseFile(Section):
 
     def _check_expressions(self, dim: int) -> None:
         x = reference_coordinate(dim)
-        weights = [("", f"quantity.{i}.weight", each.weight) for i, each in enumerate(self.quantity) if each.weight]
-        for section, name, text in (*self.texts(), *weights):
+        texts = [(section, name, text, section != "time") for section, name, text in self.texts()]
+        texts += [
+            ("", f"quantity.{i}.weight", each.weight, False) for i, each in enumerate(self.quantity) if each.weight
+        ]
+        for section, name, text, may_move in texts:
             try:
-                parse_expression(text, x, self.last_time if section != "time" else None)
+                parse_expression(text, x, self.last_time if may_move else None)
             except InputError as error:
                 place = f"[{section}] {name}" if section else name
                 raise ValueError(f"{place}: {error}") from None
@@ -287,8 +289,8 @@ class Case(CaseFile):
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
         """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
         if self.problem.obstacle is None or self._stores or any(law.region for law in self.law):
-            return {}
-        return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")}
+            return super().columns_of_step
+        return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")} | super().columns_of_step
 
     @property
     def law_parts(self) -> list[str]:

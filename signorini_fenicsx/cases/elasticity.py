@@ -196,7 +196,7 @@ class ElasticCase(CaseFile):
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
         """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
-        return {"contact_force": ("force", 11, ".5g")}
+        return {"contact_force": ("force", 11, ".5g")} | super().columns_of_step
 
     costs = COSTS
     lacks = ElasticSolution.lacks

@@ -12,7 +12,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
-from signorini_fenicsx.cases.solving import options_of
+from signorini_fenicsx.cases.solving import check_quantities_of, options_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, left_over, neighbours
 from signorini_fenicsx.meshes.cut import opened
@@ -20,7 +20,6 @@ from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
-from signorini_fenicsx.quantities.of_solution import check_quantities
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.system import System, Wish, system_on
 
@@ -148,7 +147,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
         domain = mesh_case(case, comm)
     with doing("assembly"):
         posed = case.posed(domain.mesh.geometry.dim)
-        check_quantities(domain, posed, [each.measured for each in case.quantity])
+        check_quantities_of(case, domain)
         system = system_on(domain, *posed)
         spaces, contact = system.spaces, next(iter(system.boundary.named))
         if case.time is None:

@@ -60,7 +60,7 @@ def solve_case(
     remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh))
     with watch.phase("assembly"):
         posed = case.posed(mesh.mesh.geometry.dim)
-        check_quantities(mesh, posed, [each.measured for each in case.quantity])
+        check_quantities_of(case, mesh)
         solver = place if isinstance(place, Solver) else Solver(place, posed)
     return solver.solve(
         posed,
@@ -84,6 +84,17 @@ def _remade(case: CaseFile, present: Domain, factor: float) -> Domain:
     asked = case.solve.h if case.geometry.shape is not None else case.file_h
     h = present.h if asked is None else asked  # a geometry that is meshed with its own sizes
     return mesh_case(case.with_values({"solve.h": factor * h}), present.mesh.comm)
+
+
+def check_quantities_of(case: CaseFile, domain: Domain) -> None:
+    """Refuse what are no quantities of a case, in time of its first step, before it is solved (collective).
+
+    Raises:
+        InputError: If one is none.
+    """
+    dim = domain.mesh.geometry.dim
+    posed = case.posed(dim)[0], case.problem_at(dim, 1)
+    check_quantities(domain, posed, [each.measured for each in case.quantity])
 
 
 @collector_off()
@@ -113,6 +124,7 @@ def evolve_case(
     if case.time is None:
         raise InputError(f"{case.name}: has no [time]")
     place = domain or mesh_case(case, comm)
+    check_quantities_of(case, place)
     return evolve(
         place,
         case.posed(place.mesh.geometry.dim),

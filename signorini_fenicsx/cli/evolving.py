@@ -17,11 +17,13 @@ from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import named
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.common import results_place
+from signorini_fenicsx.cli.solution_report import interval
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import CaseFile
     from signorini_fenicsx.certificate.step_bounds import StepBounds
     from signorini_fenicsx.output.steps import StepFolder
+    from signorini_fenicsx.quantities import Quantity
     from signorini_fenicsx.solving.evolving import Instant
     from signorini_fenicsx.solving.solved import Solved
 
@@ -58,7 +60,7 @@ class EvolutionReport(CaseReport):
             f"{row['iterations']:9d} {row['kkt']:9.1e}{bound} {row['seconds']:9.2f}"
         )
 
-    def finished(self, summary: Mapping[str, Any], *, certified: bool) -> None:
+    def finished(self, summary: Mapping[str, Any], quantities: Mapping[str, Quantity], *, certified: bool) -> None:
         """Print the summary of all steps."""
         about = summary["time"]
         elastic = "physics" in summary
@@ -82,6 +84,7 @@ class EvolutionReport(CaseReport):
                 f"each bound is that of the distance {about['largest']['bound_is'] or OWN}, with the computed earlier "
                 "steps" + _reservation(about["largest"])
             )
+        lines |= {name: f"at the end {interval(found)}" for name, found in quantities.items()}
         self.entries(lines)
 
 
@@ -121,11 +124,11 @@ def solve_in_time(
         done = steps.begin(case, start_from, restart=restart)
         report.heading(case, comm)
         report.columns(case, certified=certify_steps)
-        last = _go_on(case, comm, start, steps, done, StepBounds() if certify_steps else None, report)
-        write_evolution(folder.path, steps, last, plot=plot)
+        last, found = _go_on(case, comm, start, steps, done, StepBounds() if certify_steps else None, report)
+        write_evolution(folder.path, steps, last, found, plot=plot)
         folder.publish()
         steps.remove()
-        report.finished(on_root(comm, lambda: _read_summary(folder.target)), certified=certify_steps)
+        report.finished(on_root(comm, lambda: _read_summary(folder.target)), found, certified=certify_steps)
         report.published(folder.target)
 
 
@@ -137,9 +140,13 @@ def _go_on(
     done: int,
     bounds: StepBounds | None,
     report: EvolutionReport,
-) -> Instant:
-    """Do all steps after those that are done; the last one again if all are (collective)."""
-    from signorini_fenicsx.cases.solving import evolve_case, shared_domain
+) -> tuple[Instant, Mapping[str, Quantity]]:
+    """Do all steps after those that are done; the last one again if all are (collective).
+
+    Returns:
+        The last step, and the intervals for its quantities.
+    """
+    from signorini_fenicsx.cases.solving import evolve_case, quantities_of, shared_domain
     from signorini_fenicsx.output.evolution import row_of
 
     assert case.time is not None
@@ -147,7 +154,7 @@ def _go_on(
     known = done if bounds is None else max(0, done - MOST_BEFORE)
     past = None if known == 0 else (lambda own: steps.past(own, known))
     domain = shared_domain(start, case)
-    last = None
+    last, found = None, dict[str, "Quantity"]()
     began = time.perf_counter()
     try:
         for instant in evolve_case(
@@ -156,8 +163,9 @@ def _go_on(
             certificate = None if bounds is None else bounds.certify(instant)
             if instant.step <= done:
                 continue
+            found = quantities_of(instant.solution)
             now = time.perf_counter()
-            row = row_of(instant, certificate, now - began)
+            row = row_of(instant, certificate, found, now - began)
             steps.save(instant, row)
             report.step(row)
             last, began, done = instant, now, instant.step
@@ -172,7 +180,7 @@ def _go_on(
         error.args = (f"step {done + 1}, t = {t:.5g}: {error}{ways}",)
         raise
     assert last is not None
-    return last
+    return last, found
 
 
 def _read_summary(target: Path) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +18,18 @@ from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.tables import write_columns
-from signorini_fenicsx.output.writing import write_summary
+from signorini_fenicsx.output.writing import with_quantities, write_summary
+from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.solved import Solved
 
 BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
 
 
-def row_of(instant: Instant, certificate: Certificate | None, seconds: float) -> dict[str, Any]:
-    """The numbers of a step (collective)."""
+def row_of(
+    instant: Instant, certificate: Certificate | None, quantities: Mapping[str, Quantity], seconds: float
+) -> dict[str, Any]:
+    """The numbers of a step, with intervals by the names of quantities (collective)."""
     solution = instant.solution
     facets, measure = solution.contact
     history = solution.outcome.history
@@ -48,6 +51,7 @@ def row_of(instant: Instant, certificate: Certificate | None, seconds: float) ->
         **(solution.errors() or {}),
         **bounds,
         **trust,
+        **{key: value for name, found in quantities.items() for key, value in found.columns(name).items()},
         "seconds": seconds,
     }
 
@@ -58,13 +62,16 @@ def _relies_on(certificate: Certificate) -> str:
     return ", ".join(dict.fromkeys([*certificate.by_quadrature, *unresolved]))
 
 
-def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: bool) -> None:
+def write_evolution(
+    folder: Path, steps: StepFolder, last: Instant, quantities: Mapping[str, Quantity], *, plot: bool
+) -> None:
     """Write all files of a run in time into an existing folder (collective).
 
     Args:
         folder: The folder.
         steps: All steps.
         last: The last of them.
+        quantities: The intervals for its quantities, by their names.
         plot: Also draw pictures.
 
     Raises:
@@ -87,7 +94,7 @@ def write_evolution(folder: Path, steps: StepFolder, last: Instant, *, plot: boo
     if plot:
         with doing("drawing"):
             _draw(folder, steps, rows, times, solution, kind)
-    summary = solution.summary()
+    summary = with_quantities(solution.summary(), quantities)
     on_root(comm, lambda: write_summary(folder, summary | _along(rows)))
 
 

@@ -112,14 +112,19 @@ def write_solution(
             summary["timings"] |= {"certificate": certificate.seconds}
         if proof is not None:
             summary["certificate"] |= proof.summary()
-        if quantities:
-            summary["quantities"] = summary.get("quantities", {}) | {
-                name: found.summary() for name, found in quantities.items()
-            }
+        summary = with_quantities(summary, quantities or {})
         if of_field is not None:
             summary["field"] = of_field.summary()
     summary["timings"] |= watch.longest(comm)
     on_root(comm, lambda: write_summary(folder, summary))
+
+
+def with_quantities(summary: dict[str, Any], quantities: Mapping[str, Quantity]) -> dict[str, Any]:
+    """A summary with the intervals for quantities, by their names, in its section for quantities."""
+    if not quantities:
+        return summary
+    found = {name: each.summary() for name, each in quantities.items()}
+    return summary | {"quantities": summary.get("quantities", {}) | found}
 
 
 def _make(folder: Path) -> None:

@@ -43,6 +43,8 @@ SMALLER, AGAIN = 16.0, 3
 """If the problems beside that of a solution have none, τ is made smaller by this factor, so often at most."""
 ENOUGH = 0.98
 """A factor of 2 in τ that leaves more than this share of the interval is the last one."""
+QUANTITY, VALUE = "quantities.", ".value"
+"""What the keys of a quantity in tables begin with, before its name, and that of its value ends with."""
 UNBOUNDED = "this flux is unbounded on the energy space"
 """What is said of a flux through parts that end where u is given, or held, on other parts."""
 
@@ -84,6 +86,12 @@ class Quantity:
             raise InputError("weight: its integral is 0, so there is no mean with it")
         lower, upper = sorted((self.lower / total, self.upper / total))
         return replace(self, value=self.value / total, lower=lower, upper=upper)
+
+    def columns(self, name: str) -> dict[str, float | bool | str]:
+        """All of it for a row of a table, whose columns are the same for each quantity."""
+        found = self.summary()
+        found.setdefault("guaranteed_for", "")
+        return {f"{QUANTITY}{name}.{key}": value for key, value in found.items()}
 
     def summary(self) -> dict[str, float | bool | str]:
         """All of it, ready for JSON; what is not of the problem itself is guaranteed only with its name."""

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
 from signorini_fenicsx.studies.varied import SOLVE, follows, short, value_in_words
 
 type Row = Mapping[str, Any]
@@ -26,8 +27,6 @@ SHOWN = {
 """Results that are drawn, where runs have them."""
 ERRORS = {"sigma_V": "error of σ in V", "energy": "error of σ", "u_Q": "error of u", "u_L2": "error of u"}
 """Results of runs that measure errors; then they are drawn over h or ε."""
-QUANTITY, VALUE = "quantities.", ".value"
-"""What keys of the quantities that a case asks for begin and end with; they are drawn before other results."""
 MOST_PANELS, MOST_CURVES = 3, 12
 SPREAD = 8
 """Numbers are on a logarithmic axis if the largest is this many times the smallest."""
@@ -81,7 +80,10 @@ def plan(rows: Sequence[Row], keys: Sequence[str]) -> Plan | None:
 
 
 def _quantities(rows: Sequence[Row]) -> dict[str, str]:
-    """The names of quantities by the keys of their values, in the order of the rows; only those with an interval."""
+    """The names of quantities by the keys of their values, in the order of the rows; only those with an interval.
+
+    They are drawn before other results.
+    """
     keys = dict.fromkeys(key for row in rows for key in row if key.startswith(QUANTITY) and key.endswith(VALUE))
     return {key: key[len(QUANTITY) : -len(VALUE)] for key in keys if any(_interval(row, key) for row in rows)}
 

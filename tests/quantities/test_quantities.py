@@ -17,9 +17,11 @@ from mpi4py import MPI
 from random_quantities import random_row
 
 from signorini_fenicsx import (
+    Contact,
     Corners,
     Diffusion,
     Dirichlet,
+    Elasticity,
     Evolution,
     Friction,
     Neumann,
@@ -176,6 +178,9 @@ def test_inside_the_domain():
     assert through.lower <= 1.5 * (0.5**3.5 / 3.5 - 0.5**1.5 / 6) <= through.upper
     assert through.width < 0.02
     assert jump.lower <= 0.8 * 0.5**2.5 <= jump.upper
+    steep = solution.quantity(Flux("slit", weight="x^2*(1 + x)^2"))  # which no quadratic is, up to the tip
+    assert steep.guaranteed, steep.reason
+    assert steep.lower <= 1.5 * (0.5**5.5 / 5.5 - 0.5**4.5 / 3.5 + 0.5**1.5 / 24) <= steep.upper
     with pytest.raises(InputError, match="has no law; take 'slit'"):
         solution.quantity(Flux("slit (other side)"))
 
@@ -264,6 +269,22 @@ def test_half_gap():
     assert np.all(found >= known - 1e-12)
     assert np.all(found <= known + 1e-2 * (1 + known))
     assert np.all(found <= gap(law, v, eta) + 1e-12)
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        Diffusion(f=-1, conditions=[Signorini("bottom", psi=-0.1)]),
+        Elasticity(1.0, 0.3, f=[0, -1], conditions=[Contact("bottom"), Neumann(["left", "right"])]),
+    ],
+    ids=["diffusion", "elasticity"],
+)
+def test_weights_without_an_integral(problem: Diffusion | Elasticity):
+    """There is no mean with a weight whose integral is 0 but for rounding, in any physics."""
+    solution = solve(build_domain(COMM, "square", 1 / 2, mesh="unstructured"), problem)
+    direction = [0, 1] if isinstance(problem, Elasticity) else None
+    with pytest.raises(InputError, match="its integral is 0"):
+        solution.quantity(Mean(weight="sin(2*pi*x)*exp(y)", direction=direction))
 
 
 @pytest.mark.parametrize("seeds", [(2, 17), pytest.param(range(40), marks=pytest.mark.slow)], ids=["2", "40"])

@@ -15,7 +15,7 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.gather import Fields, Gathered, gather
 from signorini_fenicsx.output.pictures import elastic, load_steps, plane_files, style
-from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors
+from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_quantities
 from signorini_fenicsx.output.pictures.evolution import (
     animate,
     chosen_for_fronts,
@@ -68,6 +68,7 @@ def draw_steps(
 ) -> None:
     """Draw the pictures of a run in time, but for the animation (rank 0)."""
     STEPS_OF[scene.physics](folder, scene, tables, times, rows)
+    draw_quantities(folder / "quantities.png", rows, scene.title)
 
 
 def scene_of(

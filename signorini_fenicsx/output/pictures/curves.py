@@ -1,6 +1,8 @@
 """Curves over iterations, mesh sizes, ε and unknowns."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -12,6 +14,7 @@ from signorini_fenicsx.comparing.convergence import ErrorRow, Vary
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
 
 FEW = 25
 """Up to this many points have markers."""
@@ -91,6 +94,26 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
     axes.set_xscale("log", base=base)
     axes.set(xlabel=r"$\varepsilon$" if vary is Vary.EPS else "$h$", ylabel="error", title=title)
     sheet.legend_below(axes.get_legend_handles_labels()[0])
+    sheet.save(path)
+
+
+@mpl.rc_context(style.STYLE)
+def draw_quantities(path: Path, rows: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Draw quantities with their intervals over time, if the steps have some (rank 0)."""
+    names = [key[len(QUANTITY) : -len(VALUE)] for key in rows[0] if key.startswith(QUANTITY) and key.endswith(VALUE)]
+    if not names:
+        return
+    sheet, times = Sheet([4.4], [2.2] * len(names), bars=False, title=title), [row["t"] for row in rows]
+    for place, name in enumerate(names):
+        axes = sheet.panel(place, 0)
+        value, lower, upper = (
+            np.array([row[f"{QUANTITY}{name}.{key}"] for row in rows]) for key in ("value", "lower", "upper")
+        )
+        bounded = np.isfinite(lower) & np.isfinite(upper)
+        axes.fill_between(times, lower, upper, where=bounded, color=style.CONTACT, alpha=0.3, linewidth=0)
+        axes.plot(times, value, color=style.CONTACT, marker="." if len(times) <= FEW else "")
+        axes.set(xlabel="$t$", title=name)
+    sheet.legend_below([])
     sheet.save(path)
 
 

@@ -338,12 +338,13 @@ def _with_exact_data(
 def _move_jumps(trace: LawTrace, on: OnGammaS) -> None:
     """Change v_1 on the named side of cuts where the jump of v is beyond a bound in sampled points (collective).
 
-    It is 0 on Γ_D, so it has to grow from there as fast as what is lacking does.
+    It is 0 on Γ_D, and its jump at tips, so it has to grow from there as fast as what is lacking does.
     """
-    spaces = on.spaces
+    spaces, linear = on.spaces, trace.moved.function_space
     lattice = facet_lattice(spaces.mesh, spaces.facets, SAMPLES)
-    corners = facet_nodes(trace.moved.function_space, spaces.facets)
-    room = 1 - lattice.linear(trace.near_dirichlet)[:, :, 0]
+    corners, still = facet_nodes(linear, spaces.facets), trace.near_dirichlet.copy()
+    still.x.array[Jumps.of(linear, spaces).tips] = 1.0
+    room = 1 - lattice.linear(still)[:, :, 0]
     for rows, sign, limit in bounds_of_jumps(on.goal.parts, spaces):
         short, free = sign * (limit - trace.on_gamma_s(spaces, lattice)[rows]), room[rows] > 0
         steep = np.where(free, short, 0.0) / np.where(free, room[rows], 1.0)

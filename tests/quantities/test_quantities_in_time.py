@@ -1,0 +1,149 @@
+"""Cases in time have their quantities after each step, in tables, summaries and pictures, also after a restart."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from commands import signorini
+from in_time import run, run_in_two
+from mpi4py import MPI
+
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.cases.case import load_case
+
+COMM = MPI.COMM_WORLD
+FALLING = """
+[geometry]
+shape = "square"
+mesh = "structured"
+
+[boundary]
+signorini = ["bottom"]
+neumann = ["left", "right", "top"]
+
+[problem]
+f = -1
+psi = -0.25
+
+[time]
+end = 0.4
+steps = 4
+
+[solve]
+h = 1
+
+[[quantity]]
+name = "mean"
+kind = "mean"
+
+[[quantity]]
+name = "held"
+kind = "flux"
+parts = "bottom"
+"""
+"""u = −t in all of the square, until it reaches the bound of the bottom."""
+SLIDING = """
+physics = "elasticity"
+
+[geometry]
+shape = "square"
+mesh = "structured"
+
+[boundary]
+neumann = ["left", "right"]
+
+[[law]]
+parts = ["bottom"]
+kind = "friction"
+g = 0.02
+
+[problem]
+young = 1
+poisson = 0
+u_D = ["0.09*(1 + t)", "-0.1"]
+g_N = {right = ["0", "0.02"], left = ["0", "-0.02"]}
+
+[time]
+end = 3
+steps = 3
+
+[solve]
+h = 1
+
+[[quantity]]
+name = "drag"
+kind = "force"
+parts = "bottom"
+direction = [1, 0]
+
+[[quantity]]
+name = "mean of u_x"
+kind = "mean"
+direction = [1, 0]
+"""
+"""A body that slides on: u = (0.05 + 0.09t + 0.04y, −0.1y)."""
+
+
+def rows_in(folder: Path) -> list[dict[str, str]]:
+    """The table of the steps."""
+    return list(csv.DictReader((folder / "steps.csv").open(encoding="utf-8")))
+
+
+def ends(row: dict[str, str], name: str) -> tuple[float, float]:
+    """The interval of a quantity in a row."""
+    return float(row[f"quantities.{name}.lower"]), float(row[f"quantities.{name}.upper"])
+
+
+def test_each_step(folder: Path):
+    """`solve` has an interval for each step, around the known mean; the last ones are in the summary."""
+    (folder / "falling.toml").write_text(FALLING, encoding="utf-8")
+    ended = signorini(folder, "solve", "falling.toml", "--output", "found", "--plot")
+    assert ended.returncode == 0, ended.stderr
+    assert "at the end" in ended.stdout
+    rows = rows_in(folder / "found")
+    for row, known in zip(rows[:2], (-0.1, -0.2), strict=True):
+        lower, upper = ends(row, "mean")
+        assert lower - 1e-9 <= known <= upper + 1e-9
+        assert upper - lower < 1e-6
+    assert ends(rows[0], "held") == pytest.approx((0.0, 0.0), abs=1e-8)
+    lower, upper = ends(rows[3], "held")
+    assert 0 < lower < upper < 2
+    found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]
+    assert list(found) == ["mean", "held"]
+    assert (found["held"]["lower"], found["held"]["upper"]) == (lower, upper)
+    assert found["held"]["guaranteed"] is False
+    assert found["held"]["guaranteed_for"] == rows[3]["quantities.held.guaranteed_for"] != ""
+    assert (folder / "found" / "quantities.png").exists()
+    for change, words in (
+        ('quantity.1.parts="nowhere"', "unknown part 'nowhere'"),
+        ('quantity.0.weight="1 + t"', "quantity.0.weight: "),
+    ):
+        for command in ("solve", "check"):
+            refused = signorini(folder, command, "falling.toml", "--set", change)
+            assert refused.returncode == 2, refused.stdout
+            assert words in refused.stderr
+    assert not (folder / "results").exists()
+
+
+@pytest.mark.parallel(2)
+@pytest.mark.parametrize("text", [FALLING, SLIDING], ids=["falling", "sliding"])
+def test_after_a_restart(folder: Path, text: str):
+    """Intervals after a restart are those of a run in one piece, on any number of ranks."""
+    file = folder / "case.toml"
+    on_root(COMM, lambda: file.write_text(text, encoding="utf-8"))
+    case = load_case(file)
+    run(case, folder / "whole", certify_steps=False)
+    run_in_two(case, folder / "two", step=2)
+
+    def compare() -> None:
+        for one, other in zip(rows_in(folder / "whole"), rows_in(folder / "two"), strict=True):
+            for name in (quantity.name for quantity in case.quantity):
+                assert ends(one, name) == pytest.approx(ends(other, name), abs=1e-9)
+            if text == SLIDING:
+                for name, known in (("drag", -0.02), ("mean of u_x", 0.07 + 0.09 * float(one["t"]))):
+                    lower, upper = ends(one, name)
+                    assert lower - 1e-9 <= known <= upper + 1e-9
+                    assert upper - lower < 1e-3
+
+    on_root(COMM, compare)
