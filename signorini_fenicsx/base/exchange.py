@@ -100,7 +100,7 @@ def kind_of(at: int, name: str) -> int:
 
 
 def is_file(at: int, name: str) -> bool:
-    """Whether this is a file in an open folder, not a link to one."""
+    """Whether a name in an open folder is that of a file, not of a link to one."""
     return kind_of(at, name) == stat.S_IFREG
 
 

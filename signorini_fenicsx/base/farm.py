@@ -59,7 +59,7 @@ def hand_out(
 
 
 def _claimed(claims: Path, name: str) -> bool:
-    """Whether this group is the first to claim the task (on the first rank of the group)."""
+    """Whether a group of ranks is the first to claim a task (on the first rank of the group)."""
     if (claims / STOP).exists():
         return False
     try:

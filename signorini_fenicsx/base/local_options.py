@@ -20,7 +20,7 @@ IGNORED = {"local": False}
 
 
 def ignore() -> None:
-    """From now on let no library read the files; call this before PETSc starts and DOLFINx is imported."""
+    """Keep all libraries from reading option files; call this before PETSc starts and DOLFINx is imported."""
     IGNORED["local"] = True
 
 
@@ -54,6 +54,6 @@ def check() -> None:
 
 @contextlib.contextmanager
 def unseen() -> Iterator[None]:
-    """If the files are ignored, be in a folder that has none, so that a library that looks for them finds none."""
+    """Work in a folder without option files while these are ignored, so that libraries find none."""
     with contextlib.chdir(Path(__file__).parent) if IGNORED["local"] else contextlib.nullcontext():
         yield

@@ -24,6 +24,6 @@ class _MpiFirst:
 
 
 def keep_order() -> None:
-    """From now on import `dolfinx_solver` first, if it exists; this costs nothing until DOLFINx is imported."""
+    """Have every import of DOLFINx preceded by that of `dolfinx_solver`, if it exists; this costs nothing before."""
     if FIRST not in sys.modules and not any(isinstance(finder, _MpiFirst) for finder in sys.meta_path):
         sys.meta_path.insert(0, _MpiFirst())

@@ -43,7 +43,7 @@ class _State:
 
 
 def follow(follower: Follower | None) -> None:
-    """From now on tell this one what is done in this process; None for nobody."""
+    """Tell a listener what is done in this process from now on; None ends this."""
     _State.follower, _State.under_way, _State.inside = follower, [], 0.0
 
 

@@ -190,7 +190,7 @@ def _laws(laws: Mapping[str, str], elastic: Mapping[str, tuple[str, list[str]]] 
 
 
 def _about(kind: str) -> tuple[str, list[str]]:
-    """What a law says, and its data with values."""
+    """The graph of a law in words, and its data with values."""
     law = LAWS[kind]
     values = {datum.name: datum.default for datum in fields(law)}
     sentence = (inspect.getdoc(law) or "").split("\n\n")[0].replace("\n", " ")

@@ -165,7 +165,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
 
 
 def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:
-    """What each part of the boundary is; those inside once (collective)."""
+    """The condition and the size of each part of the boundary and of each inner part (collective)."""
     mesh, facets, listed = spaces.mesh, spaces.domain.facets, case.parts.listed()
     names = [name for name in facets if name not in map(other_side, case.inner)]
     dim = mesh.topology.dim
@@ -189,8 +189,8 @@ def _left(case: CaseFile, spaces: MeshSpaces) -> list[str]:
     facets, listed = spaces.domain.facets, case.parts.listed()
     others = {name: numbers for name, numbers in facets.items() if name not in listed}
     nowhere = np.setdiff1d(spaces.dirichlet_facets, np.concatenate([*facets.values(), []]))
-    here = [len(np.intersect1d(numbers, spaces.dirichlet_facets)) for numbers in others.values()]
-    counts = spaces.mesh.comm.allreduce(np.array([*here, len(nowhere)]))
+    counts_of_parts = [len(np.intersect1d(numbers, spaces.dirichlet_facets)) for numbers in others.values()]
+    counts = spaces.mesh.comm.allreduce(np.array([*counts_of_parts, len(nowhere)]))
     return [name for name, count in zip([*others, ""], counts, strict=True) if count > 0]
 
 

@@ -94,7 +94,7 @@ class PartsInside(Parts):
         return lists if self.inner else {key: parts for key, parts in lists.items() if key != "inner"}
 
     def listed(self) -> list[str]:
-        """All parts that the section names; inner ones have a condition, too."""
+        """All parts that the section names, each once: inner ones are in the list of their condition, too."""
         return [part for key, parts in self.named.items() for part in parts if key != "inner"]
 
     def check_inner(self, with_law: Collection[str], file: str | None, law: str) -> None:

@@ -41,12 +41,12 @@ class Seepage:
     phreatic_line: Array
 
     def in_words(self) -> str:
-        """All but the line, for a report."""
+        """All numbers of the seepage in words, for a report."""
         outflow = f"discharge {self.discharge:.6g} (outflow {self.outflow:.6g})"
         return f"separation height {self.separation_height:.6g}, {outflow}"
 
     def summary(self) -> dict[str, float]:
-        """All but the line, ready for JSON."""
+        """All numbers of the seepage, ready for JSON."""
         return {name: value for name, value in vars(self).items() if isinstance(value, float)}
 
 

@@ -97,7 +97,7 @@ class Certificate:
         return sorted(API)
 
     def summary(self) -> dict[str, Any]:
-        """All but the fields, ready for JSON."""
+        """All numbers and words of the certificate, ready for JSON."""
         unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
         lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
         return self.numbers() | {"guaranteed": self.guaranteed} | lists | dict(self.about)

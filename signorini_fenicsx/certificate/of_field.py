@@ -68,7 +68,7 @@ class FieldBound:
         return f"<{type(self).__name__}: {self.lower:.4g} ≤ energy error ≤ {self.bound:.4g}, {trust}>"
 
     def summary(self) -> dict[str, Any]:
-        """All but the fields, ready for JSON."""
+        """All numbers and words of the bound, ready for JSON."""
         names = ("bound", "lower", "relative", "repair", "repaired", "by_flux", "guaranteed", "reason")
         return {name: getattr(self, name) for name in names}
 

@@ -41,7 +41,7 @@ def results_place(output: Path | None, name: str) -> Path:
 
 @contextlib.contextmanager
 def failure_kept(folder: ResultsFolder, write: Callable[[Any], None]) -> Iterator[None]:
-    """If the run in this context fails, write its last state and add its place to the message (collective).
+    """Write the last state of a run that fails in this context, and add its place to the message (collective).
 
     Args:
         folder: Where.

@@ -38,7 +38,7 @@ OWN = "to the exact solution of the step's own problem"
 
 
 class EvolutionReport(CaseReport):
-    """What it prints."""
+    """What `signorini solve` prints of a problem in time."""
 
     def columns(self, case: CaseFile, *, certified: bool) -> None:
         """Print the problem of the run, and name the columns of the steps."""
@@ -151,8 +151,8 @@ def _go_on(
 
     assert case.time is not None
     done = min(done, case.time.steps - 1)
-    known = done if bounds is None else max(0, done - MOST_BEFORE)
-    past = None if known == 0 else (lambda own: steps.past(own, known))
+    told = done if bounds is None else max(0, done - MOST_BEFORE)
+    past = None if told == 0 else (lambda own: steps.past(own, told))
     domain = shared_domain(start, case)
     last, found = None, dict[str, "Quantity"]()
     began = time.perf_counter()

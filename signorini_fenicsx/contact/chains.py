@@ -118,7 +118,8 @@ class Chains:
     def towards(self, present: Indices, wanted: Indices) -> Indices:
         """The next segment of each chain on the way from one to another.
 
-        Past such as are on the line of the first, and such as are only a point: they would send a site back.
+        Segments on the line of the first one, and segments that are only a point, are skipped: on one of them the rule
+        would send the site back.
         """
         step = np.sign(wanted - present)
         following = present + step
@@ -145,7 +146,7 @@ class Chains:
         return np.where(vertical, of_trace, of_flux)
 
     def beside(self, present: Indices, p: Array, flux: Array, scales: tuple[Array, Array], tolerance: float) -> Indices:
-        """Which way the next segment is of sites on one that are on a corner as well: −1 or 1, and 0 at other sites.
+        """The direction, −1 or 1, in which sites on a corner have a second segment; 0 at sites off corners.
 
         Args:
             present: The segment that each site is on.
@@ -239,8 +240,8 @@ class Chains:
         flux = np.where(np.isinf(p), -np.inf, flux)
         order = np.lexsort((np.broadcast_to(~own, p.shape), inside), axis=1)
         inside, flux = (np.take_along_axis(values, order, axis=1) for values in (inside, flux))
-        known = np.isfinite(inside)
-        flux = np.where(known, np.minimum.accumulate(np.where(known, flux, np.inf), axis=1), -np.inf)
+        finite = np.isfinite(inside)
+        flux = np.where(finite, np.minimum.accumulate(np.where(finite, flux, np.inf), axis=1), -np.inf)
         rows = np.arange(len(p))
         before = self.slope[:, 0] + other.slope[:, 0]
         beyond = self.slope[rows, self.count] + other.slope[rows, other.count]
@@ -274,5 +275,5 @@ def joined(parts: Sequence[tuple[np.ndarray, Chains]], sites: int) -> Chains:
 
 
 def _chosen[T: np.generic](values: np.ndarray[tuple[int, int], np.dtype[T]], column: Indices) -> np.ndarray:
-    """One of the columns for each row."""
+    """The entry of each row in a column of its own."""
     return np.take_along_axis(values, column[:, None], axis=1)[:, 0]

@@ -134,5 +134,5 @@ class SiteConditions:
         return comm.allreduce(np.array(local, dtype=np.int64))
 
     def same(self, other: SiteConditions | None, comm: MPI.Comm) -> bool:
-        """Whether these are the other conditions; False if there are no others (collective)."""
+        """Whether two sets of conditions are equal; False if the second one is None (collective)."""
         return other is not None and int(self.changes([other], comm)[0]) == 0

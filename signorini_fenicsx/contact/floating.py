@@ -62,7 +62,7 @@ class Floating:
         return segment
 
     def _loose(self, steep: np.ndarray, comm: MPI.Comm) -> np.ndarray:
-        """Of the components, the ground first, those that are joined to one another but not to it (collective)."""
+        """Mask of some components that are joined to one another but not to the ground, the first one (collective)."""
         pairs = np.unique(np.column_stack([self.named, self.across])[steep], axis=0)
         group = np.arange(self.number + 1)
         for one, other in np.concatenate(comm.allgather(pairs)):

@@ -110,7 +110,7 @@ class Friction(Law):
         return Graph((0.0, 0.0), [(0.0, g), (0.0, -g)])
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
-        """A negative g."""
+        """Tell where g is negative."""
         yield "g must not be negative", -values["g"]
 
 
@@ -142,7 +142,7 @@ class TwoSided(Law):
         return ("psi", None, "psi_upper")[segment]
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
-        """Bounds in the wrong order."""
+        """Tell where the bounds are in the wrong order."""
         yield "psi must not be above psi_upper", values["psi"] - values["psi_upper"]
 
 
@@ -173,7 +173,7 @@ class Wall(Law):
         return "level" if segment == 0 else None
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
-        """A negative β."""
+        """Tell where β is negative."""
         yield "beta must not be negative", -values["beta"]
 
 
@@ -303,7 +303,7 @@ class Obstacle(Law):
 
     @property
     def segments(self) -> Sequence[str]:  # type: ignore[override]
-        """In contact, or open; with two bounds in contact below or above."""
+        """Names of the segments: contact and open; with two bounds lower, open and upper."""
         if self.psi_upper is None:
             return "contact", "open"
         return ("open", "contact") if self.psi is None else ("lower", "open", "upper")
@@ -320,7 +320,7 @@ class Obstacle(Law):
         return held.get(self.segments[segment])
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
-        """Bounds in the wrong order."""
+        """Tell where the bounds are in the wrong order."""
         if self.psi is not None and self.psi_upper is not None:
             yield "psi must not be above psi_upper", values["psi"] - values["psi_upper"]
 
@@ -378,7 +378,7 @@ class Corners(Law):
 
     @property
     def segments(self) -> Sequence[str]:  # type: ignore[override]
-        """Numbers."""
+        """Names with the numbers of the segments."""
         return [f"segment {i}" for i in range(len(self.corners) + 1)]
 
     def graph(self, values: Values) -> Graph:

@@ -87,5 +87,5 @@ def _by_constant(form: Form, control: fem.Constant) -> Form:
 
 
 def sum_of(forms: Sequence[Form]) -> Form:
-    """Their sum; without integrals if there are none."""
+    """The sum of forms; a form without integrals if there are none."""
     return sum(forms, start=ufl.Form([]))

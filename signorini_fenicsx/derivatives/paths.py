@@ -56,7 +56,7 @@ def _constant(path: str, mesh: dolfinx.mesh.Mesh, found: list[Any], given: Any) 
 
 
 def _replaced(given: Any, names: Sequence[str], make: Callable[[Any], Any], path: str) -> Any:
-    """What was given, with another value at a place in it.
+    """A given datum, or a table of them, with another value at one place.
 
     Raises:
         InputError: If there is no such place.
@@ -69,8 +69,8 @@ def _replaced(given: Any, names: Sequence[str], make: Callable[[Any], Any], path
     if isinstance(given, list | tuple) and name.isdigit() and int(name) < len(given):
         inner = _replaced(given[int(name)], rest, make, path)
         return type(given)(inner if index == int(name) else each for index, each in enumerate(given))
-    known = is_dataclass(given) and not isinstance(given, TREES)
-    if known and name in [field.name for field in fields(given) if field.init]:
+    has_fields = is_dataclass(given) and not isinstance(given, TREES)
+    if has_fields and name in [field.name for field in fields(given) if field.init]:
         changed = replace(given, **{name: _replaced(getattr(given, name), rest, make, path)})
         if isinstance(given, Law):
             object.__setattr__(changed, "region", given.region)

@@ -91,7 +91,7 @@ class Datum:
         return points.of_ufl(ufl.grad(self.ufl))
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
-        """Which of these facets have one datum, and that datum."""
+        """Rows of the given facets with the datum that holds on them."""
         return [(np.ones(len(facets), dtype=bool), self)]
 
     def less(self, constant: float) -> Datum:
@@ -239,7 +239,7 @@ class _OnParts(Datum):
         return gradients
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
-        """Those of the parts."""
+        """Rows of the given facets of each part with its datum."""
         last = np.full(len(facets), -1)
         for number, (part, _) in enumerate(self.parts):
             last[np.isin(facets, part)] = number
@@ -351,7 +351,7 @@ def _in_ufl(name: str, tree: Tree, x: Expr) -> Expr:
 
 
 def _is_matrix(given: object) -> TypeGuard[list[list[Tree]]]:
-    """Whether it is a list of equally long rows of trees."""
+    """Whether a given datum is a list of equally long rows of trees."""
     if not isinstance(given, list) or not all(isinstance(row, list) and row for row in given):
         return False
     return len({len(row) for row in given}) == 1 and all(isinstance(entry, TREES) for row in given for entry in row)

@@ -41,7 +41,7 @@ def lagrange(hats: Array, degree: int) -> Array:
 
 
 def lagrange_slopes(hats: Array, degree: int) -> Array:
-    """Their derivatives by the hats, each taken for a variable of its own, shape (…, points, vertices)."""
+    """Derivatives of the Lagrange functions by the hats as independent variables, shape (…, points, vertices)."""
     found = np.zeros((*hats.shape[:-1], len(lattice(hats.shape[-1], degree)), hats.shape[-1]))
     for index, point in enumerate(lattice(hats.shape[-1], degree)):
         factors = [(vertex, step) for vertex, steps in enumerate(point) for step in range(steps)]

@@ -37,8 +37,8 @@ def interpolated(mesh: dolfinx.mesh.Mesh, name: str, given: OfPoints, *, continu
             return np.zeros((*shape, x.shape[1]))
 
     shape: tuple[int, ...] = ()
-    here = mesh.geometry.x[:1].T
-    seen = mesh.comm.allgather(values(here).shape[:-1] if here.size > 0 else None)
+    first_point = mesh.geometry.x[:1].T
+    seen = mesh.comm.allgather(values(first_point).shape[:-1] if first_point.size > 0 else None)
     shape = next(each for each in seen if each is not None)
     variant = basix.LagrangeVariant.gll_warped if continuous else basix.LagrangeVariant.legendre
     element = basix.ufl.element("P", mesh.basix_cell(), 2, variant, shape=shape, discontinuous=not continuous)

@@ -51,7 +51,7 @@ class Seen:
     entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()
 
     def changes(self, vary: Vary) -> Array:
-        """How the numbers change with the datum (collective)."""
+        """Derivatives of the numbers that are seen, by the datum (collective)."""
         form = vary(self.form(ufl.TestFunction(self.space)))
         if not form.integrals():
             return np.zeros(len(self.dofs))

@@ -56,7 +56,7 @@ class Frame:
 
     @property
     def scale(self) -> float:
-        """Its size."""
+        """The largest extent of the box of the domain."""
         return float((self.box[1] - self.box[0]).max())
 
 
@@ -159,7 +159,7 @@ def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:
 
 
 def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
-    """Where each part is to be cut: the numbers of two vertices, and the share of their edge at the first."""
+    """Cuts of the parts: the numbers of two vertices each, and the share of their edge at the first."""
     first, second = parts.longest()
     share, rows = np.full(len(first), 0.5), np.arange(len(first))
     a = switch.at + np.einsum("in,icn->cn", switch.slope, regions.corners)
@@ -170,6 +170,6 @@ def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
     for level in (np.where(exact, 0.0, -WIDE * switch.blur), np.where(exact, 0.0, WIDE * switch.blur)):
         with np.errstate(all="ignore"):
             place = (level - least) / (most - least)
-        here = switch.undecided & (place > margin) & (place < 1 - margin)
-        first, second, share = (np.where(here, *pair) for pair in ((low, first), (high, second), (place, share)))
+        is_cut = switch.undecided & (place > margin) & (place < 1 - margin)
+        first, second, share = (np.where(is_cut, *pair) for pair in ((low, first), (high, second), (place, share)))
     return np.column_stack([first, second, share])

@@ -29,7 +29,7 @@ type GivenMatrix = Given | Mapping[str, Given]
 
 
 def parsed(given: Any, names: str, key: str) -> Any:
-    """What was given, with numbers and texts read as trees in these coordinates.
+    """A given datum, or a table of them, with numbers and texts read as trees in these coordinates.
 
     Raises:
         InputError: If a text cannot be read or a number is too large; the message begins with the key.
@@ -64,7 +64,7 @@ def with_data[P: "DataclassInstance"](problem: P, change: Callable[[str, Any], A
 
 
 def at_time(given: Any, t: float) -> Any:
-    """What was given, with t in the trees replaced by its value."""
+    """A given datum, or a table of them, with t in the trees replaced by its value."""
     if isinstance(given, Mapping):
         return {name: at_time(value, t) for name, value in given.items()}
     if isinstance(given, tuple | list):
@@ -91,7 +91,7 @@ def combined(one: Given, other: Given, factor: float, where: str) -> Tree | Expr
 
 
 def is_fixed(given: Any) -> bool:
-    """Whether it is made of trees, texts and numbers alone, so that it is the same as long as it is equal."""
+    """Whether data are trees, texts and numbers alone, so that equal ones are the same."""
     if isinstance(given, Mapping):
         return all(map(is_fixed, given.values()))
     if isinstance(given, tuple | list):

@@ -229,7 +229,7 @@ def parse_expression(text: str, x: Expr, t: float | None = None) -> Expr:
 
 
 def _unbalanced(text: str) -> str:
-    """Which parenthesis has no other; empty if each has one."""
+    """The parenthesis of a text that has no partner, in words; empty if each has one."""
     opened = []
     for number, character in enumerate(text, 1):
         if character == "(":
@@ -242,7 +242,7 @@ def _unbalanced(text: str) -> str:
 
 
 def _wrong_at(text: str, error: SyntaxError) -> str:
-    """Where Python finds no arithmetic in a text, in which it has read ** for each ^."""
+    """The place in a text at which Python finds no arithmetic; it has read ** for each ^."""
     first = len(text) - len(text.lstrip())
     above = sum(len(line) + 1 for line in text.strip().split("\n")[: (error.lineno or 1) - 1])
     line, read = text[first + above :], 0

@@ -53,7 +53,7 @@ class Series:
 
     @property
     def is_zero(self) -> bool:
-        """Whether it is the constant 0."""
+        """Whether the expression is the constant 0."""
         return self.corners is None and bool(np.all(self.value.is_zero))
 
     def __neg__(self) -> Series:

@@ -40,7 +40,7 @@ class Parts:
         return Places(centre, self.vertices - centre[:, None], pad, Interval(lo, hi))
 
     def take(self, which: slice | Mask) -> Parts:
-        """Some of the parts."""
+        """A selection of the parts."""
         return Parts(self.vertices[which], self.own[which], self.share[which])
 
     def and_(self, other: Parts) -> Parts:

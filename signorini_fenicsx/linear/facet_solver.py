@@ -64,7 +64,7 @@ class FacetSolver[Levels](LinearSolver):
             self.levels = levels
 
     def factorise(self) -> None:
-        """From now on factorise, unless the user's options say otherwise (collective).
+        """Factorise in all solves from now on, unless the user's options say otherwise (collective).
 
         Raises:
             InputError: If PETSc refuses an option.

@@ -119,7 +119,7 @@ class KeptFactors:
         self._forces = np.vstack([self._forces, self._force.array_r[self._unknowns]])
 
     def _shares(self, load: Array, held: Mask) -> Array:
-        """All c_j; 0 where a site is as in the factorised set (collective)."""
+        """The coefficients c_j of all sites; 0 where a site is as in the factorised set (collective)."""
         assert self._held is not None
         unknowns = self._unknowns[self._changed]
         released = self._held[self._changed]

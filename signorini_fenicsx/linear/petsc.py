@@ -86,12 +86,12 @@ class LinearSolver:
 
     @property
     def iterates(self) -> bool:
-        """Whether it is a Krylov method."""
+        """Whether the solver is a Krylov method."""
         return bool(self.ksp.getType() != "preonly")
 
     @property
     def factorises(self) -> bool:
-        """Whether it is a factorisation and nothing else."""
+        """Whether the solver is a factorisation and nothing else."""
         return not self.iterates and self.ksp.getPC().getType() in ("cholesky", "lu")
 
     def take_options(self) -> None:

@@ -268,15 +268,15 @@ def _bring_together(comm: MPI.Comm, ranks: npt.NDArray[np.int32], pairs: Indices
     cells, place = np.unique(pairs, return_inverse=True)
     one, other = place.reshape(pairs.shape).T
     own = cells - sum(comm.allgather(len(ranks))[: comm.rank])
-    here = (own >= 0) & (own < len(ranks))
+    is_own = (own >= 0) & (own < len(ranks))
     lowest = np.full(len(cells), comm.size, dtype=np.int32)
-    lowest[here] = ranks[own[here]]
+    lowest[is_own] = ranks[own[is_own]]
     comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
     while np.any(lowest[one] != lowest[other]):
         lower = np.minimum(lowest[one], lowest[other])
         for ends in (one, other):
             np.minimum.at(lowest, ends, lower)
-    ranks[own[here]] = lowest[here]
+    ranks[own[is_own]] = lowest[is_own]
 
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:

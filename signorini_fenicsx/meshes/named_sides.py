@@ -42,7 +42,7 @@ def oriented(domain: Domain, sides: Mapping[str, Side]) -> Domain:
 
 
 def _is_across(domain: Domain, part: str, side: Side, pair: Sequence[npt.NDArray[np.int32]]) -> Mask:
-    """Whether it is not the first but the second one of each pair of facets whose cell is on a side (collective).
+    """Mask of the pairs of facets whose second one, not the first, has its cell on the named side (collective).
 
     Raises:
         InputError: If that is not clear.

@@ -321,12 +321,12 @@ def _check_layout(found: Checkpoint) -> None:
     for name in set(headers) - set(layout):
         del headers[name]
     if found.shape is None:
-        known = set(about.parts.values()) <= set(AXES[:dim])
+        suits_mesh = set(about.parts.values()) <= set(AXES[:dim])
     else:
-        known = list(about.parts) == list(shape_of(found.shape).parts)
+        suits_mesh = list(about.parts) == list(shape_of(found.shape).parts)
         if shape_of(found.shape).dim != dim:
             raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
-    if not known:
+    if not suits_mesh:
         raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
     if about.part_names != list(next(iter(found.boundary.named.values()))):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")

@@ -139,7 +139,7 @@ class StepFolder:
         return [json.loads(text_of(place / ROW)) for place in self._places()]
 
     def kept(self, spaces: MeshSpaces, step: int, key: str) -> Array:
-        """What was kept of a step for the cells or facets of this rank, see `Steps.kept`.
+        """The rows of the cells or facets of this rank that a step has kept, see `Steps.kept`.
 
         Raises:
             InputError: If it is not of the cells and facets of this mesh.

@@ -105,11 +105,11 @@ class Beside[Fields](ABC):
 
     @abstractmethod
     def memory(self, tau: float) -> Any:
-        """What it takes from what was before, see `Solver.solve`."""
+        """The memory of the problem beside, see `Solver.solve`."""
 
     @abstractmethod
     def start(self, posed: Any) -> Any:
-        """Where its solve starts."""
+        """The start of the solve of the problem beside."""
 
     def fields(self, tau: float) -> Fields:
         """The admissible fields of the problem with data that differ by τ (collective)."""

@@ -94,7 +94,7 @@ class Quantity:
         return {f"{QUANTITY}{name}.{key}": value for key, value in found.items()}
 
     def summary(self) -> dict[str, float | bool | str]:
-        """All of it, ready for JSON; what is not of the problem itself is guaranteed only with its name."""
+        """The quantity ready for JSON; an interval of another problem is guaranteed only with the name of that one."""
         found = {key: value for key, value in vars(self).items() if key not in ("shares", "of")}
         if not self.of:
             return found
@@ -138,7 +138,7 @@ class Ends:
 
     @property
     def width(self) -> float:
-        """Their distance."""
+        """The distance of the ends of the interval."""
         return self.upper - self.lower
 
 

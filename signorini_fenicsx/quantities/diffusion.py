@@ -206,9 +206,9 @@ class Integrals(_Beside, beside.Integrals[Admissible]):
         mesh, facets = self.spaces.mesh, self.domain.facets[part]
         if trace is not None and part in self.solution.boundary.inner:
             on = facet_quadrature(mesh, self.spaces.facets, degree)
-            here, v = np.isin(self.spaces.facets, facets), trace.on_gamma_s(on)
+            everywhere, v = np.isin(self.spaces.facets, facets), trace.on_gamma_s(on)
         else:
             on = facet_quadrature(mesh, facets, degree)
-            here = np.ones(len(facets), dtype=bool)
+            everywhere = np.ones(len(facets), dtype=bool)
             v = np.ones(on.shape) if trace is None else trace.jet(on, near=True)[:, :, 0]
-        return float(on.integrals(self.weight.values(on) ** power * v)[here].sum())
+        return float(on.integrals(self.weight.values(on) ** power * v)[everywhere].sum())

@@ -131,11 +131,11 @@ def moved_slip(spaces: ElasticSpaces, posed: Posed, kind: Force, tau: float) -> 
     """By how much the slip at the sites with friction moves, in means weighted by hats (collective)."""
     parts, sign = moved_parts(spaces.domain, posed, kind)
     numbers = [spaces.part_names.index(part) for part in parts if part in spaces.part_names]
-    here = np.isin(spaces.part_of_facet[spaces.rough_rows], numbers)
+    on_parts = np.isin(spaces.part_of_facet[spaces.rough_rows], numbers)
     motion, x = motion_of(kind, spaces.dim), spaces.rough.vertices
     along = np.einsum("nvi,nki->nvk", motion[:, 0] + x @ motion[:, 1:].T, spaces.tangents)
     means = (along + along.sum(axis=1, keepdims=True)) / (spaces.dim + 1)
-    return np.where(here[:, None, None], sign * tau * means, 0.0).ravel()
+    return np.where(on_parts[:, None, None], sign * tau * means, 0.0).ravel()
 
 
 def _gaps(problem: ElasticProblem, contact: Sequence[str]) -> dict[str, Given]:

@@ -84,7 +84,7 @@ class Simplices:
         return self.vertices.shape[2]
 
     def some(self, which: Indices) -> Simplices:
-        """Some of the cells."""
+        """The geometry of some of the cells."""
         return Simplices(self.vertices[which], at(self.measure, which), at(self.gradients, which))
 
 

@@ -70,7 +70,7 @@ class Trace:
 
 
 def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
-    """Make v admissible.
+    """Make the trace of v admissible.
 
     Raises:
         InputError: If u_D may be < ψ where Γ_D and Γ_S meet.

@@ -94,9 +94,9 @@ def evolve(
     solver: Solver = place if isinstance(place, Solver) else Solver(domain, (boundary, sorted_problem))
     comm = solver.spaces.mesh.comm
     steps: Steps = solver.steps(sorted_problem, evolution, start)
-    known = Past(0, [], None if start is None else start.segments()) if past is None else past(steps)
-    left, segments = [*known.left, steps.start()][:2], known.segments
-    for step in range(known.step + 1, evolution.steps + 1):
+    before = Past(0, [], None if start is None else start.segments()) if past is None else past(steps)
+    left, segments = [*before.left, steps.start()][:2], before.segments
+    for step in range(before.step + 1, evolution.steps + 1):
         found = solver.solve(
             (boundary, steps.problem(step)),
             options,

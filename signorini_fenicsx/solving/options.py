@@ -65,7 +65,7 @@ class Options:
 
     @classmethod
     def of(cls, given: Options | None) -> Options:
-        """What was given, or the defaults for None.
+        """The given options, or the defaults for None.
 
         Raises:
             InputError: If it is something else.

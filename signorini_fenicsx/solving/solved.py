@@ -124,7 +124,7 @@ class Solved(ABC):
 
     @property
     def approach(self) -> str:
-        """What was solved and how, in words."""
+        """The problem and its method, in words."""
         return self.method.title
 
     @property

@@ -45,7 +45,7 @@ class Cut:
     view: Array
 
     def is_before(self, x: Array) -> Mask:
-        """Which points are on the side of the eye."""
+        """Mask of the points on the side of the eye."""
         return (x - self.origin) @ self.normal > 0
 
     def shadow(self, x: Array) -> Array:

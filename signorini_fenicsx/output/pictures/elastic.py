@@ -105,7 +105,7 @@ def _apart(scene: Scene, distance: float) -> Array:
 
 
 def _inside(scene: Scene) -> Mask:
-    """Which facets of Γ_C are inside the domain, where two bodies touch."""
+    """Mask of the facets of Γ_C inside the domain, where two bodies touch."""
     return np.isin(scene.facets.part, [index for index, name in enumerate(scene.labels) if name in scene.inside])
 
 

@@ -95,7 +95,7 @@ def _contact(scene: Scene, tables: Sequence[ContactTable], times: Sequence[float
 
 
 def _together(table: ContactTable) -> Mask:
-    """Which vertices are in contact, or have a bound of the shear though they are not."""
+    """Mask of the vertices that are in contact, or have a bound of the shear though they are not."""
     return table.touching | ((table.state >= 0) & (table.state != OPEN))
 
 

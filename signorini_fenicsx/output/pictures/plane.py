@@ -51,7 +51,7 @@ class Plane:
 
     @property
     def wide(self) -> bool:
-        """Whether it is much wider than high."""
+        """Whether the domain is much wider than high."""
         return self.aspect > WIDE
 
     @cached_property
@@ -75,7 +75,7 @@ class Plane:
 
     @property
     def u_label(self) -> str:
-        """What u is called."""
+        """The name of u in labels."""
         return "$H = -u_h$" if self.water and not self.scene.plot.u else self.scene.plot.u_label
 
     @property

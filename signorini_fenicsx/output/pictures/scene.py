@@ -112,10 +112,10 @@ class Scene:
     def u(self) -> Array:
         """u_h at the vertices: p_h on Γ_S, u_D on Γ_D, elsewhere the mean over the cells around."""
         inner = self.fields.u
-        known = np.isfinite(self.boundary.u)
-        vertices = self.boundary.vertices[known].ravel()
+        finite = np.isfinite(self.boundary.u)
+        vertices = self.boundary.vertices[finite].ravel()
         count = np.bincount(vertices, minlength=len(inner))
-        total = np.bincount(vertices, np.repeat(self.boundary.u[known], self.dim), minlength=len(inner))
+        total = np.bincount(vertices, np.repeat(self.boundary.u[finite], self.dim), minlength=len(inner))
         return np.where(count > 0, total / np.maximum(count, 1), inner)
 
     @cached_property

@@ -106,7 +106,7 @@ class Space:
         return best_cuts(self.scene, self._is_inside)
 
     def _is_inside(self, x: Array) -> Mask:
-        """Which points are in the domain."""
+        """Mask of the points in the domain."""
         return np.atleast_1d(self.grid.find_containing_cell(x)) >= 0 if len(x) else np.zeros(0, dtype=bool)
 
     def slices(self) -> pyvista.PolyData:

@@ -62,9 +62,9 @@ def _spread(sigma: Array) -> Array:
     padded = np.pad(sigma, ((0, 0), (1, 1), (1, 1)), constant_values=np.nan)
     rows, columns = sigma.shape[1:]
     around = np.stack([padded[:, 1 + i : 1 + i + rows, 1 + j : 1 + j + columns] for i, j in NEIGHBOURS])
-    known = np.isfinite(around)
-    mean = np.where(known, around, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return np.where(np.isfinite(sigma), sigma, np.where(known.any(axis=0), mean, np.nan))
+    finite = np.isfinite(around)
+    mean = np.where(finite, around, 0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
+    return np.where(np.isfinite(sigma), sigma, np.where(finite.any(axis=0), mean, np.nan))
 
 
 def head(line: Array, length: float) -> Array:

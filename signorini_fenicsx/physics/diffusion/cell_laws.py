@@ -54,7 +54,7 @@ class CellLaws:
 
     @property
     def is_obstacle(self) -> bool:
-        """Whether they are one obstacle with one bound in all cells."""
+        """Whether the laws are one obstacle with one bound in all cells."""
         return len(self.of_regions) == 1 and type(self.of_regions[0].law) is Obstacle and self.chains.corners == 1
 
     @property
@@ -96,17 +96,17 @@ def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum, on_parts: Sequence[P
     if not laws:
         return None
     number = len(spaces.cell_measures)
-    means, known = np.zeros(number), np.zeros(number, dtype=bool)
+    means, has_law = np.zeros(number), np.zeros(number, dtype=bool)
     chains, of_regions = Chains.at_corner(number, before=0.0), []
     for name, law in laws:
         part, graph = part_in(spaces, law, name)
-        rows, first = part.rows, ~known[part.rows]
+        rows, first = part.rows, ~has_law[part.rows]
         means[rows[first]] = np.broadcast_to(graph.reference[0], len(rows))[first]
         own = chains_of(replace(graph, reference=(means[rows], 0.0)), len(rows))
         chains = _with(spaces, chains, part, own, first)
         if len(laws) == 1 and isinstance(law, Obstacle) and len(graph.corners) == 1 and EVERYWHERE in law.region:
             chains = chains_of(graph, number)  # values that are exactly 0
-        known[rows] = True
+        has_law[rows] = True
         of_regions.append(part)
         for what, facets, allowed in _allowed(spaces, u_D, on_parts):
             _check_bounds(spaces, part, what, facets, allowed)

@@ -38,7 +38,7 @@ def use_coarser_meshes(pc: PETSc.PC, space: fem.FunctionSpace, domain: Domain) -
 
 
 def _interpolations(space: fem.FunctionSpace, domain: Domain) -> list[PETSc.Mat]:
-    """From each mesh to the next finer one, the finest first (collective).
+    """Interpolations from each mesh to the next finer one, the finest first (collective).
 
     Unknowns are numbered by `space` on the finest mesh, and as the nodes of the other meshes are.
     """

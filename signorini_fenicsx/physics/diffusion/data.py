@@ -368,7 +368,7 @@ def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | N
 
 
 def _near(place: tuple[float, ...]) -> str:
-    """A place in words."""
+    """A place in the words of a message."""
     return f" near ({', '.join(f'{x:.4g}' for x in place)})" if place else ""
 
 

@@ -132,8 +132,8 @@ class DiffusionSteps:
             others, rows = s.copy(), part.rows
             for other in laws.of_regions:
                 if other.name != f"law.{number}":
-                    known = chains_in(self.spaces, other).ends_at(u[other.rows])
-                    others[other.rows] += (known[0] + known[1]) / 2
+                    ends = chains_in(self.spaces, other).ends_at(u[other.rows])
+                    others[other.rows] += (ends[0] + ends[1]) / 2
             most, least = (-end for end in own.ends_at(u[rows])[::-1])
             alone = len(laws.of_regions) == 1
             found[rows] += others[rows] / a if alone else np.clip(others[rows] / a, least, most)

@@ -316,7 +316,7 @@ class FacetSystem:
         return self._pairs(x, flux, conditions)
 
     def _pairs(self, x: PETSc.Vec, flux: Array, conditions: SiteConditions) -> tuple[Array, Array]:
-        """Both p − ψ and σ·n − q_S of the facets, and u_T less its reference and −s_T of the cells with laws in Ω."""
+        """Pairs of all sites: p − ψ and σ·n − q_S of facets, u_T less its reference and −s_T of cells with laws."""
         data, trace = self._data, x.array_r[self.trace_dofs]
         if data.inside is not None:
             u, source = self.sources.values(self._with_lift(x))

@@ -61,7 +61,7 @@ class FacetBackend(ABC):
 
     @property
     def inexact(self) -> Inexact | None:
-        """Its solves that predict the sets; None here."""
+        """Solves of the backend that predict the sets; None here."""
         return None
 
     @abstractmethod

@@ -111,10 +111,10 @@ class HybridBackend(FacetBackend):
         return True
 
     def _is_worth_condensing(self) -> bool:
-        """Whether this is possible, with a factorisation and few facets in Γ_S, and what it saves would pay it back.
+        """Whether condensing the system is possible, by a factorisation with few facets in Γ_S, and pays itself back.
 
-        Where sets stand still, one more solve for each right side is what it costs, and a factorisation for each change
-        of the sets what it saves. It is given up, or made again, when as much was lost as the change costs.
+        The condensed system costs one more solve for each right side, and saves a factorisation for each change of the
+        sets. When as much was lost without it, or with it, as making it costs, it is made, or given up.
         """
         factorised = self.precise is not None and not self._solver.iterates
         return factorised and self._can_be_condensed() and self._regret >= self._facets_of_gamma_s()

@@ -53,9 +53,9 @@ class Lines:
 
     def changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:
         """How slope and value change with the means."""
-        known = [name for name in self.slopes if name in changes]
+        varied = [name for name in self.slopes if name in changes]
         slope, value = (
-            sum((of[name] * changes[name] for name in known), start=np.zeros(len(self.steep)))
+            sum((of[name] * changes[name] for name in varied), start=np.zeros(len(self.steep)))
             for of in (self.slopes, self.values)
         )
         return slope, value

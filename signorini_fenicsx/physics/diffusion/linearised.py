@@ -238,7 +238,7 @@ class Linearised:
 
 
 def _seen(spaces: Spaces, solution: Solution) -> Iterator[tuple[str, Seen]]:
-    """What is seen of the data that are given in UFL, by their names (collective)."""
+    """The numbers that are seen of data given in UFL, by the names of these (collective)."""
     data = solution.data
     for name, datum in (("f", data.f), ("kappa", data.kappa), ("c", data.c)):
         if datum.pieces is None:

@@ -120,7 +120,7 @@ class Jumps:
 
     @classmethod
     def nowhere(cls, space: fem.FunctionSpace) -> Jumps:
-        """Those of a mesh that is not cut."""
+        """The change of unknowns on a mesh that is not cut, which is none."""
         numbers, none, pairs = space.dofmap.index_map, np.empty(0, dtype=np.intp), np.empty((0, 1), dtype=np.int32)
         return cls(np.zeros(numbers.size_local + numbers.num_ghosts, dtype=bool), none, none, (pairs, pairs))
 
@@ -145,7 +145,7 @@ class Jumps:
             _apply(self.basis[1], v)
 
     def undone(self, v: fem.Function) -> None:
-        """The other way (collective)."""
+        """Put the values of a function in the place of its jumps, ghosts updated (collective)."""
         if self.basis is not None:
             _apply(self.basis[0], v)
 

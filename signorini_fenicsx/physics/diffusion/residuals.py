@@ -168,7 +168,7 @@ def _of_laws_inside(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function
 
 
 def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
-    """G and S (collective)."""
+    """The sizes G and S of gradient and flux (collective)."""
     comm = spaces.mesh.comm
     if data.kappa.number is not None:
         flux = np.sqrt(comm.allreduce(sigma.squares(1.0).sum()))

@@ -190,7 +190,7 @@ class ElasticBackend:
         return bends.ravel()
 
     def _loose(self, contact: Mask) -> bool:
-        """Whether these sites, and those whose slip would turn, leave a rigid motion free (collective)."""
+        """Whether a rigid motion is left free by some sites and by those whose slip would turn (collective)."""
         if self._motions.shape[1] == 0:
             return False
         rows = np.where(contact[:, None], self._motions, 0.0)

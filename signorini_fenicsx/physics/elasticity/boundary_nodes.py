@@ -42,7 +42,7 @@ TURNED = 0.5
 
 @dataclass(frozen=True)
 class GivenNodes:
-    """What is given at the nodes of this rank, ghosts too, each with an orthonormal frame.
+    """Given displacements at the nodes of this rank, ghosts too, each node with an orthonormal frame.
 
     Attributes:
         frames: Directions, a column each, shape (nodes, d, d): first those in which v is given; inner nodes have the

@@ -131,7 +131,7 @@ class Sites:
     def _margins(
         self, state: Indices, p: Array, flux: Array, z: float, shift: Array, *, constant: bool = True
     ) -> Array:
-        """What is ≥ 0 as long as the states are right, shape (sites, 2); ∞ where there is no second one.
+        """Margins that are ≥ 0 as long as the states are right, shape (sites, 2); ∞ where there is no second one.
 
         Without the constants these are the slopes, of the slopes of p and the flux and with z = 1.
         """

@@ -255,12 +255,12 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
         given = getattr(law, name)
         for part in law.parts:
             facets = spaces.part(part)
-            here = order[np.searchsorted(rough.facets, facets.facets, sorter=order)]
+            rows = order[np.searchsorted(rough.facets, facets.facets, sorter=order)]
             values, linear = _lower_values(spaces, f"law.{index}.{name}", given, facets)
             if isinstance(law, CoulombLaw):
-                found.mu[here], found.bound[here], found.coulomb[here] = values, STICKS, True
+                found.mu[rows], found.bound[rows], found.coulomb[rows] = values, STICKS, True
             else:
-                found.bound[here] = values
+                found.bound[rows] = values
         inexact += [] if linear else [f"law.{index}.{name}"]
     return replace(found, inexact=tuple(inexact))
 

@@ -23,7 +23,7 @@ SIMPLEX = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.Cell
 
 @dataclass(frozen=True)
 class Reference:
-    """What all cells share.
+    """Functions on the reference cell, which all cells share.
 
     Attributes:
         dim: d.

@@ -185,7 +185,7 @@ class Linearised:
 
     @property
     def _given(self) -> Mask:
-        """Where û is given, of the owned unknowns."""
+        """Mask of the owned unknowns that are given values of û."""
         found = np.zeros(len(self._backend.system.load), dtype=bool)
         found[self._data.fixed] = True
         found[np.concatenate([self._spaces.sites, self._spaces.slip_sites])[self._held]] = True

@@ -48,7 +48,7 @@ class Strain:
     beyond: Datum
 
     def values(self, points: CellPoints) -> Array:
-        """Its entries in space, shape (cells, points, 6) (collective)."""
+        """Entries of the eigenstrain in space, shape (cells, points, 6) (collective)."""
         values, dim = self.datum.values(points), points.mesh.geometry.dim
         if not self.datum.shape:
             values = values[..., None, None] * np.eye(dim)
@@ -107,7 +107,7 @@ class Material:
 
     @property
     def in_strain(self) -> bool:
-        """Whether it is in plane strain."""
+        """Whether the material is in plane strain."""
         return self.dim == 2 and self.plane == Plane.STRAIN
 
     @property
@@ -135,7 +135,7 @@ class Material:
         return own[..., self._kept]
 
     def moved(self) -> Iterator[tuple[str, Expr, Material]]:
-        """For each number in UFL a name, what it is, and the material in which it has an imaginary step."""
+        """Each number in UFL by a name, with itself and the material in which it has an imaginary step."""
         return _moved(self, "material")
 
     def change_of_strain(self, points: CellPoints, stress: Array) -> Array:
@@ -144,13 +144,13 @@ class Material:
         return np.asarray(strain.imag / COMPLEX_STEP)
 
     def out_of_plane(self, points: CellPoints) -> tuple[Array, Array]:
-        """In plane strain σ_zz by the entries of σ, shape (cells, points, 3), and without σ (collective)."""
+        """The σ_zz of plane strain by the entries of σ, shape (cells, points, 3), and without σ (collective)."""
         in_space = self._in_space(points)
         unit = in_space[..., BEYOND, BEYOND]
         return -in_space[..., BEYOND, self._kept] / unit[..., None], -self._own(points)[..., BEYOND] / unit
 
     def looked_at(self, points: CellPoints) -> Iterator[tuple[str, Array]]:
-        """What has to be checked in points (collective)."""
+        """Quantities of the material that have to be checked in points (collective)."""
         with np.errstate(all="ignore"):
             young, poisson = self.constants(points)
             yield "young", young
@@ -231,7 +231,7 @@ class Material:
         return np.stack([first, second, np.cross(first, second)], axis=-2)
 
     def _turn(self, points: CellPoints) -> Array:
-        """From the entries of a matrix along the axes to those in coordinates."""
+        """The map from the entries of a matrix along the axes to those in coordinates."""
         axes, units = self.directions(points), np.moveaxis(symmetric(np.eye(len(SPACE)), 3), -1, 0)
         turned = np.einsum("nqki,bkl,nqlj->nqbij", axes, units, axes, optimize=True)
         return to_entries(turned).swapaxes(-1, -2)
@@ -243,7 +243,7 @@ def _length(vectors: Array) -> Array:
 
 
 def _moved(given: Any, name: str) -> Iterator[tuple[str, Expr, Any]]:
-    """For each number in UFL in what is given: its name, it, and what is given where it has an imaginary step."""
+    """Each number in UFL in a given datum: its name, itself, and the datum in which it has an imaginary step."""
     if isinstance(given, Datum):
         for entry in np.ndindex(given.shape) if given.pieces is None else ():
             yield ".".join([name, *map(str, entry)]), given.ufl[entry] if entry else given.ufl, _Moved(given, entry)
@@ -328,7 +328,7 @@ def _entry(key: str, given: Any, i: int, number: int, what: str, *, alone: bool 
 
 
 def _filled(problem: ElasticProblem, given: Any, other: Any) -> Any:
-    """What is given by region, with another value in those regions of E where nothing is."""
+    """A table by region, with another value in those regions of E that it lacks."""
     if not isinstance(given, Mapping) or not isinstance(problem.young, Mapping):
         return given
     return dict.fromkeys(problem.young, other) | dict(given)

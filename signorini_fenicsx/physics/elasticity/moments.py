@@ -84,8 +84,8 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
     facets, dim = spaces.neumann, spaces.dim
     plain = np.broadcast_to(np.eye(dim**2), (len(facets.facets), dim**2, dim**2)).copy()
     for framed, matrices in spaces.frames[1:]:
-        here = np.isin(framed.facets, facets.facets)
-        plain[np.searchsorted(facets.facets, framed.facets[here])] = matrices[here]
+        listed = np.isin(framed.facets, facets.facets)
+        plain[np.searchsorted(facets.facets, framed.facets[listed])] = matrices[listed]
     by_component = plain.reshape(-1, dim, dim, dim**2)  # from (a, r) to the unknowns
     last = np.full(len(facets.facets), -1)
     for index, name in enumerate(data.g_N):

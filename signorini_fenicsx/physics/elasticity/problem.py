@@ -193,7 +193,7 @@ class Elasticity:
         check_conditions(others, Law, Contact, Pressure, example=example)
 
     def _loads_fixed(self, condition: object) -> bool:
-        """Whether it is a load on parts that are fixed in some components."""
+        """Whether a condition is a load on parts that are fixed in some components."""
         fixed = {
             part
             for other in self.conditions
@@ -337,7 +337,7 @@ class ElasticProblem:
 
 
 def is_normal(law: object) -> TypeGuard[Law]:
-    """Whether it is a law between opening and pressure."""
+    """Whether a law is one between opening and pressure."""
     return isinstance(law, Law) and not isinstance(law, Friction | Dirichlet | Neumann)
 
 
@@ -353,7 +353,7 @@ def nothing_for_0(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class ElasticBoundary:
-    """Which parts of the boundary are Γ_C and Γ_N, and which are fixed in some components; the rest is Γ_D.
+    """The parts of the boundary that are Γ_C, Γ_N, and fixed in some components; the rest is Γ_D.
 
     Attributes:
         contact: Names of the parts of Γ_C; those with friction need not be among them.
@@ -378,8 +378,10 @@ class ElasticBoundary:
         check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
         for part, components in self.fixed.items():
             check_kind(f"fixed: part '{part}'", components, str)
-            known = components == NORMAL or (set(components) <= set(AXES) and len(set(components)) == len(components))
-            if not known or not components:
+            is_known = components == NORMAL or (
+                set(components) <= set(AXES) and len(set(components)) == len(components)
+            )
+            if not is_known or not components:
                 raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")
 
     def touching_on(self, parts: Sequence[str]) -> ElasticBoundary:

@@ -113,7 +113,7 @@ class ElasticSolution(Solved):
 
     @property
     def approach(self) -> str:
-        """What was solved and how, in words."""
+        """The problem and its method, in words."""
         return f"elastic contact, {self.options.algorithm_name}"
 
     @cached_property
@@ -149,7 +149,7 @@ class ElasticSolution(Solved):
 
     @property
     def touching(self) -> Mask:
-        """Whether these vertices are in contact, under other laws held or on a spring, shape (facets, d)."""
+        """Mask of the facet vertices in contact, under other laws held or on a spring, shape (facets, d)."""
         kind = self.outcome.conditions.kind[: len(self.spaces.sites)]
         return (kind != Condition.NO_FLUX).reshape(-1, self.spaces.dim)
 
@@ -173,7 +173,7 @@ class ElasticSolution(Solved):
 
     @property
     def _after(self) -> Array:
-        """What of u_t at the sites comes after the last step in time, all of it without one."""
+        """The part of u_t at the sites that is of this step in time, all of it without steps."""
         return self.outcome.iterate.p[len(self.spaces.sites) :]
 
     def _scalar(self, values: Array) -> Array:

@@ -46,7 +46,7 @@ class BoundaryFacets:
     measure: Array
 
     def take(self, rows: Indices) -> BoundaryFacets:
-        """Some of them."""
+        """A selection of the facets."""
         return BoundaryFacets(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     def moments(self, values: Array, points: Array, weights: Array) -> Array:
@@ -344,7 +344,7 @@ def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDAr
 
 
 def _frame_matrices(normals: Array, dual: Array, beside: Array | None = None) -> Array:
-    """From unknowns (a, k) to values (vertex, component): n times the functions of `dual` for k = 0.
+    """The matrices from unknowns (a, k) to values (vertex, component): n times the functions of `dual` for k = 0.
 
     For other k it is a tangent times the functions of `beside`, by default the hats.
     """

@@ -65,7 +65,7 @@ class Tool:
         return np.stack(found, axis=-1)
 
     def motion(self) -> dict[str, Any]:
-        """Its motion for summaries: lengths along axes, angles about axes through the middle."""
+        """The motion of the tool for summaries: lengths along axes, angles about axes through the middle."""
         lengths, angles = np.split(self.moved, [len(self.along)])
         found: dict[str, Any] = {"displacement": dict(zip(self.along, lengths.tolist(), strict=True))}
         if self.about:
@@ -135,7 +135,7 @@ def moves_along(spaces: ElasticSpaces, tools: Sequence[Tool], directions: Array)
 
 
 def _facets_of(spaces: ElasticSpaces, tool: Tool) -> Mask:
-    """Which facets of Γ_C are those of a tool."""
+    """Mask of the facets of Γ_C that belong to a tool."""
     return spaces.part_of_facet == spaces.part_names.index(tool.part)
 
 
@@ -166,7 +166,7 @@ def means_at_sites(normal: Array, along: Array) -> Array:
 
 
 def loads_of(tools: Sequence[Tool]) -> Array:
-    """What acts on all tools, one motion after another."""
+    """The loads on all tools, one motion after another."""
     return np.concatenate([np.empty(0), *(tool.load for tool in tools)])
 
 
@@ -262,7 +262,7 @@ class Moving:
 
     @property
     def at_sites(self) -> Array:
-        """What û is at the sites by the motion of the tools."""
+        """The part of û at the sites that comes from the motion of the tools."""
         return np.asarray(self.moves @ self.rho)
 
     def work(self, step: Array) -> float:
@@ -282,7 +282,7 @@ class Moving:
         self._stiffness = self._comm.allreduce(self.moves.T @ forces)
 
     def follow(self, forces: Array, *, loaded: bool) -> tuple[Array, Array]:
-        """How far the tools go, and how far x goes with them (collective).
+        """The step of the tools, and that of x with them (collective).
 
         Args:
             forces: What holds the sites where the tools are at rest.

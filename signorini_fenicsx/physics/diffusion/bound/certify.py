@@ -205,12 +205,12 @@ def gap_parts(
     if reaction is not None:
         contact = contact + reaction.gap
     mismatch = mismatches(of_y, trace, flux)
-    known = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
-    hidden = hidden_parts(resolution, trace, of_v.solution.data.u_D, metric, pressure, inside, known)
+    bound_so_far = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
+    hidden = hidden_parts(resolution, trace, of_v.solution.data.u_D, metric, pressure, inside, bound_so_far)
     contact = contact + hidden.gap
     mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
     least = None if reaction is None else reaction.least
-    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * known))
+    left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * bound_so_far))
     oscillation = _with_more(oscillation, left, metric, comm)
     return GapParts(mismatch, of_reaction, contact, oscillation, left, hidden.slope, of_laws)
 

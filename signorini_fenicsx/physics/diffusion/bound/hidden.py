@@ -52,7 +52,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Hidden:
-    """What is added per owned cell.
+    """Squares and lengths that hidden data add to the bound, per owned cell.
 
     Attributes:
         slope: To ‖κ^½∇v − κ^-½y‖_T.

@@ -73,7 +73,7 @@ class LawTrace:
     bounds: list[Bound]
 
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
-        """Its jet (collective)."""
+        """The jet of the bound (collective)."""
         datum, interpolant = self.u_D
         found = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
         kept = self._kept(points, gradient=gradient)
@@ -86,7 +86,7 @@ class LawTrace:
         return found
 
     def on_gamma_s(self, spaces: Spaces, points: FacetPoints) -> Array:
-        """Its values in points of all facets of Γ_S; inside the domain its jump (collective)."""
+        """Values of the bound in points of all facets of Γ_S; inside the domain its jump (collective)."""
         found = self._on_facets(points)
         if spaces.inner.present:
             across, order = points.across(spaces.inner.rows, spaces.inner.facets)

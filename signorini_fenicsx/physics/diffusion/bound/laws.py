@@ -76,7 +76,7 @@ class LawPoints:
         return self._at(self.law.p, corner)
 
     def flux_at(self, corner: Indices) -> Array:
-        """σ·n there."""
+        """σ·n at one corner of the law of each facet, in points."""
         return self._at(self.law.flux, corner)
 
     def _at(self, values: Array, corner: Indices) -> Array:
@@ -204,7 +204,7 @@ class LawGap:
         missed: Array,
         area: Area = gap,
     ) -> LawGap:
-        """Choose η.
+        """Choose the flux η for these laws.
 
         Args:
             spaces: The discrete spaces.

@@ -83,14 +83,14 @@ def load_left(
 
 
 class _Bounds:
-    """The bounds of the module."""
+    """The bounds of ‖z‖ that the module proves."""
 
     def __init__(self, spaces: Spaces, data: Data, metric: CellMetric):
         self._spaces, self._data, self._metric = spaces, data, metric
         self._constant: float | None = None
 
     def constant(self) -> float:
-        """2s (collective)."""
+        """The constant 2s: a bound of ‖z‖ beside ‖c‖ (collective)."""
         if self._constant is None:
             self._constant = 2 * self._largest(np.ones(len(self._metric.volume)))
         return self._constant
@@ -105,7 +105,7 @@ class _Bounds:
         return math.sqrt(2 * (1 + EVERYWHERE) * integral * self.constant() * self._largest(size + spread))
 
     def of_load(self, load: Array) -> float:
-        """‖z‖ (collective)."""
+        """The norm ‖z‖ for a load (collective)."""
         return distance(self._spaces, self._metric, self._flux(load), fem.Function(self._spaces.V))
 
     def _flux(self, load: Array) -> fem.Function:

@@ -95,10 +95,10 @@ def reaction_terms(
             v, p, level = trace.jet(some, near=near)[:, :, 0], coefficient.values(some), u.x.array[own]
             mean[own] = some.means(p)
             lacking = some.means(p * (level[:, None] - v))
-            known = mean[own] > 0
-            delta[own] = np.divide(lacking, mean[own], out=np.zeros(len(own)), where=known)
+            positive = mean[own] > 0
+            delta[own] = np.divide(lacking, mean[own], out=np.zeros(len(own)), where=positive)
             values = (mean[own] * level)[:, None] - p * (v + delta[own, None])
-            missed[own] = np.where(known, 0.0, np.abs(lacking))
+            missed[own] = np.where(positive, 0.0, np.abs(lacking))
             largest = np.maximum(nodes[own], np.abs(v).max(axis=1, initial=0.0))
             missed[own] += coefficient.deviation[own] * (largest + np.abs(delta[own]))
             part = projected(values - some.means(values)[:, None], cell, OF_LOAD, points, weights)
@@ -112,7 +112,7 @@ def reaction_terms(
 
 
 def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: Array) -> _Coefficient | None:
-    """Both p and S for a c that is given as text; other c as they are; None where c is certainly 0 (collective).
+    """The pair of p and S for a c given as text; another c as it is; None where c is certainly 0 (collective).
 
     `size` is that of u on each cell.
     """

@@ -66,7 +66,7 @@ class Seen:
     mean: Array
 
     def of(self, rows: AnyIndices | Mask) -> Seen:
-        """What is seen of the data on some of the simplices."""
+        """A selection of the simplices."""
         return Seen(self.p.of(rows), self.norm[rows], self.mean[rows])
 
 
@@ -143,9 +143,9 @@ class Resolution:
         weight = (factor / self._tolerance(metric)[cells]) ** 2 * metric.volume[cells] / self.volume
         for tree, own in self.pieces(name, datum):
             if isinstance(tree, TREES) and is_enclosed(tree):
-                here = np.flatnonzero(np.isin(cells, own))
-                found = self._enclosed(tree, self.vertices[cells[here]], seen.of(here), weight[here])
-                norm[here], mean[:, here] = found
+                rows = np.flatnonzero(np.isin(cells, own))
+                found = self._enclosed(tree, self.vertices[cells[rows]], seen.of(rows), weight[rows])
+                norm[rows], mean[:, rows] = found
         size = np.abs(factor)
         squares = (size * metric.diameter[cells] / np.pi) ** 2 * metric.volume[cells] / metric.low[cells]
         beyond = squares * np.maximum(norm**2 - seen.norm**2, 0.0)

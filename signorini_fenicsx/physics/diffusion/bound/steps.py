@@ -57,7 +57,7 @@ class Continuous:
         return cls(v, (solution.u.x.array - means) / mean_of_product)
 
     def __call__(self, points: CellPoints) -> Array:
-        """Its values."""
+        """Values of the datum in points."""
         product = points.barycentric.prod(axis=2)
         found: Array = points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
         return found

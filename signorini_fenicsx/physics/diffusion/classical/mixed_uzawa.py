@@ -61,7 +61,7 @@ class _Response:
         self._recorder.add(self.iterate, self._conditions(x))
 
     def outcome(self, x: Array, step: StepLength, failure: str | None) -> Outcome:
-        """How it ended."""
+        """The outcome of the iteration."""
         return Outcome(
             iterate=self.iterate,
             conditions=self._conditions(x),

@@ -252,7 +252,7 @@ def _from_linear(
     nodes: Nodes,
     frames: Array,
 ) -> PETSc.Mat:
-    """From linear displacements to the nodes that are left, each the mean of those at its two ends (collective)."""
+    """Interpolation of linear displacements at the nodes that are left, each the mean of two vertices (collective)."""
     dim, own = spaces.dim, nodes.numbers.size_local
     ends = np.zeros((len(nodes.of_space), 2), dtype=np.int32)
     vertices = np.take_along_axis(linear.dofmap.list[: len(spaces.order)], spaces.order, axis=1)

@@ -150,7 +150,7 @@ class BestDisplacement:
         self._apart = apart + float((np.einsum("nki,nkmi->nkm", rubbing, tangents) * slipped).sum())
 
     def _kinks(self) -> tuple[Indices, Indices, Array, Array, Array]:
-        """Where the gap has a kink in p: facet, coefficient, its side of the line of v, p there, and the largest force.
+        """The kinks of the gap in p: facet, coefficient, its side of the line of v, p there, and the largest force.
 
         For contact these are the bounds of p; see `LawOnFacets.kinks`.
         """
@@ -243,7 +243,7 @@ class BestDisplacement:
 
     @property
     def _numbers(self) -> common.IndexMap:
-        """Which ranks have the nodes that are left."""
+        """Numbers of the nodes that are left, over all ranks."""
         return self._left.numbers
 
     def times(self, x: Array) -> Array:
@@ -335,7 +335,7 @@ class BestDisplacement:
         return v, self._past_foundation(v)
 
     def _past_foundation(self, v: fem.Function) -> str:
-        """Where and how far v passes the foundation, in words; empty if it does not, up to rounding (collective)."""
+        """The place where v passes the foundation farthest, in words; empty up to rounding (collective)."""
         contact, coefficients = self.contact, v.x.array.reshape(-1, self.spaces.dim)
         opening = self.openings_of(v)
         least, most, *_ = (each.reshape(-1, self.spaces.dim) for each in self._data.laws.chains.extent())
@@ -353,7 +353,7 @@ class BestDisplacement:
         return f"what is given of u passes the foundation by {past_by:.2g} {where}"
 
     def _told(self, facet: int, place: int) -> str:
-        """Where a coefficient of a facet is, and along which normal it counts."""
+        """The place of a coefficient of a facet, and the normal along which it counts, in words."""
         x, n = self.contact.places()[facet, place], self.contact.facets.normals[facet]
         where, along = (", ".join(f"{entry:.4g}" for entry in each) for each in (x, n))
         return f"at ({where}), along the normal ({along}) of the facet of the mesh"

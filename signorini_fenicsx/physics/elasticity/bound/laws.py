@@ -87,8 +87,8 @@ class LawOnFacets:
         number = len(corners.corners)
         means = [getattr(chains, name)[sites].mean(axis=1) for name in ("p", "flux", "slope")]
         p, flux, slope = means[0][:, :number], means[1][:, :number], means[2][:, : number + 1]
-        here = np.take_along_axis(chains.slope[sites], segment[contact.rows[rows]][:, :, None], axis=2)[:, :, 0]
-        nearest = np.argmax(np.where(np.isinf(here), NONE, here), axis=1)
+        slopes = np.take_along_axis(chains.slope[sites], segment[contact.rows[rows]][:, :, None], axis=2)[:, :, 0]
+        nearest = np.argmax(np.where(np.isinf(slopes), NONE, slopes), axis=1)
         return cls(
             law=law,
             rows=rows,

@@ -46,9 +46,9 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
         cells = Cells(spaces.vertices[numbers])
         compliance = above(data.compliances(spaces, numbers))
         inside, missed = _force(spaces, data, stresses, numbers)
-        here = np.flatnonzero(np.isin(facets.cells, numbers))
+        rows = np.flatnonzero(np.isin(facets.cells, numbers))
         on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))
-        on_facets[facets.cells[here] - numbers[:1], facets.local[here]] = traction[here]
+        on_facets[facets.cells[rows] - numbers[:1], facets.local[rows]] = traction[rows]
         found[numbers] += korn_constants(cells.derivative) * missed
         found[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
@@ -103,17 +103,17 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, Array]:
         if datum.polynomial is not None and datum.polynomial <= 1:
             continue
         part = spaces.part(name) if name else facets
-        here = np.searchsorted(facets.facets, part.facets)
+        rows = np.searchsorted(facets.facets, part.facets)
         points, weights = basix.make_quadrature(SIMPLEX[dim - 1], _degree_of_square(data, datum))
         hats, weights = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
         values = _without_given(spaces, part, datum.values(in_facets(spaces.mesh, part.facets, points)))
         basis = lagrange(hats, ON_FACETS)
         linear, fitted = (np.einsum("aq,nqi->nai", _fit(each, weights), values) for each in (hats, basis))
-        rest[here] = np.sqrt(part.measure * np.einsum("q,nqi->n", weights, (values - basis @ fitted) ** 2))
+        rest[rows] = np.sqrt(part.measure * np.einsum("q,nqi->n", weights, (values - basis @ fitted) ** 2))
         fitted -= lattice(dim, ON_FACETS) / ON_FACETS @ linear
-        there = np.zeros((len(here), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
+        there = np.zeros((len(rows), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
         np.put_along_axis(there, part.ranking[:, None], np.broadcast_to(places, there.shape), axis=2)
-        cubic[here] = np.take_along_axis(fitted, numbers_in(there, ON_FACETS)[:, :, None], axis=1)
+        cubic[rows] = np.take_along_axis(fitted, numbers_in(there, ON_FACETS)[:, :, None], axis=1)
     return cubic, rest
 
 
