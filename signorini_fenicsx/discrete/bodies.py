@@ -12,15 +12,9 @@ from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs, e
 
 def bodies(spaces: MeshSpaces) -> Indices:
     """A number of its body for each owned cell, from 0 without gaps over all ranks (collective)."""
-    from scipy.sparse import coo_array  # slow to import, and rarely needed
-    from scipy.sparse.csgraph import connected_components
-
     comm, space, cells = spaces.mesh.comm, spaces.crouzeix_raviart, len(spaces.cell_measures)
     facets = space.dofmap.list[:cells]
-    size = cells + space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts
-    cell = np.repeat(np.arange(cells), facets.shape[1])
-    graph = coo_array((np.ones(len(cell)), (cell, cells + facets.ravel())), shape=(size, size))
-    piece = np.unique(connected_components(graph, directed=False)[1][:cells], return_inverse=True)[1]
+    piece = np.unique(_pieces(facets), return_inverse=True)[1]
     number = int(piece.max(initial=-1)) + 1
     body = (comm.scan(number) - number + piece).astype(np.float64)
     while True:  # pieces of several ranks that share a facet get the larger number
@@ -31,6 +25,24 @@ def bodies(spaces: MeshSpaces) -> Indices:
             of_all = np.unique(np.concatenate(comm.allgather(np.unique(body))))
             return np.searchsorted(of_all, body)
         body = largest[piece]
+
+
+def _pieces(facets: npt.NDArray[np.int32]) -> Indices:
+    """A number for each cell, the same for cells that are joined by facets of this rank.
+
+    Each piece, a cell at first, is joined to that with the smallest number among its neighbours, until none has any.
+    """
+    piece = np.arange(len(facets))
+    while True:
+        of_facet = np.full(facets.max(initial=-1) + 1, len(facets))
+        np.minimum.at(of_facet, facets.ravel(), np.repeat(piece, facets.shape[1]))
+        joined = np.arange(len(facets))
+        np.minimum.at(joined, piece, of_facet[facets].min(axis=1, initial=len(facets)))
+        if (joined[piece] == piece).all():
+            return piece
+        while (joined[joined] != joined).any():
+            joined = joined[joined]
+        piece = joined[piece]
 
 
 def spread(spaces: MeshSpaces, facets: npt.NDArray[np.int32], values: Array) -> float:

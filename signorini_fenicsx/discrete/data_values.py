@@ -20,7 +20,7 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.expressions import TREES
-from signorini_fenicsx.expressions.enclosures import ranges
+from signorini_fenicsx.expressions.enclosures import ranges, surely_above
 
 DATA_RANGE = 1e-100, 1e100
 ROUNDING = 1e-12
@@ -67,9 +67,11 @@ def least_value(spaces: MeshSpaces, datum: Datum, wanted: Array) -> tuple[float,
         found += _least(values.ravel(), points.x.reshape(-1, mesh.geometry.dim))
     for tree, inside in datum.pieces or []:
         if isinstance(tree, TREES):
-            cells = slice(None) if inside is None else np.flatnonzero(inside)
-            of_tree = ranges(tree, vertices[cells], None, spaces.frame, wanted[cells], np.inf)
-            found += _least(of_tree.least, of_tree.at)
+            cells = np.arange(len(vertices)) if inside is None else np.flatnonzero(inside)
+            cells = cells[~surely_above(tree, vertices[cells], spaces.frame, wanted[cells])]
+            if mesh.comm.allreduce(len(cells)) > 0:
+                of_tree = ranges(tree, vertices[cells], None, spaces.frame, wanted[cells], np.inf)
+                found += _least(of_tree.least, of_tree.at)
     return min(mesh.comm.allgather(min(found)))
 
 

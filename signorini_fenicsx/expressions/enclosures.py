@@ -51,6 +51,18 @@ def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: 
     return bounds_of_parts
 
 
+def surely_above(tree: Tree, vertices: Array, frame: Frame, low: Array) -> Mask:
+    """The simplices on which all values are proved to be above a bound; quick where that is true in large boxes."""
+    above = np.zeros(len(vertices), dtype=bool)
+
+    def look(remainder: Remainder, rows: Indices) -> Mask:
+        above[rows] |= remainder.value.lo > low[rows]
+        return above[rows]
+
+    look_everywhere(tree, vertices, frame, look)
+    return above
+
+
 def slopes(tree: Tree, vertices: Array, frame: Frame, enough: Array) -> tuple[Array, Array]:
     """Bounds of value and gradient, see `Remainder.slope`; the gradient is only as small as is enough."""
     best = np.full((2, len(vertices)), np.inf)

@@ -174,6 +174,7 @@ def test_bad_data(folder: Path):
     for key, value, message in [
         ("kappa", "x - 0.5", "must be positive; a mean over a cell is -0"),
         ("kappa", [["1", "2"], ["2", "1"]], "must be positive; a mean over a cell has the eigenvalue -1"),
+        ("kappa", "1 - 1.001*exp(-1e6*((x - 0.31)^2 + (y - 0.37)^2))", r"its value is -0.000.* near \(0\.31, 0\.37\)"),
         ("kappa", [["2", "1"], ["0", "2"]], "is not symmetric"),
         ("kappa", "1/(x - x)", "cannot be evaluated|not finite"),
         ("kappa", {"rock": "1"}, "unknown region 'rock' of the mesh; it has none"),

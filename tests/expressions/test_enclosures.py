@@ -5,9 +5,12 @@ import random
 import numpy as np
 import pytest
 from fuzz_expressions import valid
+from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import read, values, values_and_gradient
+from signorini_fenicsx.expressions.cutting import Frame
+from signorini_fenicsx.expressions.enclosures import surely_above
 from signorini_fenicsx.expressions.intervals import FromNumPy
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
 from signorini_fenicsx.rigorous.enclosures import enclose
@@ -32,6 +35,19 @@ def value_of(p: Quadratic, vertices: np.ndarray, points: np.ndarray) -> np.ndarr
     offset = points - vertices.mean(axis=1)
     bend = np.einsum("nij,cnj->cni", p.hessian, offset)
     return p.value + ((p.gradient + bend / 2) * offset).sum(axis=2)
+
+
+def test_values_above_a_bound():
+    """Data that are above 0 by far are so in all cells, at the first look; else only cells where they are."""
+    frame, vertices = Frame(np.array([[0.0, 0.0], [1.0, 1.0]]), 800, MPI.COMM_SELF), squares(20)
+    for text in ("1 + 0.8*x - 0.2*y", "2 + sin(9*x*y)", "exp(-x)/(1 + y^2)"):
+        assert surely_above(read(text, "xy"), vertices, frame, np.zeros(800)).all()
+    above = surely_above(read("x - 0.52", "xy"), vertices, frame, np.zeros(800))
+    assert (above == (vertices[:, :, 0].min(axis=1) > 0.52)).all()
+    hidden = read("1 - 1.001*exp(-1e6*((x - 0.31)^2 + (y - 0.37)^2))", "xy")
+    missed = vertices[~surely_above(hidden, vertices, frame, np.zeros(800))]
+    assert 0 < len(missed) < 20
+    assert ((missed.min(axis=1) < [0.31, 0.37]) & (missed.max(axis=1) > [0.31, 0.37])).all(axis=1).any()
 
 
 @pytest.mark.parametrize("corners", [2, 3, 4])
