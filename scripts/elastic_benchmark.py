@@ -1,6 +1,7 @@
 """Elastic contact against one linear solve with the known set, and against P2 displacements at the same energy error.
 
-uv run python scripts/elastic_benchmark.py [--quick] [--iterations] [--dim 2|3] [--alone CELLS]
+uv run python scripts/elastic_benchmark.py [--quick] [--iterations] [--dim 2|3] [--alone CELLS] [--friction LAW]
+    [--bodies 1|2]
 
 A block that is fixed on one side is pressed onto a foundation that is 0.02 away. Seconds are those of the processor, on
 one core, from the mesh to the fields; of ours and of the known set the better of two runs each, as the first one also
@@ -10,6 +11,10 @@ pays for fresh memory. The energy error of a stress is (2(C(σ_h) − C))^½, th
 With --alone it solves one mesh by ours and bounds the error, once each, and prints the seconds and the most memory of
 the process after the solve and after the bound. With --iterations it prints instead how many iterations CG with
 multigrid takes from ν = 0.3 to ν = 0.4999.
+
+With --friction, `tresca` or `coulomb`, the block is pushed along the foundation too, and with --bodies 2 the lower half
+is a body of its own that is fixed below. Then the table has ours and the known set alone, with the bounds of the
+friction and the directions of slip known too, and how many solves ours took.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -18,6 +23,7 @@ import argparse
 import resource
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import dolfinx.mesh
@@ -26,12 +32,21 @@ from mpi4py import MPI
 from p2_contact import solve_p2
 
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.data import elastic_data
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import (
+    Contact,
+    Coulomb,
+    Dirichlet,
+    ElasticBoundary,
+    Elasticity,
+    ElasticProblem,
+    Neumann,
+    Tresca,
+)
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
@@ -44,8 +59,12 @@ FOR_ITERATIONS = {2: (16, 32, 64), 3: (4, 8)}
 QUICK = {2: (8, 16, 32), 3: (2, 4)}
 
 
-def block(dim: int, n: int) -> Domain:
-    """A box of length 2 with n cells along the other edges."""
+FRICTION = {"none": None, "tresca": Tresca(0.01), "coulomb": Coulomb(0.3)}
+SIDEWAYS = 0.03
+
+
+def block(dim: int, n: int, bodies: int = 1) -> Domain:
+    """A box of length 2 with n cells along the other edges, cut in the middle if it is two bodies."""
     make = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[dim]
     mesh = make(COMM, [[0.0] * dim, [2.0] + [1.0] * (dim - 1)], [2 * n] + [n] * (dim - 1))
     parts = {
@@ -53,12 +72,14 @@ def block(dim: int, n: int) -> Domain:
         for axis, name in enumerate("xyz"[:dim])
         for end, place in enumerate((0.0, 2.0 if axis == 0 else 1.0))
     }
-    return domain_of(mesh, parts)
+    if bodies == 2:
+        parts["joint"] = lambda x: np.isclose(x[dim - 1], 0.5)
+    return domain_of(mesh, parts, inner=["joint"] if bodies == 2 else [])
 
 
-def coarser(dim: int, n: int, factor: float) -> Domain:
+def coarser(dim: int, n: int, factor: float, bodies: int = 1) -> Domain:
     """The block with cells larger by a factor, from which the sets are predicted."""
-    return block(dim, max(round(n / factor), 1))
+    return block(dim, max(bodies * round(n / factor / bodies), bodies), bodies)
 
 
 def timed[T](run: Callable[[], T]) -> tuple[T, float]:
@@ -71,10 +92,11 @@ def timed[T](run: Callable[[], T]) -> tuple[T, float]:
     return found, min(seconds)
 
 
-def solved_with(domain: Domain, boundary: ElasticBoundary, problem: ElasticProblem, known: SiteConditions) -> None:
+def with_known_set(domain: Domain, solution: ElasticSolution) -> None:
     """One linear solve with the known set."""
-    spaces = build_elastic_spaces(domain, boundary)
-    ElasticBackend(spaces, elastic_data(spaces, problem)).solve(known)
+    spaces = build_elastic_spaces(domain, solution.boundary, solution.problem.rough)
+    data = replace(elastic_data(spaces, solution.problem), friction=solution.data.friction)
+    ElasticBackend(spaces, data).solve(solution.outcome.conditions)
 
 
 def pressed(dim: int, poisson: float = POISSON) -> tuple[ElasticBoundary, ElasticProblem]:
@@ -86,6 +108,19 @@ def pressed(dim: int, poisson: float = POISSON) -> tuple[ElasticBoundary, Elasti
     return ElasticBoundary([f"{last}0"], neumann=free), ElasticProblem(
         YOUNG, poisson, f=[str(x) for x in f], g_N=g_N, gap=GAP
     )
+
+
+def rubbing(dim: int, bodies: int, friction: str) -> Elasticity:
+    """The block's problem with friction, or as two bodies."""
+    last = "xyz"[dim - 1]
+    f, push = loads(dim)
+    push[0] = 0.0 if friction == "none" else SIDEWAYS
+    free = ["x1", *(["y0", "y1"] if dim == 3 else [])]
+    touching = Contact(f"{last}0" if bodies == 1 else "joint", gap=GAP, friction=FRICTION[friction])
+    loaded = Neumann(f"{last}1", [str(x) for x in push])
+    held = [Dirichlet(f"{last}0", ["0"] * dim)] if bodies == 2 else []
+    conditions = [touching, loaded, Neumann(free), *held]
+    return Elasticity(YOUNG, POISSON, f=[str(x) for x in f], conditions=conditions)
 
 
 def loads(dim: int) -> tuple[list[float], list[float]]:
@@ -111,6 +146,22 @@ def print_alone(dim: int, n: int) -> None:
     print(f"  bound {bounded[0] - solved[0]:7.1f} s  {bounded[1]:5.2f} GB", flush=True)
 
 
+def print_rubbing(cells: dict[int, tuple[int, ...]], bodies: int, friction: str) -> None:
+    """Ours and the known set, with friction or two bodies."""
+    print(f"{bodies} bodies, friction {friction}: cells, unknowns, seconds, of the bound; over the known set; solves")
+    for dim, sizes in cells.items():
+        for n in sizes:
+            domain, problem = block(dim, n, bodies), rubbing(dim, bodies, friction)
+            remesh = partial(coarser, dim, n, bodies=bodies)
+            solution, ours = timed(partial(solve, domain, problem, remesh=remesh))
+            _, bound = timed(solution.certify)
+            _, known = timed(partial(with_known_set, domain, solution))
+            line = f"{dim}D {n:4d} {solution.outcome.dofs:8d} {ours:8.2f} {bound:8.2f}   {ours / known:.2f}"
+            steps = solution.outcome.history
+            counts = f"{sum(step.rough for step in steps)} rough + {sum(not step.rough for step in steps)}"
+            print(f"{line}   {counts}, {len(solution.bound_changes)} bounds of the friction", flush=True)
+
+
 def print_iterations(cells: dict[int, tuple[int, ...]]) -> None:
     """The most iterations that a set takes, for each mesh and ν."""
     for dim, sizes in cells.items():
@@ -134,6 +185,8 @@ def main() -> None:
     options.add_argument("--iterations", action="store_true", help="iterations of CG only")
     options.add_argument("--dim", type=int, choices=(2, 3), action="append", help="this dimension only")
     options.add_argument("--alone", type=int, help="ours and its bound on one mesh with so many cells across")
+    options.add_argument("--friction", choices=FRICTION, default="none", help="with this friction, and pushed along")
+    options.add_argument("--bodies", type=int, choices=(1, 2), default=1)
     asked = options.parse_args()
     dims = asked.dim or (2, 3)
     if asked.alone:
@@ -143,8 +196,11 @@ def main() -> None:
     if asked.iterations:
         print_iterations({dim: (QUICK if asked.quick else FOR_ITERATIONS)[dim] for dim in dims})
         return
-    for dim in dims:
-        sizes = (QUICK if asked.quick else CELLS)[dim]
+    cells = {dim: (QUICK if asked.quick else CELLS)[dim] for dim in dims}
+    if asked.friction != "none" or asked.bodies > 1:
+        print_rubbing(cells, asked.bodies, asked.friction)
+        return
+    for dim, sizes in cells.items():
         f, push = loads(dim)
         boundary, problem = pressed(dim)
         rows = []
@@ -153,7 +209,7 @@ def main() -> None:
             coarser_mesh = partial(coarser, dim, n)
             solution, ours = timed(partial(solve, domain, (boundary, problem), remesh=coarser_mesh))
             _, bound = timed(solution.certify)
-            _, known = timed(partial(solved_with, domain, boundary, problem, solution.outcome.conditions))
+            _, known = timed(partial(with_known_set, domain, solution))
             other = solve_p2(domain.mesh, YOUNG, POISSON, f, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP)
             norms = solution.norms()
             energy = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]

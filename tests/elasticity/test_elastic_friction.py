@@ -260,6 +260,12 @@ def test_nothing_rubs_where_nothing_touches(gap: float):
     assert bounds[0].relative < 0.5
 
 
+def test_bounds_of_friction_that_are_rounding():
+    """The error bound takes a g of 1e-30 on half of Γ_C for 0."""
+    tiny, none = (sliding(COMM, 4, Friction(["y0"], f"0.01*max(0, x - 1) + {least}")) for least in (1e-30, 0))
+    assert certify(tiny).bound == pytest.approx(certify(none).bound, rel=1e-8)
+
+
 @pytest.mark.parallel([1, 3])
 def test_few_linear_iterations(monkeypatch: pytest.MonkeyPatch):
     """By CG, from a coarser mesh, all changes of Coulomb's bounds cost at most five solves; factors agree."""

@@ -114,11 +114,14 @@ class BestDisplacement:
         return -self.material.eigenstrain - ufl.dot(self.material.compliance, vector(self.sigma))
 
     def _collect_terms(self) -> None:
-        """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective)."""
+        """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective).
+
+        Bounds of the friction that are rounding are left out, as no interior point can hold them apart from 0.
+        """
         contact, (rough, here), dim = self.contact, self.rough, self.spaces.dim
         tangents = self._rubbing_frames()
         weights = np.repeat(self._rubbing_weights()[:, :, None], dim - 1, axis=2)
-        rubs = weights > 0
+        rubs = weights > ROUNDING * self.comm.allreduce(weights.max(initial=0.0), MPI.MAX)
         on, at, sides, corners, most = self._kinks()
         rows, places = np.append(on, rough[np.nonzero(rubs)[0]]), np.append(at, np.nonzero(rubs)[1])
         directions = np.append(sides[:, None] * contact.facets.normals[on], tangents[rubs].reshape(-1, dim), 0)
