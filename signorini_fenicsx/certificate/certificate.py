@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
@@ -27,6 +28,9 @@ from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 
 type Places = tuple[tuple[str, tuple[float, ...]], ...]
 """Data, each with a place."""
+
+PLACES = 10
+"""Largest number of unresolved places that are kept."""
 
 API = (
     "bound",
@@ -41,6 +45,11 @@ API = (
     "summary",
 )
 """What a notebook offers of a certificate."""
+
+
+def first_places(own: list[tuple[str, tuple[float, ...]]], comm: MPI.Comm) -> Places:
+    """The first of the places of all ranks, the same on all ranks (collective)."""
+    return tuple(sorted(each for places in comm.allgather(sorted(own)[:PLACES]) for each in places)[:PLACES])
 
 
 @dataclass(frozen=True)

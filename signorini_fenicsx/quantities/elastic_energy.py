@@ -51,7 +51,7 @@ def energy(solution: ElasticSolution) -> Quantity:
     if past or not math.isfinite(y.distance):
         return Quantity(upper, -math.inf, math.inf, False, past or UNBALANCED)
     lower = upper - max(float(sums[0]), 0.0) - y.distance * (math.sqrt(sums[1]) + y.distance / 2)
-    missing = not_in_the_spaces(data)
+    missing = not_in_the_spaces(data, enclosed=False)  # J(v) is by quadrature
     reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
     return Quantity((lower + upper) / 2, lower, upper, not missing, reason)
 

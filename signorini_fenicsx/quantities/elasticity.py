@@ -26,6 +26,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import TRESCA, UNBALANCE
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
+from signorini_fenicsx.physics.elasticity.bound.resolution import unresolved
 from signorini_fenicsx.physics.elasticity.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
@@ -160,6 +161,7 @@ class _Beside(Beside[_Side]):
         data = solution.data, of_y.solution.data
         missing = sorted({name for each in data for name in not_in_the_spaces(each)})
         reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
+        reason = reason or ("young or poisson is not resolved" if unresolved(self.spaces, solution.data)[0] else "")
         value = (math.sqrt(total) + y.distance) ** 2 / 4 + max(at_sites, 0.0)
         return Half(value, reason, squares / 4 + np.maximum(contact, 0.0))
 

@@ -6,18 +6,25 @@ from dataclasses import replace
 import dolfinx.mesh
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
 from dolfinx.mesh import GhostMode
 from elastic import box, half_plane_contact
 from korn_constants import bound_of, korn_constant, moment_error, trace_constant
 from mpi4py import MPI
 from random_elastic_bounds import energy_difference, measured
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.bound.certify import gap_of_cells
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE
+from signorini_fenicsx.physics.elasticity.bound.resolution import unresolved
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -94,6 +101,61 @@ def test_a_body_of_two_materials():
     assert certificate.guaranteed
     assert solution.norms()["contact_force"] == pytest.approx(0.15)
     assert certificate.bound < 1e-8
+
+
+def test_a_stiffness_that_varies():
+    """With texts for E and ν the bound is guaranteed; quadrature misses less of the gap than the enclosures add."""
+    load = ["2*(1 + y)*y*(1 - y) + (1 + y)*x*(1 - x) - x*(1 - x)*(1 - 2*y)/2", "-(1 + y)*(1 - 2*x)*(1 - 2*y)/2"]
+    problem = ElasticProblem("1 + y", 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
+    for n in (2, 8):
+        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary([]), problem))
+        errors, certificate = solution.errors(), certify(solution)
+        assert errors is not None
+        assert certificate.guaranteed
+        assert errors["energy"] <= certificate.sigma_bound < 3.5 * errors["energy"]
+
+
+@pytest.mark.parametrize("plane", ["strain", "stress"])
+def test_what_quadrature_misses_of_the_gap(plane: str):
+    """The gap of each cell is at least that by a quadrature of degree 30, which is more than that of the program."""
+    boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
+    problem = ElasticProblem("exp(x*y)", "0.1 + 0.2*x*y", u_D=["0", "-0.1"], plane=plane)
+    solution = solve(box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
+    spaces, y = solution.spaces, admissible_stress(solution)
+    best = BestDisplacement(spaces, solution.data, y, spaces.split, 2)
+    v, _ = best.minimum()
+    with_missed, _ = gap_of_cells(solution, y, best, v)
+    x = ufl.SpatialCoordinate(spaces.split.mesh)
+    E, nu = ufl.exp(x[0] * x[1]), 0.1 + 0.2 * x[0] * x[1]
+    e, identity = ufl.sym(ufl.grad(v)), ufl.Identity(2)
+    lame = E * nu / ((1 + nu) * (1 - 2 * nu if plane == "strain" else 1 - nu))
+    of_trace = nu / E * (1 + nu if plane == "strain" else 1)
+    off = e - ((1 + nu) / E * best.sigma - of_trace * ufl.tr(best.sigma) * identity)
+    square = ufl.inner(E / (1 + nu) * off + lame * ufl.tr(off) * identity, off)
+    weight = ufl.TestFunction(fenicsx.function_space(spaces.split.mesh, ("DG", 0)))
+
+    def by_quadrature(degree: int) -> np.ndarray:
+        form = weight * square * ufl.dx(metadata={"quadrature_degree": degree})
+        found = fem.assemble_vector(fenicsx.form(form)).array
+        return np.bincount(spaces.split.subcells // 3, found[: len(spaces.split.subcells)], len(with_missed))
+
+    assert unresolved(spaces, solution.data)[0] == ()
+    fine, rough = by_quadrature(30), by_quadrature(best.material.degree)
+    assert (fine <= with_missed).all()
+    assert (fine > rough).any()
+    assert with_missed.sum() < 1.2 * fine.sum()
+
+
+def test_a_stiffness_that_the_mesh_does_not_see():
+    """A pulse of E between the points of the quadrature is told."""
+    pulse = "1 + 1000*exp(-1e6*((x - 0.313)^2 + (y - 0.417)^2))"
+    problem = ElasticProblem(pulse, 0.3, u_D=["0", "-0.1"])
+    solution = solve(box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"], neumann=["x0", "x1"]), problem))
+    certificate = certify(solution)
+    assert not certificate.guaranteed
+    assert certificate.reservation.startswith("young or poisson is not resolved near (0.")
+    (near, *_) = [np.linalg.norm(np.subtract(place, [0.313, 0.417])) for _, place in certificate.unresolved]
+    assert near < 0.2
 
 
 def test_constants_of_korn():

@@ -25,6 +25,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.certificate.certificate import Places, first_places
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import FacetPoints, cell_quadrature, in_cells
@@ -43,8 +44,6 @@ EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""
 MUCH = 0.5
 """If enclosures add more than this share of the bound, data are not resolved."""
-PLACES = 10
-"""Largest number of unresolved places that are kept."""
 SHARE = 0.02
 """Enclosures stop where their uncertainty is about this share of the error."""
 SMALLEST = 1e-100
@@ -313,7 +312,7 @@ class Resolution:
         self.unresolved += [(name, tuple(place)) for place in places.tolist()]
         self.coarse[cells] = True
 
-    def account(self, share: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    def account(self, share: float) -> Places:
         """Data that are not resolved, each with a place; the same on all ranks (collective).
 
         If enclosures add much to the bound, the places where they add most are not resolved.
@@ -328,8 +327,7 @@ class Resolution:
             for name, size in sizes.items():
                 worst = (size >= most / 4) & (size > 0)
                 self.note(name, self.vertices[worst].mean(axis=1), np.flatnonzero(worst))
-        everything = sorted(entry for entries in comm.allgather(sorted(self.unresolved)[:PLACES]) for entry in entries)
-        return tuple(everything[:PLACES])
+        return first_places(self.unresolved, comm)
 
 
 def is_enclosed(tree: Tree | Rows) -> bool:

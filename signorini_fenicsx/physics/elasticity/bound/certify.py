@@ -37,6 +37,7 @@ from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
+from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, is_enclosed, missed, unresolved
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -73,6 +74,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
+    places, coarse = unresolved(spaces, data)
     gap = Gap(
         squares=of_cells,
         oscillation=load_oscillation(spaces, data, y.stresses),
@@ -83,6 +85,8 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         unbalanced=UNBALANCED,
         unbounded="the numbers of the data are too large for it",
         by_quadrature=not_in_the_spaces(data),
+        account=lambda bound: places,
+        coarse=lambda: coarse,
     )
     certificate = replace(gap.certificate(spaces), lacking="not in the discrete spaces")
     if data.friction is None or not data.friction.by_pressure:
@@ -115,6 +119,8 @@ def gap_of_cells(
     material = problem.material
     off = off_law(v, problem.sigma, material.compliance, material.eigenstrain)
     gaps = square(material.stiffness, off, weight, material.dx)
+    if (more := missed(problem, v)) is not None:
+        gaps += weight * more * ufl.dx
     of_subcells = fem.assemble_vector(fenicsx.form(gaps)).array
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells[: len(split.subcells)])
@@ -162,8 +168,8 @@ def _on_contact(
     return found
 
 
-def not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
-    """Data that the discrete problem does not hold exactly."""
+def not_in_the_spaces(data: ElasticData, *, enclosed: bool = True) -> tuple[str, ...]:
+    """Data that are neither exact in the discrete problem nor, where this is enough, enclosed."""
     found = [(each.name, each.polynomial, MOST // 2) for each in (data.f, *data.g_N.values())]
     found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     names = [name for name, degree, most in found if degree is None or degree > most]
@@ -171,4 +177,5 @@ def not_in_the_spaces(data: ElasticData) -> tuple[str, ...]:
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     own = data.material.own
     names += [each.name for each in own if (each.datum.polynomial is None or each.datum.polynomial > MOST // 2)]
-    return tuple(names) if data.material.uniform else (*names, "young and poisson")
+    known = data.material.uniform or (enclosed and is_enclosed(data.material))
+    return tuple(names) if known else (*names, NAME)

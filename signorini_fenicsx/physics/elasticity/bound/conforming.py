@@ -22,6 +22,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
 from signorini_fenicsx.physics.elasticity.bound.condensed import (
@@ -54,6 +55,7 @@ class BestDisplacement:
     """The gap as a function of v's coefficients, in the frames of the nodes; see `interior_point.Terms`.
 
     Attributes:
+        data: The data.
         split: The split mesh, or the part of it on which the displacement is.
         sigma: y.
         contact: The facets of Γ_C on it.
@@ -81,7 +83,7 @@ class BestDisplacement:
             degree: Of the polynomials.
             v: For a part, the displacement on the whole mesh that the one on the part has to continue.
         """
-        self.spaces, self._data, self._y, self.split = spaces, data, y, split
+        self.spaces, self.data, self._y, self.split = spaces, data, y, split
         self.comm, mesh, dim = spaces.mesh.comm, split.mesh, spaces.dim
         self.sigma = split.stress(y.stresses)
         element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
@@ -90,7 +92,9 @@ class BestDisplacement:
         self.laws = [
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
         ]
-        self.material = material_on_split(spaces, data, split, 2 * degree - 2)
+        self.material = material_on_split(
+            spaces, data, split, 2 * degree - 2 + (0 if data.material.uniform else DEGREE)
+        )
         self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
         self.openings = self.contact.openings(spaces.mesh, data)
 
@@ -242,7 +246,7 @@ class BestDisplacement:
     @property
     def _iterates(self) -> bool:
         """Whether CG with multigrid is faster than factorisations: for many unknowns, unless they lock (collective)."""
-        return self._many and self._data.stiffness_of_volume(self.spaces) < STIFF
+        return self._many and self.data.stiffness_of_volume(self.spaces) < STIFF
 
     @property
     def _numbers(self) -> common.IndexMap:
@@ -341,7 +345,7 @@ class BestDisplacement:
         """The place where v passes the foundation farthest, in words; empty up to rounding (collective)."""
         contact, coefficients = self.contact, v.x.array.reshape(-1, self.spaces.dim)
         opening = self.openings_of(v)
-        least, most, *_ = (each.reshape(-1, self.spaces.dim) for each in self._data.laws.chains.extent())
+        least, most, *_ = (each.reshape(-1, self.spaces.dim) for each in self.data.laws.chains.extent())
         least, most = least.max(axis=1)[contact.rows, None], most.min(axis=1)[contact.rows, None]
         past = np.maximum(least - opening, opening - most)
         largest = np.array([np.abs(each).max(initial=0.0) for each in (coefficients, self.openings)])
@@ -386,14 +390,14 @@ class BestDisplacement:
     def _rubbing_weights(self) -> Array:
         """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
         rough, here = self.rough
-        return self._in_coefficients(self._data.bound_of_shear[here], self.contact.facets.measure[rough])
+        return self._in_coefficients(self.data.bound_of_shear[here], self.contact.facets.measure[rough])
 
     def _slipped(self) -> Array:
         """The slip of the last step in time and of tools on the facets with friction, by its coefficients.
 
         It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
         """
-        values = linear_from_means(self.spaces.along(self._data.slip_before)[self.rough[1]])
+        values = linear_from_means(self.spaces.along(self.data.slip_before)[self.rough[1]])
         return np.asarray(self._hats_of_rough() @ values)
 
     def _hats_of_rough(self) -> Array:
@@ -431,7 +435,7 @@ class BestDisplacement:
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t − w| over the facets with friction, see `FacetCoefficients.lengths`."""
         rough, here = self.rough
-        means = self.contact.lengths(self._slips(v), self._data.bound_of_shear[here], self._moments)
+        means = self.contact.lengths(self._slips(v), self.data.bound_of_shear[here], self._moments)
         return np.asarray(self.contact.facets.measure[rough] * means)
 
     def _slips(self, v: fem.Function) -> Array:

@@ -16,6 +16,7 @@ from signorini_fenicsx.discrete.lattices import lagrange, lattice, numbers_in
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS, local_stresses
+from signorini_fenicsx.physics.elasticity.bound.resolution import beyond
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     SIMPLEX,
@@ -45,6 +46,7 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         compliance = above(data.compliances(spaces, numbers))
+        compliance += beyond(spaces, data, numbers)[:, None, None] * np.eye(compliance.shape[1])
         inside, missed = _force(spaces, data, stresses, numbers)
         rows = np.flatnonzero(np.isin(facets.cells, numbers))
         on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))
