@@ -29,10 +29,8 @@ FREE = 1e-8
 """A motion of size 1 that moves what is given by less is free."""
 SLACK = 1e-9
 """A motion is not into the foundation below this share of its size; loads do no work below this share of their most."""
-SMALL = 1e-14
-"""What is rounding in the projection of a motion."""
-ENOUGH = 0.5
-"""Where n motions r are not all prevented, the nearest one to some unit motion has a share of 1/n of that at least."""
+SMALL = 1e-6
+"""What the size of a motion costs, so that of several a short one is told."""
 MOST_CUTS = 200
 """For each direction; far more than were ever seen."""
 
@@ -255,9 +253,8 @@ class Bodies:
 class Limits:
     """What a motion r ≠ 0 has to meet that nothing prevents: into·r ≤ 0 and Σ shears |slips·r| ≤ work·r.
 
-    They are found by cutting planes: of the motions that meet few rows the one nearest to a single motion is taken, and
-    each rank adds the row that this one violates most. So only rows of as many numbers as there are motions go between
-    the ranks.
+    Both sides are found by cutting planes: a linear programme with few rows gives a motion, and each rank adds the row
+    that this motion violates most. So only rows of as many numbers as there are motions go from rank to rank.
 
     Attributes:
         comm: Communicator.
@@ -282,10 +279,9 @@ class Limits:
         cuts = np.empty((0, len(self.work)))
         for objective in np.concatenate([np.eye(len(self.work)), -np.eye(len(self.work))]):
             for _ in range(MOST_CUTS):
-                motion = self.comm.bcast(_nearest(objective, cuts, still))
-                if objective @ motion < ENOUGH / len(objective):
+                motion = self.comm.bcast(_farthest(objective, cuts, still) if self.comm.rank == 0 else None)
+                if motion is None or objective @ motion < 0.5:
                     break
-                motion = motion / np.abs(motion).max()
                 more = self._violated(motion, ~sticks)
                 if len(more) == 0:
                     return np.asarray(motion)
@@ -306,31 +302,18 @@ class Limits:
         return np.concatenate([rows, along[None]]) if along @ motion > SLACK else rows
 
 
-def _nearest(objective: Array, cuts: Array, still: Array) -> Array:
-    """The motion r nearest to the objective with cuts·r ≤ 0 and still·r = 0, by Lawson and Hanson's active sets (1974).
+def _farthest(objective: Array, cuts: Array, still: Array) -> Array | None:
+    """The motion with the largest objective, entries up to 1, or None if there is none; of several a short one."""
+    if len(objective) == 1:
+        return objective if len(still) == 0 and (cuts @ objective <= 0).all() else None
+    from scipy.optimize import linprog  # takes a second to load
 
-    It is what is left of the objective without the nearest Σ λ_i cuts_i, λ_i ≥ 0, of which the positive λ_i are found.
-    """
-    objective, rows = objective - still.T @ (still @ objective), cuts - (cuts @ still.T) @ still
-    positive, shares = np.zeros(len(rows), dtype=bool), np.zeros(len(rows))
-    for _ in range(MOST_CUTS):
-        motion = objective - shares @ rows
-        past = np.where(positive, 0.0, rows @ motion)
-        if past.max(initial=0.0) <= SMALL:
-            break
-        positive[past.argmax()] = True
-        while True:
-            found = np.zeros(len(rows))
-            found[positive] = np.linalg.lstsq(rows[positive].T, objective)[0]
-            falls = positive & (found <= 0)
-            if not falls.any():
-                break
-            length = (shares[falls] / (shares - found)[falls]).min()
-            shares = shares + length * (found - shares)
-            positive &= shares > SMALL
-            shares[~positive] = 0.0
-        shares = found
-    return np.asarray(motion)
+    both = np.append(-objective, objective) + SMALL  # entries above 0 and below 0 are variables of their own
+    equal = {"A_eq": np.hstack([still, -still]), "b_eq": np.zeros(len(still))} if len(still) else {}
+    rows = np.hstack([cuts, -cuts])
+    exact = {"primal_feasibility_tolerance": SLACK / 10}  # otherwise a cut may be violated again
+    found = linprog(both, A_ub=rows, b_ub=np.zeros(len(cuts)), bounds=(0, 1), options=exact, **equal)
+    return np.subtract(*np.split(found.x, 2)) if found.success else None
 
 
 def _in_words(motion: Array, middle: Array, size: float) -> tuple[str, float]:
