@@ -1,8 +1,9 @@
 """The interval for the energy of an elastic body: J(v) − gap − Σ osc_T‖ℂ(ε(v) − ε₀) − y‖_T − ½osc² ≤ J(u) ≤ J(v).
 
-J(v) = ½(ℂe, e) − (f, v) − ⟨g_N, v⟩ + ∫ g|v_t − w| + ∫ φ(g − v_n) with e = ε(v) − ε₀, and φ of the laws between
-opening and pressure, which is −λp at the reference (p, λ) of the law and nowhere less than −λp. What is taken for the
-work of friction and for φ may be a bit more than these; the gap has the same in it, so that the lower bound is true.
+J(v) = ½(ℂe, e) − (f, v) − ⟨g_N, v⟩ + ∫ g|v_t − w| + ∫ φ(g − v_n), less the work of forces on tools, with e =
+ε(v) − ε₀, and φ of the laws between opening and pressure, which is −λp at the reference (p, λ) of the law and nowhere
+less than −λp. What is taken for the work of friction and for φ may be a bit more than these; the gap has the same in
+it, so that the lower bound is true.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import UNBALANCED, gap_o
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
-from signorini_fenicsx.physics.elasticity.data import facet_moments
+from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -98,7 +99,8 @@ def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function)
         total += float(law.energies(problem.openings_of(v)[law.rows]).sum())
     if data.friction is not None:
         total += float(problem.rubbed(v).sum())
-    return float(spaces.mesh.comm.allreduce(total))
+    on_tools = sum(float(tool.load @ tool.moved) for tool in data.tools)
+    return float(spaces.mesh.comm.allreduce(total)) - on_tools
 
 
 def _given_for(given: Any, name: str) -> Any:

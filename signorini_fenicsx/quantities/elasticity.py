@@ -7,13 +7,13 @@ same. For forces see `motions`. Under Coulomb's friction it is Tresca's problem 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
@@ -21,7 +21,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import datum_of, quadrature_degree
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
-from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.bound.certify import TRESCA, UNBALANCED, gap_of_cells, not_in_the_spaces
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
@@ -35,7 +35,15 @@ from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Half
 from signorini_fenicsx.quantities.elastic_energy import indicator
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
-from signorini_fenicsx.quantities.motions import Posed, components, direction_of, moved, moved_slip
+from signorini_fenicsx.quantities.motions import (
+    Posed,
+    check_part,
+    check_parts,
+    components,
+    direction_of,
+    foundations,
+    moved,
+)
 from signorini_fenicsx.quantities.shifts import added, in_regions
 
 QUADRATIC = 2
@@ -59,48 +67,58 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
-    if posed[1].force or posed[1].moment:
-        raise InputError("quantities have no bounds where a tool moves under a given force")
     if isinstance(kind, Energy):
         return
     if isinstance(kind, Force):
+        check_parts(domain, posed, kind)
         moved(domain, posed, kind, 0.0)
     elif isinstance(kind, Integral):
         _loaded(domain, posed, kind, 0.0)
+        _pulls(domain, posed, kind, 0.0)
     else:
         raise InputError(f"{type(kind).__name__}: elastic contact has Integral, Mean, Force, Moment and Energy")
 
 
 def _loaded(domain: Domain, posed: Posed, kind: Integral, tau: float) -> Posed:
-    """The problem whose load is larger by τ weight·direction (collective).
+    """The problem whose force per volume is larger by τ weight·direction; for parts see `_pulls` (collective).
 
     Raises:
-        InputError: If a name is unknown, or no traction is given on a part.
+        InputError: If a name is unknown, or the weight no number or text.
     """
     boundary, problem = posed
     dim = domain.mesh.geometry.dim
-    along = direction_of(kind.direction, dim)
     if not isinstance(parsed(kind.weight, "xyz"[:dim], "weight"), TREES):
         raise InputError("weight: must be a number or a text")
-    if not kind.parts:
-        own = components(problem.f, dim)
-        f = [
-            in_regions(domain, each, kind.weight, kind.region, tau * share)
-            for each, share in zip(own, along, strict=True)
-        ]
-        return boundary, replace(problem, f=f)
-    given = problem.g_N
-    g_N: dict[str, Any] = dict(given) if isinstance(given, Mapping) else dict.fromkeys(boundary.neumann, given)
+    if kind.parts:
+        return posed
+    own, along = components(problem.f, dim), direction_of(kind.direction, dim)
+    f = [
+        in_regions(domain, each, kind.weight, kind.region, tau * share) for each, share in zip(own, along, strict=True)
+    ]
+    return boundary, replace(problem, f=f)
+
+
+def _pulls(domain: Domain, posed: Posed, kind: Integral, tau: float) -> dict[str, Any]:
+    """The tractions τ weight·direction on parts, or the pressures −τ weight for the normal direction.
+
+    Where two bodies touch they act on both, against each other.
+
+    Raises:
+        InputError: If a part is unknown, or u is given on it.
+    """
+    boundary, problem = posed
+    contact, found = boundary.touching_on(problem.touching).contact, dict[str, Any]()
     for part in kind.parts:
-        if part not in domain.facets:
-            raise InputError(f"unknown part '{part}'; there are {', '.join(domain.facets)}")
-        if part not in boundary.neumann or part in problem.pressure:
-            raise InputError(
-                f"integrals of displacements are over parts where a traction is given, and '{part}' is none"
-            )
-        own = components(g_N.get(part), dim)
-        g_N[part] = [added(domain, each, kind.weight, tau * share) for each, share in zip(own, along, strict=True)]
-    return boundary, replace(problem, g_N=g_N)
+        check_part(domain, boundary, part)
+        if part not in (*contact, *boundary.neumann, *boundary.fixed):
+            raise InputError(f"integrals of displacements are over parts in contact or loaded; on '{part}' u is given")
+        sides = [(part, tau), *([(other_side(part), -tau)] if part in boundary.inner else [])]
+        if kind.direction is None:
+            found |= {side: added(domain, 0.0, kind.weight, -tau) for side, _ in sides}
+            continue
+        along = direction_of(kind.direction, domain.mesh.geometry.dim)
+        found |= {side: [added(domain, 0.0, kind.weight, amount * share) for share in along] for side, amount in sides}
+    return found
 
 
 @dataclass(frozen=True)
@@ -129,6 +147,11 @@ class _Side:
 
 class _Beside(Beside[_Side]):
     """Elastic problems beside that of a solution."""
+
+    @property
+    def given(self) -> Posed:
+        """The problem of the solution."""
+        return self.solution.boundary, self.solution.problem
 
     def memory(self, tau: float) -> FromBefore:
         """The slip of the last step in time, and Coulomb's bounds of the shear."""
@@ -188,12 +211,11 @@ class Fluxes(_Beside):
 
     def posed(self, tau: float) -> Posed:
         """The problem with data that differ by τ (collective)."""
-        return moved(self.domain, (self.solution.boundary, self.solution.problem), self.kind, tau)
+        return moved(self.domain, self.given, self.kind, tau)
 
     def memory(self, tau: float) -> FromBefore:
-        """The slip of the last step in time moves with the foundations."""
-        more = moved_slip(self.spaces, (self.solution.boundary, self.solution.problem), self.kind, tau)
-        return replace(super().memory(tau), slipped=self.solution.data.slipped + more)
+        """Foundations on the parts have moved."""
+        return replace(super().memory(tau), moved=foundations(self.domain, self.given, self.kind, tau))
 
     def value(self, of_v: _Side, of_y: _Side) -> float:
         """⟨yn, w⟩ (collective)."""
@@ -223,17 +245,34 @@ class Integrals(_Beside, beside.Integrals[_Side]):
 
     def posed(self, tau: float) -> Posed:
         """The problem with data that differ by τ (collective)."""
-        return _loaded(self.domain, (self.solution.boundary, self.solution.problem), self.kind, tau)
+        return _loaded(self.domain, self.given, self.kind, tau)
+
+    def memory(self, tau: float) -> FromBefore:
+        """On parts there are tractions besides."""
+        return replace(super().memory(tau), pulls=_pulls(self.domain, self.given, self.kind, tau))
 
     def integral(self, of: _Side | None = None, power: int = 1) -> float:
-        """The integral of v along the direction, or for None of 1, times a power of the weight (collective)."""
-        dim, split, v = self.spaces.dim, self.spaces.split, None if of is None else of.v
+        """The integral of v along the direction, or for None of 1, times a power of the weight (collective).
+
+        Where two bodies touch it is that of the jump of v.
+        """
+        split, v = self.spaces.split, None if of is None else of.v
         mesh = split.mesh if v is None else v.function_space.mesh
-        weight = parsed(self.kind.weight, "xyz"[:dim], "weight")
+        weight = parsed(self.kind.weight, "xyz"[: self.spaces.dim], "weight")
         degree = QUADRATIC + power * quadrature_degree(datum_of(self.spaces, "weight", weight))
-        measure = ufl.ds if self.kind.parts else ufl.dx
+        measure = (ufl.ds if self.kind.parts else ufl.dx)(domain=mesh, metadata={"quadrature_degree": degree})
         where = indicator(self.spaces, mesh, self.kind.parts, self.kind.region)
-        of_v = 1.0 if v is None else ufl.dot(v, ufl.as_vector(direction_of(self.kind.direction, dim)))
-        value = to_ufl(weight, ufl.SpatialCoordinate(mesh)) ** power * of_v * where
-        form = fenicsx.form(value * measure(domain=mesh, metadata={"quadrature_degree": degree}))
-        return float(self.comm.allreduce(fem.assemble_scalar(form)))
+        along, across = 1.0 if v is None else self._along(v), 0.0
+        inner = [other_side(part) for part in self.kind.parts if part in self.solution.boundary.inner]
+        if v is not None and inner:  # a displacement along n has the sign of its side by itself
+            sign = -1.0 if self.kind.direction is not None else 1.0
+            across = sign * indicator(self.spaces, mesh, inner)
+        value = to_ufl(weight, ufl.SpatialCoordinate(mesh)) ** power * along * (where + across)
+        return float(self.comm.allreduce(fem.assemble_scalar(fenicsx.form(value * measure))))
+
+    def _along(self, v: fem.Function) -> Expr:
+        """The component of v along the direction, or on parts along n."""
+        direction = self.kind.direction
+        if direction is None:
+            return ufl.dot(v, ufl.FacetNormal(v.function_space.mesh))
+        return ufl.dot(v, ufl.as_vector(direction_of(direction, self.spaces.dim)))

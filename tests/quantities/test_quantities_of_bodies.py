@@ -162,7 +162,7 @@ def test_a_load_that_would_lift_the_body():
         (None, Force("nowhere", [0, 1]), "unknown part 'nowhere'"),
         (None, Force("top"), "direction: needs 2 numbers"),
         (None, Mean(direction=[1]), "direction: needs 2 numbers"),
-        (None, Mean(direction=[1, 0], parts="top"), "over parts where a traction is given, and 'top' is none"),
+        (None, Mean(direction=[1, 0], parts="top"), "in contact or loaded; on 'top' u is given"),
         (None, Mean(direction=[1, 0], region="rock"), "unknown region 'rock'"),
         (None, Mean(direction=[1, 0], weight=lambda x: x[0]), "weight: must be a number or a text"),
         (None, Flux("top"), "elastic contact has Integral, Mean, Force, Moment and Energy"),

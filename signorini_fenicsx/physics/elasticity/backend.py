@@ -373,9 +373,8 @@ class ElasticBackend:
         stresses, displacements = self.system.recover(self.everywhere(self._x.array_r) + self._data.lift)
         if refine and not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
-        traction = np.concatenate([-spaces.normal_stress(stresses), spaces.shear(stresses)])
-        traction[: len(spaces.sites)] -= self._data.laws.pressure
-        p, flux = self._cleaned(conditions, self._beside_tools(self._x), traction)
+        reactions = self._data.reactions(spaces, stresses)
+        p, flux = self._cleaned(conditions, self._beside_tools(self._x), reactions)
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
         return Iterate(
             p=p,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,17 +18,25 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
-from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, datum_on_parts
-from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
+from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
-from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, FromBefore, friction_bounds
-from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.johnson_mercier import SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.material import Material, check_material, material_of, mean_compliances
 from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaws, normal_laws
+from signorini_fenicsx.physics.elasticity.on_facets import (
+    Pull,
+    add_pulls,
+    add_tractions,
+    facet_moments,
+    pulls_of,
+    traction_moments,
+    tractions_given,
+)
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
-from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.tools import MovedGap, Tool, moves_at_sites, tools_at, tools_of
 from signorini_fenicsx.physics.elasticity.vector_datum import (
@@ -52,6 +60,8 @@ class ElasticData:
         u_D: Displacement where it is given.
         g_N: Tractions and pressures, by the part where they are given; "" is everywhere.
         tractions: ∫ g_N φ_a over the facets of `spaces.neumann`, shape (facets, d, d).
+        pulls: Tractions besides those of the problem; on Γ_N they are in `tractions`.
+        pulled: Those on Γ_C, linear on each facet: values at the vertices, shape (facets, d, d).
         gap: g.
         laws: Contact, or other laws between the opening p = g − u_n and the pressure −σ_nn, on Γ_C.
         exact: u, where it is known.
@@ -74,6 +84,8 @@ class ElasticData:
     u_D: VectorDatum
     g_N: Mapping[str, VectorDatum | PressureDatum]
     tractions: Array
+    pulls: tuple[Pull, ...]
+    pulled: Array
     gap: Datum
     laws: NormalLaws
     exact: VectorDatum | None
@@ -98,19 +110,28 @@ class ElasticData:
         """What of û_t at the sites with friction is no slip: that of the last step, and of tools."""
         return self.slipped + self.moved[len(self.laws.opening) :]
 
+    def reactions(self, spaces: ElasticSpaces, stresses: Array) -> Array:
+        """What foundations, or other bodies, do: −σ_nn at the sites from the references of the laws, then σ_t."""
+        pulls = spaces.tractions(spaces.contact, stresses) - self.pulled
+        normal = -np.einsum("nai,ni->na", pulls, spaces.contact.normals).ravel() - self.laws.pressure
+        return np.append(normal, spaces.in_frames(pulls[spaces.rough_rows]))
+
     def after(self, spaces: ElasticSpaces, rho: Array) -> ElasticData:
         """The data after a further motion of the tools (collective)."""
-        if not self.tools:
+        moved = self.moved_by(spaces, tools_at(self.tools, rho, anew=True))
+        return replace(moved, tools=tools_at(self.tools, rho))
+
+    def moved_by(self, spaces: ElasticSpaces, tools: Sequence[Tool]) -> ElasticData:
+        """The data after motions of some foundations (collective)."""
+        if not tools:
             return self
         moves, gap = la.vector(spaces.traces.dofmap.index_map, spaces.dim**2), self.gap
-        at_sites = moves_at_sites(spaces, self.tools) @ rho
+        at_sites = moves_at_sites(spaces, tools) @ np.concatenate([tool.moved for tool in tools])
         moves.array[np.concatenate([spaces.sites, spaces.slip_sites])] = at_sites
         moves.scatter_forward()
-        for tool in tools_at(self.tools, rho, anew=True):
+        for tool in tools:
             gap = MovedGap.of(spaces, gap, tool)
-        return replace(
-            self, gap=gap, lift=self.lift + moves.array, tools=tools_at(self.tools, rho), moved=self.moved + at_sites
-        )
+        return replace(self, gap=gap, lift=self.lift + moves.array, moved=self.moved + at_sites)
 
     def points(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> CellPoints:
         """The points of the quadrature."""
@@ -185,7 +206,8 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
     _check_where_given(spaces, problem.u_D)
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
-    g_N = _tractions_given(spaces, problem)
+    g_N, before = tractions_given(spaces, problem), before or FromBefore()
+    pulls = pulls_of(spaces, before.pulls)
     gap = datum_on_parts(spaces, "gap", problem.gap)
     own = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
     quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, own + 1), MOST))
@@ -194,10 +216,10 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     laws = normal_laws(spaces, problem.normal)
     fixed = _set_given(spaces, u_D, gap, lift)
     lift.x.array[spaces.sites] -= laws.opening
-    tractions = _traction_moments(spaces, g_N)
-    _add_tractions(spaces, tractions, load)
+    tractions = traction_moments(spaces, g_N)
+    pulled = add_pulls(spaces, pulls, tractions)
+    add_tractions(spaces, tractions, pulled, load)
     load.array[spaces.sites] -= spaces.site_measure * laws.pressure
-    before = before or FromBefore()
     slipped = np.zeros(len(spaces.slip_sites)) if before.slipped is None else before.slipped
     lift.x.array[spaces.slip_sites] = slipped
     lift.x.scatter_forward()
@@ -206,6 +228,8 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         u_D=u_D,
         g_N=g_N,
         tractions=tractions,
+        pulls=pulls,
+        pulled=pulled,
         gap=gap,
         laws=laws,
         exact=None if problem.exact is None else vector_datum_of(spaces, "exact", problem.exact),
@@ -221,7 +245,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         given=values_in(problem),
     )
     _check_cells(spaces, data)
-    return data
+    return data.moved_by(spaces, before.moved)
 
 
 def _check_where_given(spaces: ElasticSpaces, u_D: Any) -> None:
@@ -356,27 +380,6 @@ def _on_split(
     return function
 
 
-def facet_rule(dim: int, degree: int) -> tuple[Array, Array]:
-    """Points and weights of the reference facet, exact for hats times a polynomial of this degree."""
-    points, weights = basix.make_quadrature(SIMPLEX[dim - 1], min(degree + 1, MOST))
-    return points, weights
-
-
-def facet_moments(
-    spaces: ElasticSpaces, name: str, datum: Datum | VectorDatum | PressureDatum, facets: BoundaryFacets, where: str
-) -> Array:
-    """∫ value φ_a over facets (collective).
-
-    Raises:
-        InputError: If the values are not finite, or of no usable size.
-    """
-    degree = DEGREE if datum.polynomial is None else datum.polynomial
-    points = in_facets(spaces.mesh, facets.facets, *facet_rule(spaces.dim, degree))
-    values = datum.values(points)
-    check_means(name, where, values, spaces)
-    return facets.moments(values, points.points, points.weights)
-
-
 def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Function) -> npt.NDArray[np.int32]:
     """Write what û is where it is given, or g on Γ_C; returns the unknowns that are given (collective)."""
     unknowns = []
@@ -391,60 +394,3 @@ def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Fu
     moments = facet_moments(spaces, "gap", gap, spaces.contact, "on Γ_C")
     lift.x.array[spaces.sites] = moments.ravel() / spaces.site_measure
     return np.concatenate(unknowns)
-
-
-def _tractions_given(spaces: ElasticSpaces, problem: ElasticProblem) -> dict[str, VectorDatum | PressureDatum]:
-    """The tractions and pressures by part (collective).
-
-    Raises:
-        InputError: If a text cannot be read, a part is unknown, or it has both.
-    """
-    by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N} if problem.g_N is not None else {}
-    tractions: dict[str, VectorDatum | PressureDatum] = {
-        part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()
-    }
-    for part, given in problem.pressure.items():
-        name = f"pressure.{part}"
-        if part in tractions or "" in tractions:
-            raise InputError(f"[problem] {name}: a traction g_N is given there, too; give one of them, by part")
-        _check_loaded(spaces, "pressure", part)
-        datum = datum_of(spaces, name, parsed(given, "xyz"[: spaces.dim], f"[problem] {name}"))
-        tractions[part] = PressureDatum(name, datum, spaces.part(part).normals)
-    return tractions
-
-
-def _check_loaded(spaces: ElasticSpaces, key: str, part: str) -> None:
-    """Refuse a load on a part that is not in Γ_N.
-
-    Raises:
-        InputError: If it is not.
-    """
-    loaded = [*spaces.boundary.neumann, *spaces.boundary.fixed]
-    if part not in loaded:
-        where = f"only on {', '.join(loaded)}" if loaded else "as no part is in Γ_N"
-        raise InputError(f"[problem] {key}: no traction is given on part '{part}', {where}")
-
-
-def _traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum | PressureDatum]) -> Array:
-    """∫ g_N φ_a over the facets of `spaces.neumann`; 0 on parts without one (collective).
-
-    Raises:
-        InputError: If σn is given on no such part.
-    """
-    facets = spaces.neumann
-    moments = np.zeros((len(facets.facets), spaces.dim, spaces.dim))
-    for name, datum in g_N.items():
-        if name:
-            _check_loaded(spaces, "g_N", name)
-        part = spaces.part(name) if name else facets
-        rows = np.searchsorted(facets.facets, part.facets)
-        moments[rows] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")
-    return moments
-
-
-def _add_tractions(spaces: ElasticSpaces, moments: Array, load: la.Vector) -> None:
-    """⟨g_N, q⟩ on Γ_N and on parts that are fixed in some components, each for its own unknowns."""
-    by_block = load.array.reshape(-1, spaces.dim**2)
-    by_block[spaces.neumann.blocks] = moments.reshape(-1, spaces.dim**2)
-    for part, matrices in spaces.frames[1:]:
-        by_block[part.blocks] = np.einsum("nij,ni->nj", matrices, by_block[part.blocks])

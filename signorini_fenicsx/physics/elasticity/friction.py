@@ -8,8 +8,8 @@ which is not known before; see `coulomb`. In space σ_t = −g u_t/|u_t| where u
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from mpi4py import MPI
@@ -21,8 +21,9 @@ from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.lattices import lattice
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, is_normal
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, GivenVector, is_normal
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.tools import Tool
 
 STICKS = 1e300
 """The bound where nothing slips, with which Coulomb's friction starts."""
@@ -205,10 +206,14 @@ class FromBefore:
     Attributes:
         slipped: u_t at the sites with friction at the end of the last step in time; None for 0.
         friction: The bounds of the shear, in the place of those of the laws; None for these.
+        moved: Foundations, or bodies against each other, that have moved.
+        pulls: Tractions on parts besides those of the problem, or pressures where a scalar is given.
     """
 
     slipped: Array | None = None
     friction: FrictionBounds | None = None
+    moved: Sequence[Tool] = ()
+    pulls: Mapping[str, GivenVector | Given] = field(default_factory=dict)
 
 
 def friction_chains(g: Array) -> Chains:

@@ -96,12 +96,13 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
         slipping = _slipping(state[rough] == STATES.index("stick"), shear, after)
         data = replace(data, friction=replace(data.friction, slipping=slipping))
     chains = law_of_sites(spaces, data.laws.chains, data.friction)
-    pressure = -spaces.normal_stress(stresses) - data.laws.pressure
+    reactions = data.reactions(spaces, stresses)
+    pressure = reactions[: len(spaces.sites)]
     normal = data.laws.chains.nearest(condition.ravel().astype(np.int8), p.ravel(), pressure)
     conditions = chains.conditions(np.concatenate([normal, segment]).astype(np.int64))
     iterate = Iterate(
         p=np.concatenate([p.ravel(), along - data.slipped]),
-        flux=np.concatenate([pressure, spaces.shear(stresses)]),
+        flux=reactions,
         linear_iterations=0,
         sigma=spaces.split.stress(stresses),
         u=spaces.displacement(u),

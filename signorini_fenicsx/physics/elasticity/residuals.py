@@ -75,13 +75,13 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[spaces.contact.cells], dim) / length
     number = len(spaces.sites)
-    flux = -spaces.normal_stress(stresses) - data.laws.pressure
+    flux, shear = np.split(data.reactions(spaces, stresses), [number])
     low, inward, smaller = data.laws.chains.distances(p[:number], flux, k)
     squares = np.array([spaces.site_measure @ values**2 for values in (k * low, inward, smaller)])
     if data.friction is not None:
         shape = len(spaces.rough.facets), dim, dim - 1
         unit = np.repeat(stiffness[spaces.rough.cells] / length, dim).reshape(shape[:2])
-        slip, shear = (values.reshape(shape) for values in (p[number:], spaces.shear(stresses)))
+        slip, shear = (values.reshape(shape) for values in (p[number:], shear))
         weights = (spaces.rough.measure / dim)[:, None]
         squares[1:] += [(weights * each**2).sum() for each in data.friction.residuals(slip, shear, unit)]
     squares = comm.allreduce(squares)
@@ -91,11 +91,12 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
 
 def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:
     """‖σ‖ for a strain of the largest |u_D| or |g|, if only these are given and σ is rounding; else 0 (collective)."""
-    largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, data.tractions)])
+    loads = np.append(data.tractions, data.pulled)
+    largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, loads)])
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-    stiff, given, loads = largest.tolist()
+    stiff, given, load = largest.tolist()
     size = stiff * given * np.sqrt(volume) / volume ** (1 / len(data.f.components))
-    at_rest = loads == 0 and all(each.number == 0 for each in data.f.components) and norm <= LINEAR * size
+    at_rest = load == 0 and all(each.number == 0 for each in data.f.components) and norm <= LINEAR * size
     return size if at_rest else 0.0
 
 
@@ -148,6 +149,7 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
         else:
             left[facets.blocks, :, k] = 0.0
     left[spaces.across.blocks] += left[spaces.contact.blocks[spaces.inner.rows]]
+    left[spaces.contact.blocks] -= data.pulled
     _drop_normal(left, spaces.contact)
     left[spaces.rough.blocks] = 0.0
     size = np.zeros(len(left))
@@ -160,7 +162,8 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
 def _left_on_tools(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     """What tools add to the sum of `_jumps` (collective)."""
     total = 0.0
-    for tool, left in unbalanced(spaces, data.tools, stresses):
+    tractions = spaces.tractions(spaces.contact, stresses) - data.pulled
+    for tool, left in unbalanced(spaces, data.tools, tractions):
         area = spaces.mesh.comm.allreduce(float(spaces.part(tool.part).measure.sum()))
         total += area ** (1 / (spaces.dim - 1) - 1) * float(left @ left)
     return total

@@ -218,6 +218,8 @@ class Bodies:
         """What all loads do on the motions, and what they could do, 1 if they are 0 (collective)."""
         spaces, neumann = self.spaces, self.spaces.neumann
         pairs = [(self.of_cell[neumann.cells], neumann.vertices, data.tractions)]
+        beside = (pull for pull in data.pulls if not np.isin(pull.facets.facets, neumann.facets).any())
+        pairs += [(self.of_cell[pull.facets.cells], pull.facets.vertices, pull.moments) for pull in beside]
         for cells in blocks_of_cells(spaces):
             vertices = spaces.vertices[cells]
             moments = data.moments_of_f(spaces, cells, Cells(vertices).measure)

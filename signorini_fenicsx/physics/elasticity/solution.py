@@ -19,10 +19,11 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity import shown
-from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, elastic_data, facet_moments
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, elastic_data
 from signorini_fenicsx.physics.elasticity.differences import differences
 from signorini_fenicsx.physics.elasticity.friction import FromBefore, law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, to_entries
+from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.quantities import quantities
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
@@ -133,7 +134,7 @@ class ElasticSolution(Solved):
         Under other laws it is what they allow.
         """
         laws, iterate, normal = self.data.laws, self.outcome.iterate, len(self.spaces.sites)
-        own, pressure = iterate.p[:normal], self.pressure.ravel() - laws.pressure
+        own, pressure = iterate.p[:normal], self.data.reactions(self.spaces, self.stresses)[:normal]
         means = laws.means(self.segment, own, pressure) + laws.opening
         return np.asarray(means).reshape(-1, self.spaces.dim)
 

@@ -182,13 +182,14 @@ def tools_at(tools: Sequence[Tool], moves: Array, *, anew: bool = False) -> tupl
     return tuple(replace(tool, moved=own if anew else tool.moved + own) for tool, own in parts)
 
 
-def unbalanced(spaces: ElasticSpaces, tools: Sequence[Tool], stresses: Array) -> list[tuple[Tool, Array]]:
-    """What is left of the forces on each tool (collective)."""
+def unbalanced(spaces: ElasticSpaces, tools: Sequence[Tool], tractions: Array) -> list[tuple[Tool, Array]]:
+    """What is left of the forces on each tool by the tractions at the vertices of Γ_C (collective)."""
     found, dim = [], spaces.dim
     mass = (1 + np.eye(dim)) / (dim * (dim + 1))
     for tool in tools:
-        facets = spaces.part(tool.part)
-        pulls = np.einsum("ab,nbi,n->nai", mass, spaces.tractions(facets, stresses), facets.measure)
+        rows = np.flatnonzero(_facets_of(spaces, tool))
+        facets = spaces.contact.take(rows)
+        pulls = np.einsum("ab,nbi,n->nai", mass, tractions[rows], facets.measure)
         done = np.einsum("nai,nair->r", pulls, tool.motions(facets.vertices))
         found.append((tool, tool.load - spaces.mesh.comm.allreduce(done)))
     return found

@@ -38,7 +38,8 @@ from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplaceme
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, is_enclosed, missed, unresolved
-from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, facet_moments
+from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData
+from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
@@ -170,7 +171,8 @@ def _on_contact(
 
 def not_in_the_spaces(data: ElasticData, *, enclosed: bool = True) -> tuple[str, ...]:
     """Data that are neither exact in the discrete problem nor, where this is enough, enclosed."""
-    found = [(each.name, each.polynomial, MOST // 2) for each in (data.f, *data.g_N.values())]
+    loads = data.f, *data.g_N.values(), *(pull.datum for pull in data.pulls)
+    found = [(each.name, each.polynomial, MOST // 2) for each in loads]
     found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     names = [name for name, degree, most in found if degree is None or degree > most]
     names += [] if data.friction is None else data.friction.inexact

@@ -36,8 +36,9 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleSt
 from signorini_fenicsx.physics.elasticity.bound.interior_point import minimise
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
-from signorini_fenicsx.physics.elasticity.data import ElasticData, facet_rule, material_on_split
+from signorini_fenicsx.physics.elasticity.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.multigrid import STIFF
+from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 

@@ -92,9 +92,9 @@ def _energy_of_residuals(solution: ElasticSolution) -> float:
 def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -> AdmissibleStress:
     """The stress with its tractions on Γ_C, exactly what the sets give."""
     spaces, data = solution.spaces, solution.data
-    tractions = np.concatenate([-spaces.normal_stress(stresses) - data.laws.pressure, spaces.shear(stresses)])
-    _, tractions = solution.outcome.conditions.clean(p, tractions, 0.0)  # on springs as it is
-    pressure, shear = np.split(tractions, [len(spaces.sites)])
+    reactions = data.reactions(spaces, stresses)
+    _, reactions = solution.outcome.conditions.clean(p, reactions, 0.0)  # on springs as it is
+    pressure, shear = np.split(reactions, [len(spaces.sites)])
     if data.friction is not None:
         shear = shortened(shear.reshape(-1, spaces.dim, spaces.dim - 1), data.friction.bound)
     pressure = np.clip(pressure, *data.laws.chains.extent()[2:]).reshape(-1, spaces.dim)

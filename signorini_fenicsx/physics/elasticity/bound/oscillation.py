@@ -11,7 +11,7 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.lattices import lagrange, lattice, numbers_in
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
@@ -38,19 +38,16 @@ def load_oscillation(spaces: ElasticSpaces, data: ElasticData, stresses: Array) 
         data: The data.
         stresses: Values of σ_h, as in `SplitMesh.values`.
     """
-    dim, facets = spaces.dim, spaces.neumann
-    found = np.zeros(len(spaces.order))
-    traction, rest = _tractions(spaces, data)
-    constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
-    np.add.at(found, facets.cells, constants * rest)
+    dim, found = spaces.dim, np.zeros(len(spaces.order))
+    cells_of, local, traction = _tractions(spaces, data, found)
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         compliance = above(data.compliances(spaces, numbers))
         compliance += beyond(spaces, data, numbers)[:, None, None] * np.eye(compliance.shape[1])
         inside, missed = _force(spaces, data, stresses, numbers)
-        rows = np.flatnonzero(np.isin(facets.cells, numbers))
+        rows = np.flatnonzero(np.isin(cells_of, numbers))
         on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))
-        on_facets[facets.cells[rows] - numbers[:1], facets.local[rows]] = traction[rows]
+        np.add.at(on_facets, (cells_of[rows] - numbers[:1], local[rows]), traction[rows])
         found[numbers] += korn_constants(cells.derivative) * missed
         found[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
@@ -92,31 +89,37 @@ def _force(
     return found, np.sqrt(np.einsum("q,nsqi->n", rule.weights, rest**2) * volume)
 
 
-def _tractions(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, Array]:
-    """g_N − Π₁g_N on the facets `neumann`, in the directions in which u is not given (collective).
+def _tractions(spaces: ElasticSpaces, data: ElasticData, found: Array) -> tuple[Indices, Indices, Array]:
+    """g_N − Π₁g_N on facets, in the directions in which u is not given (collective).
+
+    What is left after its cubic parts is added to those of the cells in `found`.
 
     Returns:
-        Its cubic part in the lattices of the facets, shape (facets, points, d), and the L² norm of the rest.
+        The cells, the facets by their numbers in these, and the cubic parts in the lattices of the facets, of shape
+        (facets, points, d).
     """
-    facets, dim = spaces.neumann, spaces.dim
+    dim = spaces.dim
     places = lattice(dim, ON_FACETS)
-    cubic, rest = np.zeros((len(facets.facets), len(places), dim)), np.zeros(len(facets.facets))
-    for name, datum in data.g_N.items():
+    cells, local, cubic = [np.empty(0, int)], [np.empty(0, int)], [np.empty((0, len(places), dim))]
+    given = [(spaces.part(name) if name else spaces.neumann, datum) for name, datum in data.g_N.items()]
+    for part, datum in (*given, *((pull.facets, pull.datum) for pull in data.pulls)):
         if datum.polynomial is not None and datum.polynomial <= 1:
             continue
-        part = spaces.part(name) if name else facets
-        rows = np.searchsorted(facets.facets, part.facets)
         points, weights = basix.make_quadrature(SIMPLEX[dim - 1], _degree_of_square(data, datum))
         hats, weights = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
         values = _without_given(spaces, part, datum.values(in_facets(spaces.mesh, part.facets, points)))
         basis = lagrange(hats, ON_FACETS)
         linear, fitted = (np.einsum("aq,nqi->nai", _fit(each, weights), values) for each in (hats, basis))
-        rest[rows] = np.sqrt(part.measure * np.einsum("q,nqi->n", weights, (values - basis @ fitted) ** 2))
+        rest = np.sqrt(part.measure * np.einsum("q,nqi->n", weights, (values - basis @ fitted) ** 2))
+        constants = trace_constants(Cells(spaces.vertices[part.cells]).derivative, part.measure)
+        np.add.at(found, part.cells, constants * rest)
         fitted -= lattice(dim, ON_FACETS) / ON_FACETS @ linear
-        there = np.zeros((len(rows), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
+        there = np.zeros((len(part.facets), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
         np.put_along_axis(there, part.ranking[:, None], np.broadcast_to(places, there.shape), axis=2)
-        cubic[rows] = np.take_along_axis(fitted, numbers_in(there, ON_FACETS)[:, :, None], axis=1)
-    return cubic, rest
+        cubic.append(np.take_along_axis(fitted, numbers_in(there, ON_FACETS)[:, :, None], axis=1))
+        cells.append(part.cells)
+        local.append(part.local)
+    return np.concatenate(cells), np.concatenate(local), np.concatenate(cubic)
 
 
 def _fit(basis: Array, weights: Array) -> Array:
