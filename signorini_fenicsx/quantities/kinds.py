@@ -23,7 +23,8 @@ class Integral(Kind):
         weight: The weight.
         region: Name of a region of the mesh, or a list of names; none for all of Ω.
         parts: Name of a part of the boundary, or a list of names, in the place of regions.
-        direction: Of a displacement, the vector with which it is multiplied; None for scalar problems.
+        direction: Of a displacement, the vector with which it is multiplied; None for scalar problems, and over parts
+            for the normal component of a displacement.
 
     Raises:
         InputError: If there are regions and parts.
@@ -71,7 +72,7 @@ class Flux(Kind):
 
 @dataclass(frozen=True)
 class Force(Kind):
-    """∫ σn·direction over parts of the boundary where u is given, of an elastic body: the force on the body there.
+    """∫ σn·direction over parts of the boundary where an elastic body is held, or in contact: the force on it there.
 
     Attributes:
         parts: Name of a part, or a list of names.
