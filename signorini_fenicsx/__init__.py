@@ -4,7 +4,7 @@ A problem:
 
 - `domain_of(mesh, parts)` makes a `Domain` of your own mesh;
 - `Diffusion` and `Elasticity` hold the data and the conditions on the parts of the boundary: `Dirichlet`, `Neumann`,
-  `Pressure`, `Contact` with `Tresca` or `Coulomb`, and the laws `Signorini`, `Friction`, `TwoSided`, `Wall`,
+  `Pressure`, `Support`, `Contact` with `Tresca` or `Coulomb`, and the laws `Signorini`, `Friction`, `TwoSided`, `Wall`,
   `Regulator`, `Seepage`, `River` and `Corners`; in regions `Obstacle`, `Reaction`, `Corners` and, in time, `Storage`;
 - `load_case` reads a case file, or a shipped case by its name.
 

@@ -92,7 +92,7 @@ from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.old_names import taking_old_calls
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
-from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Pressure, Tresca
+from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Pressure, Support, Tresca
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.evolving import evolve as evolve_problem
 from signorini_fenicsx.solving.options import Options
@@ -129,6 +129,7 @@ __all__ = [
     "Solver",
     "StepBounds",
     "Storage",
+    "Support",
     "Tresca",
     "TwoSided",
     "Wall",

@@ -19,6 +19,7 @@ from signorini_fenicsx.cases.values import (
     Expression,
     ExpressionByPart,
     Moduli,
+    Stiffnesses,
     Vector,
     VectorByPart,
     choice,
@@ -34,6 +35,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenAxes,
     GivenByPart,
     GivenModulus,
+    GivenSupports,
     GivenVector,
     GivenVectorByPart,
     Plane,
@@ -152,6 +154,7 @@ READERS = SCALAR | {
     GivenVectorByPart: VectorByPart,
     GivenByPart: ExpressionByPart,
     GivenModulus: Moduli,
+    GivenSupports: Stiffnesses,
     GivenAxes: Directions,
 }
 OF_PROBLEM = data_section(
@@ -216,6 +219,8 @@ class ElasticCase(CaseFile):
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
         kind = next((law.kind for law in self.law if part in law.parts), "contact")
+        if part in self.problem.support:
+            return "elastic support"
         return {"contact": super().condition_of(part), "friction": "contact with friction"}.get(kind, kind)
 
     @property

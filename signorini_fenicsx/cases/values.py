@@ -151,6 +151,18 @@ def _text_by_part(value: object) -> object:
     return text_by_region(value) if value else value
 
 
+def _stiffness_by_part(value: object) -> object:
+    """A table with a number or text, a list of them, or a matrix per part."""
+    if not isinstance(value, dict):
+        raise ValueError("must be a table with a stiffness per part, such as {bottom = [10, 5]}")
+    return {part: _stiffness(entry) for part, entry in value.items()}
+
+
+def _stiffness(value: object) -> object:
+    flat = isinstance(value, list) and len(value) == 2 and not any(isinstance(entry, list) for entry in value)
+    return _vector(value) if flat else _matrix_or_text(value)
+
+
 type Text = str | list[str] | list[list[str]]
 type ConductivityText = Text | dict[str, Text]
 
@@ -175,4 +187,5 @@ ExpressionByPart = Annotated[dict[str, str], BeforeValidator(_text_by_part)]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]
 Conductivity = Annotated[ConductivityText, _in_regions(_matrix_or_text)]
 Moduli = Annotated[str | list[str] | dict[str, str | list[str]], _in_regions(_modulus)]
+Stiffnesses = Annotated[dict[str, Text], BeforeValidator(_stiffness_by_part)]
 Directions = Annotated[list[list[str]] | dict[str, list[list[str]]], _in_regions(_directions)]

@@ -12,7 +12,7 @@ from ufl.domain import extract_domains
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly, read, substituted, to_ufl
+from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly, read, substituted, to_ufl, values
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -48,6 +48,19 @@ def parsed(given: Any, names: str, key: str) -> Any:
         raise InputError(f"{key}: {error}") from None
     except OverflowError:
         raise InputError(f"{key}: is an integer too large for a float") from None
+
+
+def number_of(name: str, given: Any) -> float:
+    """The number that a tree is.
+
+    Raises:
+        InputError: If it is not one.
+    """
+    anywhere = {axis: np.full(1, np.nan) for axis in "xyz"}
+    number = float(values(given, anywhere)[0]) if isinstance(given, TREES) else np.nan
+    if not np.isfinite(number):
+        raise InputError(f"{name}: must be a number")
+    return number
 
 
 def with_data[P: "DataclassInstance"](problem: P, change: Callable[[str, Any], Any], but: Collection[str]) -> P:

@@ -67,6 +67,8 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
+    if posed[1].support:
+        raise InputError("quantities have no bounds where a part is on springs")
     if isinstance(kind, Energy):
         return
     if isinstance(kind, Force):

@@ -402,7 +402,7 @@ class ElasticBackend:
         correction, before = self._x.duplicate(), np.inf
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
-            left = self.system.tractions - forces
+            left = self.system.tractions - self.system.of_supports(self._x.array_r) - forces
             left[self._unknowns] += self._given_forces(conditions, self._beside_tools(self._x))
             left[essential] = 0.0
             size, scale = self._extent(np.abs(left), np.abs(forces))

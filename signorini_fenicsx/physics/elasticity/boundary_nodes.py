@@ -117,13 +117,19 @@ class FacetCoefficients:
         values = self.basis(there.reshape(-1, there.shape[2])).reshape(len(corners), len(points), -1)
         return corners, np.linalg.inv(self.basis(points)) @ values
 
-    def places(self) -> Array:
-        """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""
+    @property
+    def hats(self) -> Array:
+        """The hats of the vertices in the points of the coefficients, shape (coefficients, d).
+
+        A linear function has the coefficients that are its values in these points.
+        """
         cell = self._element.cell_type
         lagrange = basix.create_element(basix.ElementFamily.P, cell, self.degree, basix.LagrangeVariant.equispaced)
-        hats = np.column_stack([1 - lagrange.points.sum(axis=1), lagrange.points])
-        found: Array = np.einsum("ka,nai->nki", hats, self.facets.vertices)
-        return found
+        return np.column_stack([1 - lagrange.points.sum(axis=1), lagrange.points])
+
+    def places(self) -> Array:
+        """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""
+        return np.asarray(self.hats @ self.facets.vertices)
 
     def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum | NormalLaw) -> Array:
         """Coefficients of the polynomials that interpolate at equidistant points (collective).

@@ -38,6 +38,7 @@ from signorini_fenicsx.physics.elasticity.on_facets import (
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.supports import Supports, supports_of
 from signorini_fenicsx.physics.elasticity.tools import MovedGap, Tool, moves_at_sites, tools_at, tools_of
 from signorini_fenicsx.physics.elasticity.vector_datum import (
     PressureDatum,
@@ -62,6 +63,7 @@ class ElasticData:
         tractions: ∫ g_N φ_a over the facets of `spaces.neumann`, shape (facets, d, d).
         pulls: Tractions besides those of the problem; on Γ_N they are in `tractions`.
         pulled: Those on Γ_C, linear on each facet: values at the vertices, shape (facets, d, d).
+        supports: Elastic supports on some of these facets, whose traction is g_N − Ku.
         gap: g.
         laws: Contact, or other laws between the opening p = g − u_n and the pressure −σ_nn, on Γ_C.
         exact: u, where it is known.
@@ -86,6 +88,7 @@ class ElasticData:
     tractions: Array
     pulls: tuple[Pull, ...]
     pulled: Array
+    supports: Supports
     gap: Datum
     laws: NormalLaws
     exact: VectorDatum | None
@@ -230,6 +233,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         tractions=tractions,
         pulls=pulls,
         pulled=pulled,
+        supports=supports_of(spaces, problem.support),
         gap=gap,
         laws=laws,
         exact=None if problem.exact is None else vector_datum_of(spaces, "exact", problem.exact),

@@ -33,6 +33,10 @@ type GivenByPart = Mapping[str, Given]
 """A scalar for each part of the boundary."""
 type GivenModulus = Given | Sequence[Given] | Mapping[str, Given | Sequence[Given]]
 """A modulus, or three along the axes of the material; or one of these for each region of the mesh."""
+type GivenStiffness = Given | Sequence[Given] | Sequence[Sequence[Given]]
+"""Of springs per area: one in all directions, two along the normal and across it, or a symmetric matrix; numbers."""
+type GivenSupports = Mapping[str, GivenStiffness]
+"""A stiffness for each of some parts of the boundary."""
 type GivenAxes = Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]]
 """Directions of the axes of the material, one in the plane and two in space; or these for each region of the mesh."""
 
@@ -143,13 +147,25 @@ class Pressure(OnParts):
 
 
 @dataclass(frozen=True)
+class Support(OnParts):
+    """Springs hold the body, the traction σn = −Ku. With a load on the same part it is what acts besides.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        stiffness: K per area: a number, [along n, across n], or a symmetric matrix.
+    """
+
+    stiffness: GivenStiffness
+
+
+@dataclass(frozen=True)
 class Elasticity:
     """−∇·σ = f, σ = ℂε(u), with a condition on each part of the boundary; u = u_D where there is none.
 
-    The conditions are `Dirichlet`, also in some components, `Neumann`, `Pressure`, `Contact`, and other laws between
-    the opening p = −u_n and the pressure −σ_nn without friction, such as `Wall` or `TwoSided`, with p for u and −σ_nn
-    for κ∇u·n; where two bodies touch, p = −[u_n]. A part that is fixed in some components may have a `Neumann` or a
-    `Pressure` condition for the others.
+    The conditions are `Dirichlet`, also in some components, `Neumann`, `Pressure`, `Support`, `Contact`, and other laws
+    between the opening p = −u_n and the pressure −σ_nn without friction, such as `Wall` or `TwoSided`, with p for u and
+    −σ_nn for κ∇u·n; where two bodies touch, p = −[u_n]. A part that is fixed in some components may have a `Neumann` or
+    a `Pressure` condition for the others, and so may one with a `Support`.
 
     The law of the material is σ = ℂ(ε(u) − ε₀) + σ₀. It is orthotropic where `young` is [E₁, E₂, E₃] and `poisson`
     [ν₁₂, ν₁₃, ν₂₃]: a stress along the first axis alone gives ε₂ = −ν₁₂ε₁.
@@ -187,20 +203,20 @@ class Elasticity:
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
         example = '[Contact("bottom", gap=0.1), Dirichlet("left", 0, components="x")]'
-        others = [condition for condition in self.conditions if not self._loads_fixed(condition)]
+        others = [condition for condition in self.conditions if not self._loads_held(condition)]
         if any(isinstance(condition, Friction) for condition in others):
             raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
-        check_conditions(others, Law, Contact, Pressure, example=example)
+        check_conditions(others, Law, Contact, Pressure, Support, example=example)
 
-    def _loads_fixed(self, condition: object) -> bool:
-        """Whether a condition is a load on parts that are fixed in some components."""
-        fixed = {
+    def _loads_held(self, condition: object) -> bool:
+        """Whether a condition is a load on parts that are fixed in some components, or on springs."""
+        held = {
             part
             for other in self.conditions
-            if isinstance(other, Dirichlet) and other.components is not None
+            if isinstance(other, Support) or (isinstance(other, Dirichlet) and other.components is not None)
             for part in other.parts
         }
-        return isinstance(condition, Neumann | Pressure) and set(condition.parts) <= fixed
+        return isinstance(condition, Neumann | Pressure) and set(condition.parts) <= held
 
     @property
     def solution_type(self) -> type[ElasticSolution]:
@@ -214,12 +230,14 @@ class Elasticity:
         given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
         touching = [condition for condition in self.conditions if isinstance(condition, Contact)]
         loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
+        springs = [condition for condition in self.conditions if isinstance(condition, Support)]
         normal = [condition for condition in self.conditions if is_normal(condition)]
         meeting = [*touching, *normal]
         fixed = {part: each.components for each in given if each.components is not None for part in each.parts}
+        pulled = dict.fromkeys(part for each in [*loads, *springs] for part in each.parts)
         boundary = ElasticBoundary(
             contact=[part for each in meeting for part in each.parts],
-            neumann=[part for each in loads for part in each.parts if part not in fixed],
+            neumann=[part for part in pulled if part not in fixed],
             fixed=fixed,
             inner=[part for each in meeting for part in each.parts if other_side(part) in domain.parts],
         )
@@ -233,6 +251,7 @@ class Elasticity:
             u_D=one_value(u_D, None),
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
+            support={part: each.stiffness for each in springs for part in each.parts},
             gap=one_value(gaps, 0.0),
             force={part: each.force for each in touching if each.force for part in each.parts},
             moment={part: each.moment for each in touching if each.moment for part in each.parts},
@@ -254,6 +273,7 @@ class ElasticProblem:
         g_N: Traction on Γ_N and, in the free components, on parts that are fixed in some; or one for each of these
             parts, 0 on the others; None for 0.
         pressure: The pressure −g_N·n on parts of Γ_N on which no g_N is given, with no shear.
+        support: The stiffness K per area of springs on parts of Γ_N, whose traction is g_N − Ku.
         gap: g, the distance to the foundation along the outer normal, or one for each part of Γ_C.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
@@ -274,6 +294,7 @@ class ElasticProblem:
     u_D: GivenVectorByPart | None = None
     g_N: GivenVectorByPart | None = None
     pressure: GivenByPart = field(default_factory=dict)
+    support: GivenSupports = field(default_factory=dict)
     gap: Given | Mapping[str, Given] = 0.0
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None

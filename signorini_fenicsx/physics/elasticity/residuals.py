@@ -34,8 +34,8 @@ class ElasticKKT(Residuals):
         complementarity: √L ‖min(2μ|p|/L, |σ_nn|)‖/S; with friction also the distance of u_t and σ_t
             to its graph; under other laws that of p and −σ_nn to theirs.
         tractions: (Σ |e|^(1/(d − 1)) ‖r‖²_e)^½/S, where r is the jump of σn inside Ω, what is left of σn − g_N where
-            the traction is given, and the shear on Γ_C without friction; with what is left of the forces on tools,
-            spread over their parts.
+            the traction is given, on supports in directions that they do not hold, and the shear on Γ_C without
+            friction; with what is left of the forces on tools, spread over their parts.
         equilibrium: ‖h_T (∇·σ + f_h)‖/S, by the moments of both against linear functions on each cell.
     """
 
@@ -143,6 +143,8 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     sums.scatter_reverse(la.InsertMode.add)
     left: Array = sums.array.reshape(-1, dim, dim)
     left[spaces.neumann.blocks] -= linear_values(data.tractions, spaces.neumann.measure)
+    held = data.supports.facets.blocks
+    left[held] = data.supports.let_go(left[held])
     for facets, k, letter in spaces.fixed:
         if letter == NORMAL:
             _drop_normal(left, facets)

@@ -17,6 +17,7 @@ from signorini_fenicsx.physics.elasticity.friction import STICKS
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.supports import Supports
 from signorini_fenicsx.physics.elasticity.tools import (
     Tool,
     loads_of,
@@ -74,7 +75,7 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
     Collective. Both are those of a unit translation, or of the rotation by a unit angle.
     """
     bodies = Bodies.of(spaces, data.tools)
-    free = bodies.not_given()
+    free = bodies.not_given(data.supports)
     if free.shape[1] == 0:
         return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0)), None
     work, most = bodies.work(data)
@@ -116,7 +117,7 @@ def _limits(
     return Limits(spaces.mesh.comm, work, rows, slips, shears), work
 
 
-HELD_BY = "neither the parts where u is given nor contact under these loads prevent that"
+HELD_BY = "neither the parts where u is given nor springs nor contact under these loads prevent that"
 
 
 def _motions(x: Array) -> Array:
@@ -172,8 +173,11 @@ class Bodies:
         np.add.at(sums, of, rows)
         return np.asarray(self.spaces.mesh.comm.allreduce(sums))
 
-    def not_given(self) -> Array:
-        """A basis of the motions that are 0 where u is given, shape (motions of all bodies, free ones) (collective)."""
+    def not_given(self, supports: Supports) -> Array:
+        """A basis of the motions that are 0 where u is given or springs hold it (collective).
+
+        Its shape is (motions of all bodies, free ones).
+        """
         spaces, dim = self.spaces, self.spaces.dim
         size = dim * (dim + 1) // 2
         grams, totals = np.zeros((self.number, size, size)), np.zeros(self.number)
@@ -183,6 +187,11 @@ class Bodies:
             along = np.einsum("nai,nair->nar", normals, motions) if letter == NORMAL else motions[:, :, k]
             grams += self._summed(of, np.einsum("nar,nas,n->nrs", along, along, facets.measure))
             totals += self._summed(of, facets.measure)
+        facets = supports.facets
+        motions, of = self._moved(facets.vertices), self.of_cell[facets.cells]
+        held = np.einsum("nij,nair,najs,n->nrs", supports.share, motions, motions, facets.measure)
+        grams += self._summed(of, held)
+        totals += self._summed(of, facets.measure)
         free = []
         for body, (gram, total) in enumerate(zip(grams, totals, strict=True)):
             sizes, vectors = np.linalg.eigh(gram)

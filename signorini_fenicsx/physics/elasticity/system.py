@@ -26,6 +26,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     to_matrices,
 )
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.supports import Supports
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,9 @@ class ElasticSystem:
             for facets, local, matrices in framed:
                 mine = np.flatnonzero(np.isin(facets, numbers))
                 _transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
-            yield eliminate(self.element, cells, tractions, product, of_f, numbers, functional)
+            found = eliminate(self.element, cells, tractions, product, of_f, numbers, functional)
+            _add_supports(found.matrix, data.supports, numbers)
+            yield found
 
     def _unknowns(self, cells: npt.NDArray[np.int32]) -> Indices:
         """Unknowns of the facets of cells, shape (cells, (d + 1) d²)."""
@@ -239,6 +242,13 @@ class ElasticSystem:
             ).transpose(0, 2, 1)
         return (sigma + sigma.swapaxes(3, 4)) / 2, u
 
+    def of_supports(self, x: Array) -> Array:
+        """⟨Kû, q⟩ over the supports for each owned unknown, from the owned unknowns x."""
+        supports, forces = self._data.supports, np.zeros((len(x) // self.spaces.dim**2, self.spaces.dim**2))
+        blocks = supports.facets.blocks
+        forces[blocks] = np.einsum("nij,nj->ni", supports.masses, x.reshape(forces.shape)[blocks])
+        return forces.ravel()
+
     def forces(self, stresses: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown, from values as `recover` gives them (collective)."""
         spaces, dim = self.spaces, self.spaces.dim
@@ -268,6 +278,15 @@ def jumps_to_sides(spaces: ElasticSpaces, *, back: bool = False) -> PETSc.Mat | 
     named, across = (size * numbers.local_range[0] + each for each in spaces.sides)
     values = np.full(len(named), -1.0 if back else 1.0)
     return identity_with(spaces.mesh.comm, size * numbers.size_local, named, across, values)
+
+
+def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.int32]) -> None:
+    """Add the stiffness of supports to the matrices of these cells."""
+    facets, size = supports.facets, supports.stiffness.shape[1] ** 2
+    mine = np.flatnonzero(np.isin(facets.cells, numbers))
+    rows = facets.local[mine, None] * size + np.arange(size)
+    cells = (facets.cells[mine] - numbers[0])[:, None, None]
+    np.add.at(matrices, (cells, rows[:, :, None], rows[:, None]), supports.masses[mine])
 
 
 def _transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:

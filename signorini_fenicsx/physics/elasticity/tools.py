@@ -25,8 +25,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints, Points
-from signorini_fenicsx.expressions import TREES, values
-from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -95,7 +94,7 @@ def _tool(spaces: ElasticSpaces, problem: ElasticProblem, part: str) -> Tool:
             name = f"law.{key}.{axis}"
             if len(axis) != 1 or axis not in allowed[key]:
                 raise InputError(f"{name}: unknown axis; there are {', '.join(allowed[key])}")
-            load.append(_number(name, parsed(value, AXES[:dim], name)))
+            load.append(number_of(name, parsed(value, AXES[:dim], name)))
     facets = spaces.part(part)
     center = facets.measure @ facets.vertices.mean(axis=1)
     *center, measure = spaces.mesh.comm.allreduce(np.append(center, facets.measure.sum()))
@@ -103,19 +102,6 @@ def _tool(spaces: ElasticSpaces, problem: ElasticProblem, part: str) -> Tool:
     scale = np.repeat([1.0, 1 / size], [len(forces), len(moments)])
     middle = np.array(center) / measure
     return Tool(part, tuple(forces), tuple(moments), middle, size, scale * np.array(load), np.zeros(len(load)))
-
-
-def _number(name: str, given: Any) -> float:
-    """The number that a tree is.
-
-    Raises:
-        InputError: If it is not one.
-    """
-    anywhere = {axis: np.full(1, np.nan) for axis in AXES}
-    number = float(values(given, anywhere)[0]) if isinstance(given, TREES) else np.nan
-    if not np.isfinite(number):
-        raise InputError(f"{name}: must be a number")
-    return number
 
 
 def moves_along(spaces: ElasticSpaces, tools: Sequence[Tool], directions: Array) -> Array:

@@ -114,7 +114,7 @@ def _displacement(
 def gap_of_cells(
     solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function, *, half: bool = False
 ) -> tuple[Array, Array]:
-    """‖ℂε(v) − y‖², and the gap on Γ_C, with `half` as `LawOnFacets.integrals` has it, per owned cell (collective)."""
+    """‖ℂε(v) − y‖², and the gap on Γ_C and supports, per owned cell; `half` as in `integrals` of laws (collective)."""
     spaces, split = solution.spaces, problem.split
     weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
     material = problem.material
@@ -126,6 +126,7 @@ def gap_of_cells(
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells[: len(split.subcells)])
     np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
+    np.add.at(on_contact, problem.supports.on.facets.cells, problem.supports.gap(v))
     return mismatch, on_contact
 
 

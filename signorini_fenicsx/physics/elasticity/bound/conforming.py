@@ -35,6 +35,7 @@ from signorini_fenicsx.physics.elasticity.bound.condensed import (
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
 from signorini_fenicsx.physics.elasticity.bound.interior_point import minimise
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
+from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
 from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.multigrid import STIFF
@@ -61,6 +62,7 @@ class BestDisplacement:
         sigma: y.
         contact: The facets of Γ_C on it.
         laws: The laws on them, but for contact.
+        supports: The supports on it.
         openings: The coefficients of g on them, less p at the references of the laws.
         material: 𝔸, ℂ and ε₀ on it.
     """
@@ -98,6 +100,7 @@ class BestDisplacement:
         )
         self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
         self.openings = self.contact.openings(spaces.mesh, data)
+        self.supports = SupportsOfDisplacement.of(spaces, data, split, self.space, y.stresses)
 
     @cached_property
     def rough(self) -> tuple[Indices, Indices]:
@@ -153,9 +156,14 @@ class BestDisplacement:
         on_facets[rough] += rubbing
         add_at(pull, contact.nodes, on_facets)
         add_at(pull, contact.across, -on_facets[contact.touched])
+        add_at(pull, self.supports.on.nodes, self.supports.forces)
         pull.scatter_reverse(la.InsertMode.add)
         self._pull = pull
-        self._apart = apart + float((np.einsum("nki,nkmi->nkm", rubbing, tangents) * slipped).sum())
+        self._apart = (
+            apart
+            + float(self.supports.gap().sum())
+            + float((np.einsum("nki,nkmi->nkm", rubbing, tangents) * slipped).sum())
+        )
 
     def _kinks(self) -> tuple[Indices, Indices, Array, Array, Array]:
         """The kinks of the gap in p: facet, coefficient, its side of the line of v, p there, and the largest force.
@@ -195,7 +203,8 @@ class BestDisplacement:
         return forces, apart + float((forces * self.openings).sum())
 
     def _springs(self) -> Iterator[Triples]:
-        """The entries of ∫ β v_n w_n under the laws, β that of the line of v."""
+        """The entries of ∫ β v_n w_n under the laws, β that of the line of v, and of the supports."""
+        yield self.supports.triples(self._left, self._given.frames)
         for law in self.laws:
             nodes, signs = self.contact.of_jumps(law.rows)
             basis = np.repeat(law.basis, 2, axis=2) * signs[:, None]
@@ -399,30 +408,20 @@ class BestDisplacement:
         It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
         """
         values = linear_from_means(self.spaces.along(self.data.slip_before)[self.rough[1]])
-        return np.asarray(self._hats_of_rough() @ values)
-
-    def _hats_of_rough(self) -> Array:
-        """The hats of the vertices at the places of the coefficients on the facets with friction.
-
-        Shape (facets, nodes, d).
-        """
-        rough, _ = self.rough
-        ends, points = self.contact.facets.vertices[rough], self.contact.places()[rough]
-        edges = np.linalg.pinv(ends[:, 1:] - ends[:, :1])
-        beside = (points - ends[:, :1]) @ edges
-        return np.concatenate([1 - beside.sum(axis=2, keepdims=True), beside], axis=2)
+        return np.asarray(self.contact.hats @ values)
 
     def _rubbing_frames(self) -> Array:
         """Tangents for each coefficient on the facets with friction, shape (facets, nodes, d − 1, d).
 
-        In space the first one is along y_t there: |v_t| is at most the sum of both components, and this is sharp where
-        v_t has the direction of u_t.
+        In space the first one is along y_t there, along its mean where it is 0: |v_t| is at most the sum of both
+        components, and this is sharp where v_t has the direction of u_t.
         """
         _, here = self.rough
         tangents = np.repeat(self.spaces.tangents[here][:, None], self.openings.shape[1], axis=1)
         if self.spaces.dim == 2:
             return tangents
-        shear = self._hats_of_rough() @ self._y.shear[here]
+        shear, mean = self.contact.hats @ self._y.shear[here], self._y.shear[here].mean(axis=1, keepdims=True)
+        shear = np.where(shear.any(axis=2, keepdims=True), shear, mean)
         size = np.linalg.norm(shear, axis=2, keepdims=True)
         along = np.where(size > 0, shear / np.where(size > 0, size, 1.0), [1.0, 0.0])
         beyond = np.stack([-along[..., 1], along[..., 0]], axis=2)

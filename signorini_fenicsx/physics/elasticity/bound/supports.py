@@ -1,0 +1,64 @@
+"""What elastic supports add to the gap of an elastic solution, ½∫ K(v − w)·(v − w); see `elasticity.supports`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, Triples
+from signorini_fenicsx.physics.elasticity.boundary_nodes import FacetCoefficients, facet_coefficients
+from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+
+
+@dataclass(frozen=True)
+class SupportsOfDisplacement:
+    """The supports on the facets on which a displacement is.
+
+    Attributes:
+        on: The coefficients of the displacement there.
+        stiffness: K times the measure of each facet, shape (facets, d, d).
+        rest: The coefficients of w, shape (facets, coefficients, d).
+        mass: ∫ BB' over a facet of measure 1 for Bernstein's basis, shape (coefficients, coefficients).
+    """
+
+    on: FacetCoefficients
+    stiffness: Array
+    rest: Array
+    mass: Array
+
+    @classmethod
+    def of(
+        cls, spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, space: fem.FunctionSpace, stresses: Array
+    ) -> SupportsOfDisplacement:
+        """The supports for displacements in a space on the split mesh or a part of it, w from these stresses."""
+        supports = data.supports
+        on = facet_coefficients(split, space, supports.facets)
+        points, weights = facet_rule(spaces.dim, 2 * on.degree)
+        basis = on.basis(points)
+        w = supports.moved(spaces, data.tractions, stresses)[on.rows]
+        stiffness = on.facets.measure[:, None, None] * supports.stiffness[on.rows]
+        return cls(on, stiffness, on.hats @ w, basis.T * (weights / weights.sum()) @ basis)
+
+    @property
+    def forces(self) -> Array:
+        """∫ Kw·B for the B of each coefficient, shape (facets, coefficients, d)."""
+        return np.asarray(np.einsum("nij,kl,nlj->nki", self.stiffness, self.mass, self.rest))
+
+    def gap(self, v: fem.Function | None = None) -> Array:
+        """½∫ K(v − w)·(v − w) over each facet; without a v that of 0."""
+        off = -self.rest if v is None else v.x.array.reshape(-1, self.rest.shape[2])[self.on.nodes] - self.rest
+        return np.asarray(np.einsum("nij,kl,nki,nlj->n", self.stiffness, self.mass, off, off) / 2)
+
+    def triples(self, left: Nodes, frames: Array) -> Triples:
+        """The entries of ∫ Kv·v' at the nodes that are left, in the frames of all nodes."""
+        nodes = self.on.nodes
+        own = frames[nodes]
+        values = np.einsum("nij,kl,nkia,nljb->nkalb", self.stiffness, self.mass, own, own, optimize=True)
+        size = nodes.shape[1] * frames.shape[1]
+        return left.triples(left.number_of[nodes].astype(np.int64), values.reshape(len(nodes), size, size))
