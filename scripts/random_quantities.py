@@ -153,6 +153,8 @@ def random_body(seed: int, shapes: tuple[str, ...] = ("square", "square", "cube"
         Mean(direction=along),
         Integral(direction=along, weight="1 if x < 0.4 else 0"),
         Mean(direction=along, parts="right"),
+        Mean(direction=along, parts="bottom"),
+        Integral(parts="bottom", weight="1 + x^2"),
         Force("top", along),
         Force("bottom", along),
         Moment("bottom", None if dim == 2 else [0, 1, 0]),
