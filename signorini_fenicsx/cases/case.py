@@ -421,10 +421,12 @@ def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
 
 
 def seen_from_here(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The keys of a case file in this folder, with the path of its mesh as seen from here."""
-    geometry = tree.get("geometry")
-    if isinstance(geometry, dict) and isinstance(file := geometry.get("file"), str):
-        geometry["file"] = os.path.normpath(folder / file)
+    """The keys of a case file in this folder, with the paths of its mesh and of surfaces as seen from here."""
+    laws = tree.get("law")
+    places = [(tree.get("geometry"), "file"), *((law, "surface") for law in (laws if isinstance(laws, list) else []))]
+    for section, key in places:
+        if isinstance(section, dict) and isinstance(file := section.get(key), str):
+            section[key] = os.path.normpath(folder / file)
     return tree
 
 

@@ -82,8 +82,9 @@ NORMAL = tuple(name for name, kind in LAWS.items() if kind not in (Friction, Riv
 class ContactTexts(Section):
     """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, or by μ, Coulomb's number.
 
-    With `force` and `moment` the foundation is a rigid tool that moves along and about these axes. Other kinds are laws
-    between the opening gap − u_n and the pressure, with their keys in scalar problems.
+    The foundation may be a `surface` in a mesh file. With `force` and `moment` it is a rigid tool that moves along and
+    about these axes. Other kinds are laws between the opening gap − u_n and the pressure, with their keys in scalar
+    problems.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -91,6 +92,7 @@ class ContactTexts(Section):
     kind: Annotated[str, choice("law of elastic contact", (*WITH_CONTACT, *NORMAL))]
     parts: list[str] = Field(min_length=1)
     gap: Expression | None = None
+    surface: str | None = None
     g: Expression | None = None
     mu: Expression | None = None
     force: Annotated[dict[str, Expression], Field(default={}, exclude_if=lambda given: not given)]
@@ -100,12 +102,15 @@ class ContactTexts(Section):
     def _own_keys(self) -> Self:
         extra = list(self.model_extra or {})
         if self.kind in WITH_CONTACT:
-            known = ["kind", "parts", "gap", "force", "moment"] + (["g", "mu"] if self.kind == "friction" else [])
+            known = ["kind", "parts", "gap", "surface", "force", "moment"] + (
+                ["g", "mu"] if self.kind == "friction" else []
+            )
             for key in extra:
                 listed = f"{', '.join(known)}{did_you_mean(key, known)}"
                 raise ValueError(f"unknown key '{key}' of the law '{self.kind}'; known are {listed}")
             return self
-        for key, what in (("g", "friction"), ("mu", "friction"), ("force", "tool"), ("moment", "tool")):
+        no_tool = dict.fromkeys(("surface", "force", "moment"), "tool")
+        for key, what in ({"g": "friction", "mu": "friction"} | no_tool).items():
             if getattr(self, key):
                 raise ValueError(f"unknown key '{key}' of the law '{self.kind}', which has no {what}")
         try:
@@ -161,6 +166,7 @@ OF_PROBLEM = data_section(
     ElasticProblem,
     READERS,
     gap=Expression,  # single parts have theirs in a [[law]]
+    surface=None,
     force=None,
     moment=None,
     plane=Annotated[str, choice("plane", tuple(Plane))],
@@ -269,5 +275,6 @@ class ElasticCase(CaseFile):
             values["gap"] = {part: own.get(part, self.problem.gap) for part in self.parts.contact}
         for key in ("force", "moment"):
             values[key] = {law.parts[0]: getattr(law, key) for law in self.law if getattr(law, key)}
+        values["surface"] = {part: law.surface for law in self.law for part in law.parts if law.surface is not None}
         laws = [found for law in self.law if (found := law.law()) is not None]
         return ElasticProblem(**values, exact=self.exact.u, laws=laws)

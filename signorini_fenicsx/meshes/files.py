@@ -6,11 +6,12 @@ of facets its boundary parts. The name of a group without a name is its number.
 """
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.checks import FileMesh, checked
+from signorini_fenicsx.meshes.checks import Contents, FileMesh, checked
 from signorini_fenicsx.meshes.file_worker import unpack
 
 MAX_CELLS = 10**8
@@ -32,9 +33,24 @@ def read_mesh_file(path: str, h: float | None = None) -> FileMesh:
     Raises:
         InputError: If the file cannot be read, or its mesh cannot be used.
     """
+    return read_file("mesh", path, checked, h)
+
+
+def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | None = None) -> T:
+    """Read the contents of a file in a confined process, and make something of them (rank 0).
+
+    Args:
+        what: What it is to be, in a word for messages.
+        path: Path of the file.
+        use: What is made of them.
+        h: See `read_mesh_file`.
+
+    Raises:
+        InputError: If the file cannot be read, or `use` raises it.
+    """
     place = Path(path)
     if not place.is_file():
-        raise InputError(f"mesh {path}: {'is a folder, not a file' if place.is_dir() else 'no such file'}")
+        raise InputError(f"{what} {path}: {'is a folder, not a file' if place.is_dir() else 'no such file'}")
     try:
         if place.stat().st_size == 0:
             raise InputError("the file is empty")
@@ -43,8 +59,8 @@ def read_mesh_file(path: str, h: float | None = None) -> FileMesh:
             confined.run("signorini_fenicsx.meshes.file_worker", arguments, result)
             result.seek(0)
             contents = unpack(result)
-        return checked(contents)
+        return use(contents)
     except InputError as error:
-        raise InputError(f"mesh {path}: {error}") from None
+        raise InputError(f"{what} {path}: {error}") from None
     except OSError as error:
-        raise InputError(f"mesh {path}: {error.strerror or error}") from None
+        raise InputError(f"{what} {path}: {error.strerror or error}") from None

@@ -22,7 +22,13 @@ from signorini_fenicsx.discrete.datum import datum_of, quadrature_degree
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain, other_side
-from signorini_fenicsx.physics.elasticity.bound.certify import TRESCA, UNBALANCED, gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.certify import (
+    SURFACE,
+    TRESCA,
+    UNBALANCED,
+    gap_of_cells,
+    not_in_the_spaces,
+)
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
@@ -54,11 +60,10 @@ STEP = "the exact solution of the step after the computed slip of the last one"
 
 def named_for(solution: ElasticSolution) -> str:
     """Of which solution the quantities are, in words; empty if it is that of the problem itself."""
-    friction = solution.data.friction
-    if friction is None:
-        return ""
-    of = [STEP] if solution.step is not None else []
-    return " and ".join([*of, *([TRESCA] if friction.by_pressure else [])])
+    friction, of = solution.data.friction, []
+    if friction is not None:
+        of = [STEP] * (solution.step is not None) + [TRESCA] * friction.by_pressure
+    return " and ".join([*of, *([SURFACE] if solution.problem.surface else [])])
 
 
 def check(domain: Domain, posed: Posed, kind: Kind) -> None:

@@ -36,10 +36,11 @@ from signorini_fenicsx.physics.elasticity.on_facets import (
     tractions_given,
 )
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
+from signorini_fenicsx.physics.elasticity.raised_gap import RaisedGap, beyond_surfaces
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.supports import Supports, supports_of
-from signorini_fenicsx.physics.elasticity.tools import MovedGap, Tool, moves_at_sites, tools_at, tools_of
+from signorini_fenicsx.physics.elasticity.tools import Tool, moves_at_sites, tools_at, tools_of
 from signorini_fenicsx.physics.elasticity.vector_datum import (
     PressureDatum,
     VectorDatum,
@@ -133,7 +134,9 @@ class ElasticData:
         moves.array[np.concatenate([spaces.sites, spaces.slip_sites])] = at_sites
         moves.scatter_forward()
         for tool in tools:
-            gap = MovedGap.of(spaces, gap, tool)
+            facets = spaces.part(tool.part)
+            moved = np.einsum("nair,r,ni->na", tool.motions(facets.vertices), tool.moved, facets.normals)
+            gap = RaisedGap.of(gap, facets, moved)
         return replace(self, gap=gap, lift=self.lift + moves.array, moved=self.moved + at_sites)
 
     def points(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> CellPoints:
@@ -211,7 +214,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
     g_N, before = tractions_given(spaces, problem), before or FromBefore()
     pulls = pulls_of(spaces, before.pulls)
-    gap = datum_on_parts(spaces, "gap", problem.gap)
+    gap = beyond_surfaces(spaces, datum_on_parts(spaces, "gap", problem.gap), problem.surface)
     own = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
     quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, own + 1), MOST))
     lift = fem.Function(spaces.traces)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
+from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
 
@@ -110,6 +111,8 @@ class Contact(OnParts):
     Attributes:
         parts: Name of a part, or a list of names.
         gap: The distance to the foundation along the outer normal.
+        surface: A file with a mesh of the surface of the foundation, such as STL, in the plane of a line. The gap is
+            then the distance to it along the normal, and `gap` more.
         friction: `Tresca` or `Coulomb`; None for σ_t = 0.
         force: For a rigid tool that moves: what acts on it along each axis along which it can, such as {"y": -1}. The
             gap is that before it moves, and the part is one. Along other axes it is held.
@@ -120,6 +123,7 @@ class Contact(OnParts):
     """
 
     gap: Given = 0.0
+    surface: str | Path | None = None
     friction: Tresca | Coulomb | None = None
     force: Mapping[str, Given] = field(default_factory=dict)
     moment: Mapping[str, Given] = field(default_factory=dict)
@@ -128,6 +132,7 @@ class Contact(OnParts):
         """Refuse another friction, and a tool on several parts."""
         super().__post_init__()
         check_kind("friction", self.friction, Tresca, Coulomb, NoneType)
+        check_kind("surface", self.surface, str, Path, NoneType)
         for name, given in (("force", self.force), ("moment", self.moment)):
             check_kind(name, given, Mapping, hint='; an example is {"y": -1}')
         if (self.force or self.moment) and len(self.parts) != 1:
@@ -253,6 +258,7 @@ class Elasticity:
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
             support={part: each.stiffness for each in springs for part in each.parts},
             gap=one_value(gaps, 0.0),
+            surface={part: each.surface for each in touching if each.surface is not None for part in each.parts},
             force={part: each.force for each in touching if each.force for part in each.parts},
             moment={part: each.moment for each in touching if each.moment for part in each.parts},
             laws=(*(each.friction.law(each.parts) for each in touching if each.friction is not None), *normal),
@@ -275,6 +281,7 @@ class ElasticProblem:
         pressure: The pressure −g_N·n on parts of Γ_N on which no g_N is given, with no shear.
         support: The stiffness K per area of springs on parts of Γ_N, whose traction is g_N − Ku.
         gap: g, the distance to the foundation along the outer normal, or one for each part of Γ_C.
+        surface: Files with the surfaces of foundations, for parts of Γ_C; g is more than the distance to them.
         plane: Plane strain or plane stress, in two dimensions.
         exact: u itself, where it is known.
         laws: Friction on parts of Γ_C; elsewhere Γ_C is without friction. Or other laws, between the
@@ -296,6 +303,7 @@ class ElasticProblem:
     pressure: GivenByPart = field(default_factory=dict)
     support: GivenSupports = field(default_factory=dict)
     gap: Given | Mapping[str, Given] = 0.0
+    surface: Mapping[str, str | Path] = field(default_factory=dict)
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None
     laws: Sequence[ElasticLaw] = ()
@@ -339,7 +347,7 @@ class ElasticProblem:
                 laws.append(replace(law, mu=change(f"law.{index}.mu", law.mu)))
             else:
                 laws.append(law.with_data(partial(_changed_in, index, change)))
-        return replace(with_data(self, change, but=("plane", "laws")), laws=laws)
+        return replace(with_data(self, change, but=("plane", "laws", "surface")), laws=laws)
 
     @property
     def rough(self) -> list[str]:

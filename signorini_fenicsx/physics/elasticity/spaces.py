@@ -106,6 +106,11 @@ class ElasticSpaces(MeshSpaces):
         """The dimension d."""
         return self.mesh.topology.dim
 
+    @cached_property
+    def distances(self) -> dict[tuple[str, str], Array]:
+        """How far the vertices of parts are from surfaces in files, each of which is read once."""
+        return {}
+
     @property
     def nodes(self) -> npt.NDArray[np.integer]:
         """The nodes at the vertices of the owned cells in this order, shape (cells, d + 1)."""

@@ -19,12 +19,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
@@ -179,54 +176,6 @@ def unbalanced(spaces: ElasticSpaces, tools: Sequence[Tool], tractions: Array) -
         done = np.einsum("nai,nair->r", pulls, tool.motions(facets.vertices))
         found.append((tool, tool.load - spaces.mesh.comm.allreduce(done)))
     return found
-
-
-@dataclass(frozen=True)
-class MovedGap(Datum):
-    """A gap on facets of Γ_C that grows as tools move.
-
-    Attributes:
-        gap: The gap as it was given.
-        facets: The facets of a tool on this rank, ascending.
-        normals: Their normals.
-        tool: The tool.
-    """
-
-    gap: Datum
-    facets: npt.NDArray[np.int32]
-    normals: Array
-    tool: Tool
-
-    @classmethod
-    def of(cls, spaces: ElasticSpaces, gap: Datum, tool: Tool) -> MovedGap:
-        """The gap after the motion of a tool."""
-        facets = spaces.part(tool.part)
-        order = np.argsort(facets.facets)
-        return cls(gap.ufl, gap, facets.facets[order], facets.normals[order], tool)
-
-    @property
-    def degree(self) -> int:
-        """The degree that is estimated."""
-        return max(self.gap.degree, 1)
-
-    @property
-    def number(self) -> None:
-        """None: it is not one number."""
-        return
-
-    @property
-    def polynomial(self) -> int | None:
-        """The degree of the polynomial that it is on each facet, or None."""
-        return None if self.gap.polynomial is None else max(self.gap.polynomial, 1)
-
-    def _values(self, points: Points) -> Array:
-        assert isinstance(points, FacetPoints)
-        found = np.array(self.gap.values(points))
-        mine = np.flatnonzero(np.isin(points.facets, self.facets))
-        normals = self.normals[np.searchsorted(self.facets, points.facets[mine])]
-        moves = self.tool.motions(points.x[mine]) @ self.tool.moved
-        found[mine] += np.einsum("nqi,ni->nq", moves, normals)
-        return found
 
 
 class Moving:

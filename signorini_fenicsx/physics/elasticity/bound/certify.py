@@ -45,6 +45,7 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
+SURFACE = "the solution with tools as far as their surfaces are at the vertices of the mesh"
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
 HIGHER = {2: 4, 3: 3}
 """Degree of v on the cells with the largest shares of the gap and on their neighbours, by dimension."""
@@ -90,10 +91,13 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         coarse=lambda: coarse,
     )
     certificate = replace(gap.certificate(spaces), lacking="not in the discrete spaces")
-    if data.friction is None or not data.friction.by_pressure:
+    by_pressure = data.friction is not None and data.friction.by_pressure
+    other = [TRESCA] * by_pressure + [SURFACE] * bool(solution.problem.surface)
+    if not other:
         return certificate
-    named = {"guaranteed_for": TRESCA} if certificate.guaranteed else {}
-    return replace(certificate, of=f" to {TRESCA}", about={"guaranteed": False, "of_last_bound": True} | named)
+    about = {"guaranteed": False, "of_last_bound": True} if by_pressure else {}
+    named = {"guaranteed_for": ", ".join(other)} if certificate.guaranteed else {}
+    return replace(certificate, of=f" to {', '.join(other)}", about=about | named)
 
 
 def _displacement(
