@@ -8,6 +8,7 @@ the separation point, where the phreatic line meets the face.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -15,10 +16,9 @@ from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.rows import in_digits
-from signorini_fenicsx.cases.case import Case
+from signorini_fenicsx.cases.dam import Dam
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.solving.solved import Solved
 
 FEW = 3
 """Facets of the face from which the outflow is continued, in a straight line, to a point beside them."""
@@ -50,11 +50,11 @@ class Seepage:
         return {name: value for name, value in vars(self).items() if isinstance(value, float)}
 
 
-def seepage(solution: Solved) -> Seepage | None:
+def seepage(solution: Any) -> Seepage | None:
     """The seepage of a solution of a case with [dam], None for other solutions; the same on all ranks (collective)."""
-    if not isinstance(solution, Solution) or not isinstance(solution.source, Case) or solution.source.dam is None:
+    dam: Dam | None = getattr(solution.source, "dam", None)
+    if dam is None:
         return None
-    dam = solution.source.dam
     height, outflow, is_open = _downstream(solution).T
     top, foot = np.flatnonzero(is_open)[-FEW:], slice(None, FEW)
     separation = float(np.polyfit(outflow[top], height[top], 1)[1]) if len(top) == FEW else float("nan")
