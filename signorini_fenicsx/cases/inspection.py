@@ -69,11 +69,13 @@ class Checked:
         counts: Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
         left: Parts of Γ_D that no list has; "" stands for facets in no part.
         parts: For each part its condition, the number of its facets, and their measure.
+        remarks: What is worth knowing of the data besides, in sentences.
     """
 
     counts: Mapping[str, int]
     left: Sequence[str]
     parts: Mapping[str, Mapping[str, Any]]
+    remarks: Sequence[str]
 
 
 def expected(case: CaseFile, ranks: int) -> Expected:
@@ -151,9 +153,10 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
         system = system_on(domain, *posed)
         spaces, contact = system.spaces, next(iter(system.boundary.named))
         if case.time is None:
-            system.prepared(posed, Wish(options_of(case)))
+            remarks = system.prepared(posed, Wish(options_of(case))).remarks()
         else:
             _check_steps(system, posed, case.time.evolution())
+            remarks = ()
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -161,7 +164,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     found = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
-    return Checked(found, _left(case, spaces), _parts(case, spaces))
+    return Checked(found, _left(case, spaces), _parts(case, spaces), remarks)
 
 
 def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:

@@ -44,6 +44,8 @@ class CaseReport(Report):
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")
         self._parts(found.parts)
         self._left(case, found.left)
+        for remark in found.remarks:
+            self.entry("note", remark)
 
     def _parts(self, parts: Mapping[str, Mapping[str, Any]]) -> None:
         """Print what holds on each part of the boundary."""

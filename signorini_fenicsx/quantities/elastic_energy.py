@@ -97,8 +97,7 @@ def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function)
     total -= float((reference * apart).sum())
     for law in problem.laws:
         total += float(law.energies(problem.openings_of(v)[law.rows]).sum())
-    if data.friction is not None:
-        total += float(problem.rubbed(v).sum())
+    total += float(problem.rubbed(v).sum())
     on_tools = sum(float(tool.load @ tool.moved) for tool in data.tools)
     return float(spaces.mesh.comm.allreduce(total)) - on_tools
 

@@ -61,7 +61,7 @@ STEP = "the exact solution of the step after the computed slip of the last one"
 def named_for(solution: ElasticSolution) -> str:
     """Of which solution the quantities are, in words; empty if it is that of the problem itself."""
     friction, of = solution.data.friction, []
-    if friction is not None:
+    if friction:
         of = [STEP] * (solution.step is not None) + [TRESCA] * friction.by_pressure
     return " and ".join([*of, *([SURFACE] if solution.problem.surface else [])])
 
@@ -163,12 +163,12 @@ class _Beside(Beside[_Side]):
     def memory(self, tau: float) -> FromBefore:
         """The slip of the last step in time, and Coulomb's bounds of the shear."""
         friction = self.solution.data.friction
-        fixed = friction.fixed() if friction is not None and friction.by_pressure else None
+        fixed = friction.fixed() if friction.by_pressure else None
         return FromBefore(self.solution.data.slipped, fixed)
 
     def start(self, posed: Posed) -> ElasticSegments | None:
         """The segments of the solution; in space none with friction, as directions of slip are no segments."""
-        in_space = self.spaces.dim == 3 and self.solution.data.friction is not None
+        in_space = self.spaces.dim == 3 and bool(self.solution.data.friction)
         return None if in_space else self.solution.segments()
 
     def admissible(self, solution: ElasticSolution) -> _Side:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, is_dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -66,6 +66,9 @@ class Posed[S: Solved](Protocol):
 
 class Run(Protocol):
     """A problem on its mesh, ready to be solved."""
+
+    def remarks(self) -> Sequence[str]:
+        """What `signorini check` tells of the data besides, in sentences (collective)."""
 
     def outcome(self) -> Outcome:
         """Run the method; if it is interrupted, return its last state (collective)."""

@@ -85,6 +85,27 @@ def test_what_no_list_has_is_named(folder: Path):
     assert "Γ_D        right: in no list of [boundary], so clamped, u = u_D there" in clamped
 
 
+JUMPS = "0.1 if x < 1/2 else 0"
+
+
+@pytest.mark.parallel([1, 2])
+def test_jumps_between_facets_are_told(folder: Path):
+    """Of ψ and u_D it is told where and by how much they jump; kinks, roots and corners of the domain are no jumps."""
+    square = load_case("example1").with_values({"geometry.mesh": "structured", "solve.h": 0.2})
+    for values, told in (
+        ({"problem.psi": JUMPS}, ["[problem] psi: jumps by 0.1 at (0.5, "]),
+        ({"problem.u_D": "1 if y < 1/2 else 3*x"}, ["[problem] u_D: jumps by 2 at (1, 0.5)"]),
+        ({"boundary.signorini": ["top"], "law": [{"kind": "wall", "parts": ["bottom"], "beta": JUMPS}]}, []),
+        ({"problem.psi": "abs(x - 1/2) + sqrt(abs(x - 1/2)) - 1", "problem.u_D": "x + abs(y - 1/2)"}, []),
+    ):
+        remarks = check(square.with_values(values), MPI.COMM_WORLD).remarks
+        assert len(remarks) == len(told)
+        assert all(map(str.startswith, remarks, told)), remarks
+    cube = load_case("cube").with_values({"geometry.mesh": "structured", "solve.h": 0.9})
+    for psi, number in (("-1 if x < 1/2 else 0", 1), ("-abs(x - 1/2) - y", 0)):
+        assert len(check(cube.with_values({"problem.psi": psi}), MPI.COMM_WORLD).remarks) == number
+
+
 def test_case_files_broken_at_random(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Each is refused with one line of moderate length, or is still a case."""
     monkeypatch.chdir(tmp_path)

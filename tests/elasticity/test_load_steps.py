@@ -113,7 +113,7 @@ def test_second_step_in_space(folder: Path):
     coarse, fine = (turned(box(COMM, n, [0.0] * 3, [1.0, 1.0, 0.5])) for n in (1, 2))
     first, last = fine
     friction = last.data.friction
-    assert friction is not None
+    assert friction
     after = last.slip_vectors - first.slip_vectors
     size = np.linalg.norm(after, axis=2)
     slips = size > 1e-10

@@ -16,6 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.matrices import identity_with
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
@@ -28,13 +29,6 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-
-
-def facet_nodes(space: fem.FunctionSpace, facets: Entities) -> Entities:
-    """Nodes of boundary facets in a space of linear or quadratic functions, shape (facets, nodes of a facet)."""
-    points = facet_lattice(space.mesh, facets, 1)
-    closures = np.array(space.element.basix_element.entity_closure_dofs[space.mesh.topology.dim - 1])
-    return np.take_along_axis(space.dofmap.list[points.cells], closures[points.local], axis=1)
 
 
 def largest_around(space: fem.FunctionSpace, nodes: Entities, values: Array) -> Array:

@@ -17,6 +17,8 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import LAWS
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
+from signorini_fenicsx.discrete.continuity import largest_jump
+from signorini_fenicsx.discrete.data_values import in_problem
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
@@ -35,6 +37,9 @@ from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
+
+NO_TRACE = "a function with this trace has no finite energy, and there is no bound of the error"
+NO_BOUND = "there is one solution, but errors fall slowly and their bound is not guaranteed"
 
 
 class System:
@@ -152,6 +157,21 @@ class DiffusionRun:
     data: Data
     constant: float
     system: System
+
+    def remarks(self) -> list[str]:
+        """Bounds of u on Γ_S and u_D where they jump, in words (collective)."""
+        spaces, data = self.task.spaces, self.data
+        checked = [("u_D", data.u_D, spaces.dirichlet_facets, NO_TRACE)]
+        for part in data.laws.of_parts:
+            bounds = {key: datum for key, datum in part.data.items() if any(datum is bound for bound in part.bounds)}
+            facets = spaces.facets[part.rows]
+            checked += [(part.key(key), datum, facets, NO_BOUND) for key, datum in bounds.items()]
+        found = [(name, *largest_jump(spaces, datum, facets), so) for name, datum, facets, so in checked]
+        return [
+            f"{in_problem(name)}: jumps by {jump:.3g} at ({', '.join(f'{x:.4g}' for x in place)}); {so}"
+            for name, jump, place, so in found
+            if jump > 0
+        ]
 
     def outcome(self) -> Outcome:
         """Run the method; if it is interrupted, return its last state (collective)."""

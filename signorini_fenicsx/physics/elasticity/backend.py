@@ -180,11 +180,11 @@ class ElasticBackend:
     @property
     def _turns(self) -> bool:
         """Whether the shear turns with the slip, as in space."""
-        return self.friction is not None and self.friction.slipping is not None
+        return self.friction.slipping is not None
 
     def turned(self, slip: Array) -> Array:
         """What the linear law of friction in space adds to −σ_t, of u_t at the sites."""
-        if self.friction is None or not self._turns:
+        if not self._turns:
             return np.zeros_like(slip)
         bends: Array = np.einsum("nakl,nal->nak", self.friction.stiffness, slip.reshape(-1, 3, 2))
         return bends.ravel()
@@ -194,7 +194,7 @@ class ElasticBackend:
         if self._motions.shape[1] == 0:
             return False
         rows = np.where(contact[:, None], self._motions, 0.0)
-        if self.friction is not None and self._turns:
+        if self._turns:
             rows[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
         return bool(np.linalg.eigvalsh(self.comm.allreduce(rows.T @ rows))[0] <= HELD)
 
@@ -313,7 +313,6 @@ class ElasticBackend:
 
     def turn(self, slip: Array) -> None:
         """Take the linear law of friction in space at this u_t, shape (facets, 3, 2)."""
-        assert self.friction is not None
         self.friction = self.friction.turned(slip)
         self._applied = self._imposed = None
 
@@ -350,7 +349,7 @@ class ElasticBackend:
             normal = self._unknowns[:number].reshape(-1, self.spaces.dim)
             stiffness = self._springs.stiffness * self._measure[:number].reshape(normal.shape)[:, :, None]
             blocks.append((normal, stiffness))
-        if self.friction is not None and self._turns:
+        if self._turns:
             along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
             blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
         same = not blocks and not sprung.any() and self._plainly is not None and (self._plainly == contact).all()

@@ -57,7 +57,7 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
     spaces, accepted, step, share, least = backend.spaces, backend.friction, np.empty(0), 1.0, np.inf
     while True:
         outcome, present = tresca(None), backend.friction
-        if present is None or not present.by_pressure or not outcome.converged:
+        if not present.by_pressure or not outcome.converged:
             return outcome
         following = present.following(pressure_of(spaces, outcome.iterate.flux))
         changes.append(present.change(following, spaces))
@@ -76,7 +76,6 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
             step = _step(backend, outcome.conditions, law, following.bound - present.bound)
             backend.friction = accepted.moved(step)
         else:
-            assert accepted is not None
             share /= 2
             backend.friction = accepted.moved(share * step)
 
@@ -84,7 +83,6 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
 def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> Outcome:
     """Follow the path from no friction; the outcome of the problem at its end, or of that at its begin (collective)."""
     friction, comm, spaces = backend.friction, backend.comm, backend.spaces
-    assert friction is not None
     backend.friction = friction.moved(-friction.bound)
     outcome = tresca(None)
     if (
@@ -175,7 +173,6 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
 def _step(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
     """The step of `newton`; one GMRES finds it where CG solves for contact in the plane, and the solution follows."""
     friction, (directions, slope) = backend.friction, law
-    assert friction is not None
     if backend.inexact is None or not backend.is_contact or friction.slipping is not None:
         return newton(backend, conditions, law, left)
     left = np.where(friction.coulomb[:, None], left, 0.0)
@@ -193,7 +190,6 @@ def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array
         left: What is left.
     """
     friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
-    assert friction is not None
     directions, slope = law
 
     def without_response(values: Array) -> Array:

@@ -74,7 +74,7 @@ class ElasticData:
             the tangential one where there is friction, and 0 elsewhere: unknowns of this rank, ghosts too.
         load: ⟨g_N, q⟩ for each owned unknown, and the pressures at the references of the laws.
         fixed: Owned unknowns that are given.
-        friction: Bounds of the shear; None without friction.
+        friction: Bounds of the shear.
         slipped: u_t at the sites with friction at the end of the last step in time, 0 without one; the slip is what
             comes after it.
         tools: Foundations that move under given forces; in the end with their motions, by which gap and lift are
@@ -98,16 +98,11 @@ class ElasticData:
     lift: Array
     load: Array
     fixed: npt.NDArray[np.int32]
-    friction: FrictionBounds | None
+    friction: FrictionBounds
     slipped: Array
     tools: tuple[Tool, ...]
     moved: Array
     given: Values = ()
-
-    @property
-    def bound_of_shear(self) -> Array:
-        """The bound g at the vertices of the facets with friction, shape (facets, d)."""
-        return np.zeros((0, self.laws.dim)) if self.friction is None else self.friction.bound
 
     @property
     def slip_before(self) -> Array:

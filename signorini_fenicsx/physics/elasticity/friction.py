@@ -56,12 +56,15 @@ class Slipping:
 class FrictionBounds:
     """Bounds of the shear on the facets with friction of this rank, in the order of `ElasticSpaces.rough`.
 
+    Without friction there are no such facets, and it is false.
+
     Attributes:
         bound: g_i at their vertices, shape (facets, d).
         mu: μ there; 0 where g is given.
         coulomb: Whether g is μ times the pressure, per facet.
         inexact: Names of data that are not linear on facets.
         by_pressure: Whether g is μ times the pressure somewhere, on any rank.
+        somewhere: Whether there is friction, on any rank.
         slipping: The linear law, in space; None in the plane.
     """
 
@@ -70,7 +73,11 @@ class FrictionBounds:
     coulomb: Mask
     inexact: tuple[str, ...]
     by_pressure: bool
+    somewhere: bool
     slipping: Slipping | None = None
+
+    def __bool__(self) -> bool:
+        return self.somewhere
 
     @property
     def chains(self) -> Chains:
@@ -230,30 +237,28 @@ def shortened(vectors: Array, longest: Array) -> Array:
     return found
 
 
-def law_of_sites(spaces: ElasticSpaces, normal: Chains, friction: FrictionBounds | None) -> Chains:
+def law_of_sites(spaces: ElasticSpaces, normal: Chains, friction: FrictionBounds) -> Chains:
     """The law of each site of an elastic problem: in the normal direction, then friction by these bounds."""
-    if friction is None:
+    if not friction:
         return normal
     number = len(spaces.sites) + len(spaces.slip_sites)
     rows = np.split(np.arange(number), [len(spaces.sites)])
     return joined(list(zip(rows, (normal, friction.chains), strict=True)), number)
 
 
-def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> FrictionBounds | None:
-    """Read the laws; None if there are none (collective).
+def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> FrictionBounds:
+    """Read the laws of friction (collective).
 
     Raises:
         InputError: If g or μ is negative or not finite somewhere.
     """
     rubbing = [(index, law) for index, law in enumerate(laws) if not is_normal(law)]
-    if not rubbing:
-        return None
     rough, dim = spaces.rough, spaces.dim
     number, order = len(rough.facets), np.argsort(rough.facets)
     coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
     none = np.zeros((number, dim))
-    slipping = Slipping.nowhere(number) if dim == 3 else None
-    found = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, slipping)
+    slipping = Slipping.nowhere(number) if dim == 3 and rubbing else None
+    found = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), slipping)
     inexact = []
     for index, law in rubbing:
         name = "mu" if isinstance(law, CoulombLaw) else "g"

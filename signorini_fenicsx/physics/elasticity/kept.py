@@ -35,12 +35,11 @@ LAYOUT: Layout = {
 def _on_facets(solution: ElasticSolution) -> Arrays:
     spaces, touching = solution.spaces, solution.touching
     friction = np.zeros((3, *touching.shape))
-    if solution.data.friction is not None:
-        for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
-            values[spaces.rough_rows] = rough
+    for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
+        values[spaces.rough_rows] = rough
     slip, state, bound = friction
     in_space = {}
-    if solution.data.friction is not None and spaces.dim == 3:
+    if solution.data.friction and spaces.dim == 3:
         in_space["slip_vector"] = np.zeros((*touching.shape, 3))
         in_space["slip_vector"][spaces.rough_rows] = solution.slip_vectors
         state = np.where(state == STATES.index("stick"), state, 0)
@@ -80,13 +79,11 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
     elif "facet_slipped_vector" in stored.arrays:
         slipped = spaces.in_frames(stored.on_facets(spaces.mesh.comm, "slipped_vector")[0][rough])
     data = elastic_data(spaces, problem, FromBefore(slipped))
-    if data.friction is not None:
-        by_pressure = np.where(data.friction.coulomb[:, None], bound[rough], data.friction.bound)
-        data = replace(data, friction=replace(data.friction, bound=by_pressure))
+    data = replace(data, friction=data.friction.with_bounds(bound[rough]))
     data = data.after(spaces, np.array(stored.own["moved"]))
     along = slip[rough].ravel()
     segment = state[rough].ravel()
-    if data.friction is not None and spaces.dim == 3:
+    if data.friction and spaces.dim == 3:
         if "facet_slip_vector" not in stored.arrays:
             raise InputError("not a readable solution (it holds no facet_slip_vector)")
         along = spaces.in_frames(stored.on_facets(spaces.mesh.comm, "slip_vector")[0][rough])

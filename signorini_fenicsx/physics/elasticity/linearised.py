@@ -68,9 +68,7 @@ class Linearised:
         normal, friction = len(spaces.sites), backend.friction
         self._held = self._conditions.kind == Condition.ZERO_TRACE
         self._segment = backend.chains.segments(self._conditions, solution.outcome.iterate.p)
-        self._signs: Array = np.zeros(len(spaces.slip_sites))  # of the bound, in σ_t
-        if friction is not None:
-            self._signs = friction.directions(self._segment[normal:])
+        self._signs: Array = friction.directions(self._segment[normal:])  # of the bound, in σ_t
         shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
         weights = np.broadcast_to(data.quadrature.weights, (spaces.dim + 1, len(data.quadrature.weights)))
         self._weights = shares * weights  # of the points of the quadrature, shape (cells, d + 1, points)
@@ -100,7 +98,7 @@ class Linearised:
         p, flux, normal = solution.outcome.iterate.p, solution.outcome.iterate.flux, len(self._spaces.sites)
         scales = np.full(backend.sites, u), np.full(backend.sites, stress)
         found = backend.chains.beside(self._segment, p, flux, scales, tolerance)
-        if friction is not None and friction.slipping is not None:
+        if friction.slipping is not None:
             slip, shear = (np.linalg.norm(each[normal:].reshape(-1, 2), axis=1) for each in (p, flux))
             bound, sticks = friction.bound.ravel(), friction.sticks.ravel()
             near = np.where(sticks, bound - shear <= tolerance * stress, slip <= tolerance * u)
@@ -212,7 +210,7 @@ class Linearised:
             load = load.copy()
             load[spaces.slip_sites] -= of_slip
             x = backend.solve_homogeneous(self._conditions, load)
-            if friction is not None and friction.by_pressure:
+            if friction.by_pressure:
                 # w − T'ᵀw = ∂J/∂b
                 w = gmres(
                     backend.comm, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
@@ -293,7 +291,6 @@ class Linearised:
     def _of_pressure(self, w: Array) -> PETSc.Vec:
         """λ_û for the functional Σ wμP of the pressure (collective)."""
         spaces, friction = self._spaces, self._backend.friction
-        assert friction is not None
         lift = np.zeros(len(self._backend.system.load))
         rows = np.arange(len(spaces.sites)).reshape(-1, spaces.dim)[spaces.rough_rows].ravel()
         lift[spaces.sites[rows]] = -friction.slope(self._pressure).ravel() * w / spaces.site_measure[rows]
@@ -318,6 +315,6 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
     if backend is None:
         motions = check_rigid_motions(solution.spaces, solution.data)
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning, motions)
-    if backend.friction is not None and backend.friction.slipping is not None:
+    if backend.friction.slipping is not None:
         backend.turn(solution.outcome.iterate.p[len(solution.spaces.sites) :].reshape(-1, 3, 2))
     return Linearised(solution, backend, tolerance)

@@ -78,12 +78,11 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     flux, shear = np.split(data.reactions(spaces, stresses), [number])
     low, inward, smaller = data.laws.chains.distances(p[:number], flux, k)
     squares = np.array([spaces.site_measure @ values**2 for values in (k * low, inward, smaller)])
-    if data.friction is not None:
-        shape = len(spaces.rough.facets), dim, dim - 1
-        unit = np.repeat(stiffness[spaces.rough.cells] / length, dim).reshape(shape[:2])
-        slip, shear = (values.reshape(shape) for values in (p[number:], shear))
-        weights = (spaces.rough.measure / dim)[:, None]
-        squares[1:] += [(weights * each**2).sum() for each in data.friction.residuals(slip, shear, unit)]
+    shape = len(spaces.rough.facets), dim, dim - 1
+    unit = np.repeat(stiffness[spaces.rough.cells] / length, dim).reshape(shape[:2])
+    slip, shear = (values.reshape(shape) for values in (p[number:], shear))
+    weights = (spaces.rough.measure / dim)[:, None]
+    squares[1:] += [(weights * each**2).sum() for each in data.friction.residuals(slip, shear, unit)]
     squares = comm.allreduce(squares)
     primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
     return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))

@@ -81,10 +81,8 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
     work, most = bodies.work(data)
     work = work @ free / most
     into, along = normal_and_tangential(spaces, lambda directions: bodies.relative(directions) @ free)
-    slips, shears = along.reshape(-1, spaces.dim - 1, free.shape[1]), np.empty(0)
-    if data.friction is not None:
-        shears = (spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most
-        shears = shears.ravel()
+    slips = along.reshape(-1, spaces.dim - 1, free.shape[1])
+    shears = ((spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most).ravel()
     limits, work = _limits(spaces, data, work, into.reshape(-1, free.shape[1]), slips, shears, most)
     motion, told = limits.unprevented(), None
     if motion is not None:

@@ -47,7 +47,7 @@ def fields(solution: ElasticSolution) -> Fields:
     if data.laws.of_parts:
         segment = _labels(solution).reshape(solution.touching.shape)
         on_facets.append(Field("segment", segment, names=_segment_names(solution)))
-    if data.friction is not None:
+    if data.friction:
         shear, slip, state = solution.on_all_contact()
         on_facets += [Field("shear", shear), Field("slip", slip), Field("friction", state, names=STATES)]
     return {IN_CELLS: on_cells, "contact": on_facets}
@@ -149,7 +149,7 @@ def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
     }
     if solution.data.laws.of_parts:
         columns["segment"] = np.array(_segment_names(solution))[table.segment]
-    if solution.data.friction is None:
+    if not solution.data.friction:
         return columns
     states = np.array(STATES)[table.state]
     rubbing = {"shear": table.shear, "slip": table.slip, "friction": states}

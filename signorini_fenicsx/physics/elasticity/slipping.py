@@ -48,7 +48,6 @@ def slipped(backend: ElasticBackend, contact: Callable[[], Outcome]) -> Outcome:
     slip, shear = _pairs(backend, outcome)
     while outcome.converged:
         before = backend.friction
-        assert before is not None
         after = _following(backend, before, slip, shear)
         if _same(backend, before, after, slip, shear):
             return outcome
@@ -122,7 +121,6 @@ def _same(backend: ElasticBackend, before: FrictionBounds, after: FrictionBounds
 def _length(backend: ElasticBackend, x: Array, step: Array, slip: Array, change: Array) -> float:
     """How far to go along a step, up to 1, for the least energy: 0 if it does not fall (collective)."""
     friction = backend.friction
-    assert friction is not None
     first, second = backend.energy_along(x, step)
     weights = friction.bound * (backend.spaces.rough.measure / backend.spaces.dim)[:, None]
 

@@ -201,36 +201,31 @@ class ElasticSolution(Solved):
     @property
     def states(self) -> Indices:
         """The state of these vertices, an index into `STATES`; without shear by the sign of u_t."""
-        assert self.data.friction is not None
         if self.data.friction.slipping is not None:
             return np.where(self.data.friction.sticks, STATES.index("stick"), STATES.index("slip"))
         normal = len(self.spaces.sites)
         tangential = self.outcome.conditions.take(slice(normal, None))
-        segments = self.data.friction.chains.segments(tangential).reshape(-1, 2)
+        segments = self.data.friction.chains.segments(tangential).reshape(self.data.friction.bound.shape)
         return np.where(self.data.friction.bound > 0, segments, np.where(self._scalar(self._after) < 0, 0, 2))
 
     def segments(self) -> ElasticSegments:
         """The segments from which the next step in time starts."""
-        friction = self.data.friction
-        chains = law_of_sites(self.spaces, self.data.laws.chains, friction)
-        bound = np.empty((0, self.spaces.dim)) if friction is None else friction.bound
-        return ElasticSegments(self.spaces, chains.segments(self.outcome.conditions), bound)
+        chains = law_of_sites(self.spaces, self.data.laws.chains, self.data.friction)
+        return ElasticSegments(self.spaces, chains.segments(self.outcome.conditions), self.data.friction.bound)
 
     @property
     def _states_or_open(self) -> Indices:
         """Index into `STATES`: open is what neither is in contact nor has a bound of the shear, as in Coulomb's law."""
-        assert self.data.friction is not None
         is_open = ~self.touching[self.spaces.rough_rows] & (self.data.friction.bound == 0)
         return np.where(is_open, STATES.index("open"), self.states)
 
     def on_all_contact(self) -> tuple[Array, Array, Array]:
         """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
         of_vertices = np.full((3, *self.touching.shape), np.nan)
-        if self.data.friction is not None:
-            vectors = self.slips.reshape(-1, self.spaces.dim, self.spaces.dim - 1)
-            linear_slip = self._scalar(linear_from_means(vectors))
-            for values, rough in zip(of_vertices, (self.shear, linear_slip, self._states_or_open), strict=True):
-                values[self.spaces.rough_rows] = rough
+        vectors = self.slips.reshape(-1, self.spaces.dim, self.spaces.dim - 1)
+        linear_slip = self._scalar(linear_from_means(vectors))
+        for values, rough in zip(of_vertices, (self.shear, linear_slip, self._states_or_open), strict=True):
+            values[self.spaces.rough_rows] = rough
         shear, slip, state = of_vertices
         return shear, slip, state
 
@@ -396,13 +391,12 @@ class ElasticSolution(Solved):
             "touching_vertices": self.touching_vertices,
             "contact_measure": self.contact.measure,
             **({"segments": self.segments_of_parts()} if self.data.laws.of_parts else {}),
-            **({} if self.data.friction is None else {"friction": self.friction_states()}),
+            **({"friction": self.friction_states()} if self.data.friction else {}),
             **({"coulomb": self._fixed_point()} if self.bound_changes else {}),
         }
 
     def _fixed_point(self) -> dict[str, Any]:
         """How the bound of Coulomb's friction was found, and whether this is the only one (collective)."""
-        assert self.data.friction is not None
         rubs = self.spaces.mesh.comm.allreduce(bool((self.data.friction.bound > 0).any()), MPI.LOR)
         return {"changes": list(self.bound_changes), "other_solutions": "not excluded" if rubs else "none"}
 

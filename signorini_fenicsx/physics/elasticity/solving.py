@@ -144,6 +144,10 @@ class ElasticRun:
     changes: Sequence[float] = ()
     backend: ElasticBackend | None = None
 
+    def remarks(self) -> list[str]:
+        """Nothing: gaps of parts that meet may differ, as their normals do."""
+        return []
+
     def outcome(self) -> Outcome:
         """Run the loop, with Coulomb's friction once for each bound of the shear (collective)."""
         options, watch, start = self.wish.options, self.wish.watch, self.wish.start
@@ -153,8 +157,7 @@ class ElasticRun:
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
-                friction = backend.friction
-                if start is not None and friction is not None and friction.by_pressure and self.spaces.dim == 2:
+                if start is not None and backend.friction.by_pressure and self.spaces.dim == 2:
                     start = _carried(start, backend)
         held = self.motions.shape[1] > 0
         if isinstance(start, ElasticSegments):
@@ -191,11 +194,10 @@ class ElasticRun:
 
 def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: ElasticKKT) -> str | None:
     """Why there is no solution; None if there is one (collective)."""
-    turns = data.friction is not None and data.friction.slipping is not None
-    if not outcome.converged and not turns:
+    if not outcome.converged and data.friction.slipping is None:
         return outcome.reason
     failure = kkt.violation() if outcome.converged else outcome.reason
-    return failure if failure is None or data.friction is None else slides(spaces, data) or failure
+    return failure if failure is None or not data.friction else slides(spaces, data) or failure
 
 
 def _with_parts_of_laws(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
@@ -277,7 +279,6 @@ def _settled(
 def _carried(start: ElasticSolution, backend: ElasticBackend) -> ElasticSegments:
     """The sets and the bounds of a solution on another mesh, at the midpoints of the facets (collective)."""
     spaces, friction, chains = backend.spaces, backend.friction, backend.chains
-    assert friction is not None
     theirs = [start.spaces.linear_multiplier(values) for values in (spread(start.spaces, start.slip), start.pressure)]
     found = sampled(theirs, spaces.Lambda.mesh, start.spaces.domain, degree=0)
     slip, pressure = (each.x.array[: len(spaces.facets)][spaces.rough_rows] for each in found)
@@ -303,7 +304,7 @@ def _with_friction(
         The outcome with the iterations of all loops. How much the bound changed after each is added to the changes.
     """
     rule = RULES[str(options.algorithm)]
-    most = options.method.max_iterations * (1 if backend.friction is None else MORE_WITH_FRICTION)
+    most = options.method.max_iterations * (MORE_WITH_FRICTION if backend.friction else 1)
     parameters = Parameters(max_iterations=options.max_iterations or most)
     last: Indices | None = None
 
@@ -316,8 +317,7 @@ def _with_friction(
         return outcome
 
     def tresca(segments: Indices | None) -> Outcome:
-        in_space = backend.friction is not None and backend.friction.slipping is not None
-        return slipped(backend, loop) if in_space else loop(segments)
+        return loop(segments) if backend.friction.slipping is None else slipped(backend, loop)
 
     return balanced(backend, tresca, changes)
 
@@ -328,8 +328,7 @@ def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_conta
     slope = np.take_along_axis(backend.chains.slope, start.segment[:, None], axis=1)[: len(spaces.sites)]
     if held_by_contact and backend.comm.allreduce(int((slope > 0).sum())) == 0:
         return _first(backend, None, held_by_contact=True)
-    if backend.friction is not None:
-        backend.friction = backend.friction.with_bounds(start.bound)
+    backend.friction = backend.friction.with_bounds(start.bound)
     return backend.chains.conditions(start.segment)
 
 

@@ -89,12 +89,11 @@ class Tangent:
         pull = np.where(held, 0.0, stiffness_times(data, actual, gap) - law)
         load[spaces.sites] += spaces.site_measure * pull
         bound, friction = self._numbers["bound"], backend.friction
-        if friction is not None:
-            sides = friction.directions(segment[normal:])
-            lift[spaces.slip_sites] *= actual.kind[normal:] == Condition.ZERO_TRACE
-            load[spaces.slip_sites] += self._shear(sides, bound)
+        sides = friction.directions(segment[normal:])
+        lift[spaces.slip_sites] *= actual.kind[normal:] == Condition.ZERO_TRACE
+        load[spaces.slip_sites] += self._shear(sides, bound)
         x = backend.solve_homogeneous(actual, load, lift)
-        if friction is not None and friction.by_pressure:
+        if friction.by_pressure:
             slope = friction.slope(np.where(self._touching, 1.0, self._pressure))
             moved = pressure_of(spaces, backend.flux(x, self._load))
             left = self._numbers["mu"] * self._pressure.ravel() + (slope * moved).ravel()

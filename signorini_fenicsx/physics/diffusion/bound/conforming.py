@@ -34,6 +34,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
@@ -54,7 +55,6 @@ from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, all_e
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.nodes import (
     Jumps,
-    facet_nodes,
     largest_around,
     quadratic_on_sides,
     set_means,

@@ -25,6 +25,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.expressions import Tree
@@ -36,7 +37,6 @@ from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray
 from signorini_fenicsx.physics.diffusion.bound.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
-from signorini_fenicsx.physics.diffusion.nodes import facet_nodes
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 CUT_OFFS = 4.0

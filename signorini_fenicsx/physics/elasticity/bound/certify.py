@@ -91,7 +91,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         coarse=lambda: coarse,
     )
     certificate = replace(gap.certificate(spaces), lacking="not in the discrete spaces")
-    by_pressure = data.friction is not None and data.friction.by_pressure
+    by_pressure = data.friction.by_pressure
     other = [TRESCA] * by_pressure + [SURFACE] * bool(solution.problem.surface)
     if not other:
         return certificate
@@ -168,9 +168,8 @@ def _on_contact(
     for law in problem.laws:
         pressure = y.pressure[contact.rows[law.rows]]
         found[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure, half=half)
-    if data.friction is not None:
-        rough, here = problem.rough
-        found[rough] += problem.rubbed(v) + np.einsum("nam,nam->n", y.shear[here], problem.slips(v))
+    on_contact, on_rough = problem.rough
+    found[on_contact] += problem.rubbed(v) + np.einsum("nam,nam->n", y.shear[on_rough], problem.slips(v))
     return found
 
 
@@ -180,7 +179,7 @@ def not_in_the_spaces(data: ElasticData, *, enclosed: bool = True) -> tuple[str,
     found = [(each.name, each.polynomial, MOST // 2) for each in loads]
     found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     names = [name for name, degree, most in found if degree is None or degree > most]
-    names += [] if data.friction is None else data.friction.inexact
+    names += data.friction.inexact
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     own = data.material.own
     names += [each.name for each in own if (each.datum.polynomial is None or each.datum.polynomial > MOST // 2)]

@@ -400,7 +400,7 @@ class BestDisplacement:
     def _rubbing_weights(self) -> Array:
         """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
         rough, here = self.rough
-        return self._in_coefficients(self.data.bound_of_shear[here], self.contact.facets.measure[rough])
+        return self._in_coefficients(self.data.friction.bound[here], self.contact.facets.measure[rough])
 
     def _slipped(self) -> Array:
         """The slip of the last step in time and of tools on the facets with friction, by its coefficients.
@@ -435,7 +435,7 @@ class BestDisplacement:
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t − w| over the facets with friction, see `FacetCoefficients.lengths`."""
         rough, here = self.rough
-        means = self.contact.lengths(self._slips(v), self.data.bound_of_shear[here], self._moments)
+        means = self.contact.lengths(self._slips(v), self.data.friction.bound[here], self._moments)
         return np.asarray(self.contact.facets.measure[rough] * means)
 
     def _slips(self, v: fem.Function) -> Array:

@@ -95,9 +95,7 @@ def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -
     reactions = data.reactions(spaces, stresses)
     _, reactions = solution.outcome.conditions.clean(p, reactions, 0.0)  # on springs as it is
     pressure, shear = np.split(reactions, [len(spaces.sites)])
-    if data.friction is not None:
-        shear = shortened(shear.reshape(-1, spaces.dim, spaces.dim - 1), data.friction.bound)
+    shear = shortened(shear.reshape(-1, spaces.dim, spaces.dim - 1), data.friction.bound)
     pressure = np.clip(pressure, *data.laws.chains.extent()[2:]).reshape(-1, spaces.dim)
     segment = solution.segment.reshape(pressure.shape)
-    shear, u = shear.reshape(-1, spaces.dim, spaces.dim - 1), spaces.displacement_values(solution.u)
-    return AdmissibleStress(stresses, pressure, shear, u, segment, distance)
+    return AdmissibleStress(stresses, pressure, shear, spaces.displacement_values(solution.u), segment, distance)
