@@ -102,7 +102,7 @@ def complementary_energy(solution: ElasticSolution) -> np.ndarray:
     solver = piqp.DenseSolver()
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-11
     rows, low, high = pull, np.full(len(pull), -np.inf), np.zeros(len(pull))
-    if data.friction is not None:
+    if data.friction:
         along = np.einsum("fair,fi->far", facets[spaces.rough.blocks], spaces.tangents[:, 0])
         rub = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)
         bound = spaces.slip_measure * data.friction.bound.ravel()
