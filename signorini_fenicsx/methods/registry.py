@@ -46,7 +46,6 @@ class Method:
         laws: The laws that it takes in [[law]]; None for all.
         takes_inner: Whether it takes parts of Γ_S inside the domain.
         laws_inside: Whether it takes laws in Ω, as an obstacle is one.
-        single_call: Whether it is one call of a solver, whose iterations are then reported.
         max_iterations: Iterations allowed unless the options say otherwise.
         on_one_rank: Whether it collects the whole mesh on one rank, see `Tuning.on_one_rank_up_to`.
         dense: Whether it needs dense matrices on Γ_S, see `Tuning.dense_up_to`.
@@ -63,7 +62,6 @@ class Method:
     laws: tuple[type[Law], ...] | None = (Signorini,)
     takes_inner: bool = False
     laws_inside: bool = False
-    single_call: bool = False
     max_iterations: int = 50
     on_one_rank: bool = False
     dense: bool = False
@@ -97,10 +95,6 @@ class Method:
     def has_eps(self) -> bool:
         """Whether its solution depends on ε."""
         return self.penalty is not None or self.stabilised
-
-    def iterations(self, outcome: Outcome) -> int:
-        """The number of its iterations."""
-        return outcome.history[-1].linear_iterations if self.single_call else len(outcome.history)
 
 
 LAGRANGE = "Wang, Hu, Zhou: J. Comput. Appl. Math. (2024)"
@@ -213,7 +207,6 @@ METHODS: Mapping[str, Method] = {
         laws=None,
         takes_inner=True,
         laws_inside=True,
-        single_call=True,
         max_iterations=250,
         on_one_rank=True,
     ),

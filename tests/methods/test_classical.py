@@ -10,6 +10,7 @@ import ufl
 from dolfinx import fem
 from exact import F, exact_sigma, exact_u
 from made_cases import case_of, make_case
+from method_comparison import compare_methods, distance, mass_imbalance
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
@@ -17,7 +18,6 @@ from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
-from signorini_fenicsx.comparing.method_comparison import compare_methods, distance, mass_imbalance
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain
