@@ -166,7 +166,7 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: Callable[[], 
     tau = float(2.0 ** round(math.log2(scale))) if 0 < scale < math.inf else first
     while not math.isfinite(width(tau)) and tau > 2 * first and math.isfinite(width(first)) and len(tried) < MOST:
         tau = 2.0 ** round(math.log2(tau * first) / 2)  # too far from the problem itself for its solver
-    if not math.isfinite(width(tau)):  # such as one with which u_D is beyond a bound
+    if not width(tau) <= width(first):  # such as one with which u_D is beyond a bound
         tau = first
     if math.isfinite(width(tau)):
         for factor in (0.5, 2.0):

@@ -77,6 +77,16 @@ def test_bounds_that_exclude_each_other_are_told():
     assert found.reason == "the bounds exclude each other by 5.0e-01"
 
 
+def test_the_better_one_of_two_tau_is_followed():
+    """If the τ that the first one suggests is worse than it, the search goes on from the first one."""
+
+    def ends(tau: float) -> Ends:
+        length = 1 + abs(math.log2(tau))
+        return Ends(-length, length, 1024.0, "")
+
+    assert bracket(ends, 2.0, lambda: 0.0).width == 2.0
+
+
 def test_design_order():
     """The mean of u over one half with a load that changes sign: the interval shrinks with order 4/3."""
     problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom")])
