@@ -89,6 +89,16 @@ class FacetSolver[Levels](LinearSolver):
         finally:
             self._early_stop.asks = None
 
+    @contextlib.contextmanager
+    def until(self, tolerance: float) -> Iterator[None]:
+        """Iterations stop at this relative residual, if it is larger than their own."""
+        ksp, own = self.ksp, self.ksp.getTolerances()[0]
+        ksp.setTolerances(rtol=max(tolerance, own))
+        try:
+            yield
+        finally:
+            ksp.setTolerances(rtol=own)
+
     @property
     def converged(self) -> bool:
         """Whether the last solve came to its tolerance; False too if it was that of a factorisation."""

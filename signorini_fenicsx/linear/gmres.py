@@ -61,6 +61,7 @@ def gmres(
 
 def coupled(
     matrix: PETSc.Mat,
+    natural: PETSc.Mat,
     preconditioner: PETSc.PC,
     load: Array,
     held: npt.NDArray[np.int32],
@@ -69,8 +70,9 @@ def coupled(
     """Solve with 0 at unknowns that are held, where rows of the matrix have shares of other rows added (collective).
 
     Args:
-        matrix: The matrix without conditions.
-        preconditioner: One for it with the conditions.
+        matrix: The matrix with the conditions.
+        natural: The matrix without conditions, which has the rows that are added.
+        preconditioner: One for the matrix with the conditions.
         load: The right side, of the owned unknowns.
         held: Those that are held.
         added: Owned rows, what rows are added to them, which may be held, and their shares.
@@ -82,8 +84,8 @@ def coupled(
         x.array_w[:] = values
         matrix.mult(x, image)
         found = np.array(image.array_r)
-        found[rows] += shares * found[others]
-        found[held] = values[held]
+        natural.mult(x, image)
+        found[rows] += shares * image.array_r[others]
         return found
 
     def precondition(values: Array) -> Array:

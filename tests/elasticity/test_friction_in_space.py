@@ -8,16 +8,20 @@ import pytest
 import ufl
 from elastic import box, stress, two_boxes
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.api import load_solution
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.forms.elasticity import strain
+from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity import friction
 from signorini_fenicsx.physics.elasticity.friction import Slipping
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -61,11 +65,11 @@ def test_oblique_stick_is_exact():
     assert solution.friction_states()["stick"]["measure"] == pytest.approx(1.0)
 
 
-def twisted(law: ElasticLaw) -> ElasticSolution:
+def twisted(law: ElasticLaw, options: Options | None = None) -> ElasticSolution:
     """A block that is pressed, tilted, pushed and twisted on a plane."""
     u = ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"]
     problem = ElasticProblem(1.0, 0.3, u_D={"z1": u}, gap="0.01*x", laws=[law])
-    return solve(box(COMM, 2, [0.0] * 3, [1.0, 1.0, 0.5]), (ElasticBoundary([], SIDES), problem))
+    return solve(box(COMM, 2, [0.0] * 3, [1.0, 1.0, 0.5]), (ElasticBoundary([], SIDES), problem), options or Options())
 
 
 @cache
@@ -113,6 +117,26 @@ def test_from_any_start(monkeypatch: pytest.MonkeyPatch):
         found = twisted(law)
         np.testing.assert_allclose(found.stresses, expected.stresses, atol=1e-10)
         assert len(found.outcome.history) <= 40
+
+
+@pytest.mark.parallel([1, 3])
+def test_few_linear_iterations(monkeypatch: pytest.MonkeyPatch):
+    """By CG all of Coulomb's friction takes a few times the iterations of one solve; factors find the same."""
+    iterations: list[int] = []
+    solve_by = FacetSolver.solve
+
+    def counted(self: FacetSolver, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        solve_by(self, b, x)
+        iterations.append(self.ksp.getIterationNumber())
+
+    monkeypatch.setattr(FacetSolver, "solve", counted)
+    by_cg = twisted(CoulombLaw(["z0"], 1.0), Options(tuning=Tuning(direct_up_to=100)))
+    assert by_cg.outcome.linear_solver.startswith("cg")
+    assert sum(iterations) <= 15 * max(iterations)
+    by_factors = rubbing()
+    for name, norm in by_factors.norms().items():
+        assert by_cg.norms()[name] == pytest.approx(norm, rel=1e-9)
+    assert by_cg.bound_changes[-1] <= 1e-9
 
 
 def test_bound_where_slip_turns():

@@ -6,7 +6,8 @@ Where only contact holds the body, a set on the way may be too small for that. T
 under the load they give way so far that the next set is larger. No result has springs: its residuals would be large.
 """
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from functools import cached_property, partial
 
 import numpy as np
@@ -105,7 +106,7 @@ class ElasticBackend:
         self._applied: SiteConditions | None = None
         self._plainly: Mask | None = None  # the sites held in the present matrix, if it has no springs
         self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
-        self._sprung = False
+        self._sprung, self._leaves = False, 0.0
         self._weak = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
 
     @property
@@ -129,7 +130,15 @@ class ElasticBackend:
             LinearSolveFailure: If the linear solver fails.
         """
         self._solve(conditions)
-        return self._recovered(conditions)
+        return self._recovered(conditions, refine=self._leaves == 0)
+
+    @contextlib.contextmanager
+    def loosely(self, share: float) -> Iterator[None]:
+        """Solves by CG leave this share of the load, if that is more than they leave else; 0 for no difference."""
+        self._leaves = share
+        with self._solver.until(share):
+            yield
+        self._leaves, self._applied = 0.0, None if share > 0 else self._applied
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
@@ -159,6 +168,11 @@ class ElasticBackend:
     def flux(self, x: PETSc.Vec, load: Array) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
         return np.asarray(self._signs * (self._image(x) - load)[self._unknowns] / self._measure)
+
+    def image(self, values: Array) -> Array:
+        """K without conditions times the owned unknowns (collective)."""
+        self._b.array_w[:] = values
+        return self._image(self._b)
 
     def _image(self, x: PETSc.Vec) -> Array:
         """Kx (collective)."""
@@ -235,11 +249,7 @@ class ElasticBackend:
             load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
             return np.array(self._at_rest(conditions, load, lift).array_r)
 
-        def pulls(x: Array) -> Array:
-            self._b.array_w[:] = x
-            return self._image(self._b)[self._unknowns]
-
-        self.tools.respond(response, pulls)
+        self.tools.respond(response, lambda x: self.image(x)[self._unknowns])
 
     def _take_springs(self, conditions: SiteConditions) -> None:
         """Take the springs under these conditions; no factors of other ones serve with springs (collective)."""
@@ -299,14 +309,15 @@ class ElasticBackend:
     def follow_bounds(self, conditions: SiteConditions, forces: Array, share: Array) -> Array:
         """Move the solution by the response to forces per area at the sites with friction (collective).
 
-        σ_t also grows with the pressure of its vertex, by a share. It is for the plane, after a solve by CG under the
+        σ_t also grows with the pressure of its vertex, by a share. It is for the time after a solve by CG under the
         same conditions. The result is the change of the flux at all sites.
         """
         spaces, contact = self.spaces, conditions.kind == Condition.ZERO_TRACE
+        pressures = np.repeat(spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows], spaces.dim - 1)
         load, held = np.zeros(len(self.system.load)), np.concatenate([self._data.fixed, self._unknowns[contact]])
         load[spaces.slip_sites] = spaces.slip_measure * forces
-        rows = spaces.slip_sites, spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows].ravel(), share
-        x = coupled(self._operator.natural, self._solver.ksp.getPC(), load, held, rows)
+        rows, operator = (spaces.slip_sites, pressures, share), self._operator
+        x = coupled(operator.matrix, operator.natural, self._solver.ksp.getPC(), load, held, rows)
         self._x.axpy(1.0, x)
         self._applied = None
         return self.flux(x, np.zeros_like(load))
@@ -319,17 +330,6 @@ class ElasticBackend:
     def state(self) -> Array:
         """The unknowns of the last solve, and the motions of tools."""
         return np.append(self._x.array_r, self.tools.rho)
-
-    def energy_along(self, x: Array, step: Array) -> tuple[float, float]:
-        """The first and the second derivative of the energy without friction at x along a step (collective)."""
-        moved, found, size = self._x.duplicate(), [], len(self.system.load)
-        for direction in (x, step):
-            moved.array_w[:] = direction[:size]
-            found.append(self._image(moved))
-        slopes = np.array([(found[0] - self.system.load) @ step[:size], found[1] @ step[:size]])
-        first, second = self.comm.allreduce(slopes).tolist()
-        moved.destroy()
-        return first - self.tools.work(step[size:]), second
 
     @property
     def is_contact(self) -> bool:

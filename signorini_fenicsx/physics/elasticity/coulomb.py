@@ -171,12 +171,13 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
 
 
 def _step(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
-    """The step of `newton`; one GMRES finds it where CG solves for contact in the plane, and the solution follows."""
+    """The step of `newton`; one GMRES finds it where CG solves for contact, and the solution follows."""
     friction, (directions, slope) = backend.friction, law
-    if backend.inexact is None or not backend.is_contact or friction.slipping is not None:
+    if backend.inexact is None or not backend.is_contact:
         return newton(backend, conditions, law, left)
     left = np.where(friction.coulomb[:, None], left, 0.0)
-    flux = backend.follow_bounds(conditions, directions * left.ravel(), directions * slope.ravel())
+    forces, shares = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))
+    flux = backend.follow_bounds(conditions, forces, shares)
     return left + slope * pressure_of(backend.spaces, flux)
 
 

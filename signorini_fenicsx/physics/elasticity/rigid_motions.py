@@ -286,7 +286,8 @@ class Limits:
         sizes, vectors = np.linalg.eigh(self.comm.allreduce(stuck.T @ stuck))
         still = vectors[:, sizes > FREE**2].T
         cuts = np.empty((0, len(self.work)))
-        for objective in np.concatenate([np.eye(len(self.work)), -np.eye(len(self.work))]):
+        way = self.work / (np.linalg.norm(self.work) or 1.0)  # where the loads push is told first
+        for objective in np.concatenate([way[None], np.eye(len(way)), -np.eye(len(way))]):
             for _ in range(MOST_CUTS):
                 motion = self.comm.bcast(_farthest(objective, cuts, still) if self.comm.rank == 0 else None)
                 if motion is None or objective @ motion < 0.5:

@@ -45,6 +45,8 @@ PREDICT_FROM = 15_000
 """Number of unknowns from which a prediction saves more than it costs."""
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 """What solves elastic contact."""
+AHEAD = 0.1
+"""Before Coulomb's bounds are found, CG finds the slip in space to this share of the square of their last change."""
 MORE_WITH_FRICTION = 4
 """By default so many times the iterations of problems without friction are allowed for each bound."""
 
@@ -316,10 +318,15 @@ def _with_friction(
         before, last = outcome.iterate, backend.chains.segments(outcome.conditions)
         return outcome
 
-    def tresca(segments: Indices | None) -> Outcome:
-        return loop(segments) if backend.friction.slipping is None else slipped(backend, loop)
+    if backend.friction.slipping is None:
+        return balanced(backend, loop, changes)
 
-    return balanced(backend, tresca, changes)
+    def rough(_: Indices | None) -> Outcome:
+        return slipped(backend, loop, AHEAD * changes[-1] ** 2 if changes else 0.0)
+
+    if backend.inexact is not None and backend.friction.by_pressure:
+        balanced(backend, rough, changes)
+    return balanced(backend, lambda _: slipped(backend, loop), changes)
 
 
 def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_contact: bool) -> SiteConditions | None:
