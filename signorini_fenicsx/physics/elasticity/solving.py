@@ -321,11 +321,9 @@ def _with_friction(
     if backend.friction.slipping is None:
         return balanced(backend, loop, changes)
 
-    def rough(_: Indices | None) -> Outcome:
-        return slipped(backend, loop, AHEAD * changes[-1] ** 2 if changes else 0.0)
-
+    roughly = list[float]()
     if backend.inexact is not None and backend.friction.by_pressure:
-        balanced(backend, rough, changes)
+        balanced(backend, lambda _: slipped(backend, loop, AHEAD * roughly[-1] ** 2 if roughly else 0.0), roughly)
     return balanced(backend, lambda _: slipped(backend, loop), changes)
 
 
