@@ -103,7 +103,7 @@ def test_solve_writes_what_one_needs(folder: Path):
     force = np.mean([float(row["pressure"]) for row in rows])  # facets of equal length on an edge of length 1
     assert force == pytest.approx(summary["norms"]["contact_force"], rel=1e-9)
     assert {row["condition"] for row in rows} == {"contact", "open"}
-    for name in ("deformed.png", "pressure.png", "history.csv", "solution.xdmf", "contact.bp"):
+    for name in ("deformed.png", "displacement.png", "pressure.png", "history.csv", "solution.xdmf", "contact.bp"):
         assert (folder / "out" / name).exists(), name
     if COMM.rank == 0:
         with adios2.FileReader(str(folder / "out" / "solution.bp")) as file:

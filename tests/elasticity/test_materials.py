@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+import ufl
 from elastic import box
 from mpi4py import MPI
 
@@ -139,6 +140,36 @@ def pressed(**data: object) -> tuple[np.ndarray, float, float]:
     solution = solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), Elasticity(**given, conditions=conditions))
     equivalent = von_mises(in_space(solution.spaces, solution.data, solution.stresses)).max()
     return solution.stresses, solution.certify().bound, float(equivalent)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_all_constants_are_expressions(dim: int):
+    """E, ν and the axes as texts, E as UFL: f of a known u, order 2, and a bound above the error and near it."""
+    errors, ratios = [], []
+    for n in (4, 8) if dim == 2 else (1, 2):
+        domain = box(COMM, n, [0.0] * dim, [1.0] * dim)
+        x = ufl.SpatialCoordinate(domain.mesh)
+        young, nu = 1 + x[0] / 2, 0.2 + x[1] / 10
+        u = ufl.as_vector([0.1 * x[0] * x[1], *[0.05 * x[0] ** 2 - 0.3 * x[i] for i in range(1, dim)]])
+        lame, mu = young * nu / ((1 + nu) * (1 - 2 * nu)), young / (2 * (1 + nu))
+        sigma = 2 * mu * ufl.sym(ufl.grad(u)) + lame * ufl.div(u) * ufl.Identity(dim)
+        given = "1 + x/2", "0.2 + y/10"
+        turned = [["cos(x)", "sin(x)"]] if dim == 2 else [["cos(x)", "sin(x)", "0"], ["0", "0", "1"]]
+        materials = [
+            {"young": given[0], "poisson": given[1]},
+            {"young": 3 * [given[0]], "poisson": 3 * [given[1]], "shear": [0, 0, 0], "axes": turned},
+            {"young": young, "poisson": given[1]},
+        ]
+        solutions = [solve(domain, Elasticity(**each, f=-ufl.div(sigma), u_D=u, exact=u)) for each in materials]
+        for other in solutions[1:]:
+            np.testing.assert_allclose(other.stresses, solutions[0].stresses, atol=1e-10)
+        errors.append(solutions[0].errors()["energy"])
+        ratios.append([each.certify().bound / errors[-1] for each in (solutions[0], solutions[-1])])
+    assert errors[1] < (0.3 if dim == 2 else 0.4) * errors[0]
+    by_text, by_ufl = zip(*ratios, strict=True)  # where E and ν are texts, enclosures of them are added
+    assert min(*by_text, *by_ufl) > 1
+    assert max(by_ufl) < 5
+    assert by_text[1] < 0.8 * by_text[0]
 
 
 def test_the_same_in_other_words():

@@ -47,8 +47,9 @@ def caption(solution: Solved, fields: Fields, certificate: Certificate | None) -
 
 
 def draw_files(folder: Path, scene: Scene) -> None:
-    """Draw `deformed.png`, `pressure.png` and, with a certificate, `certificate.png`."""
+    """Draw `deformed.png`, `displacement.png`, `pressure.png` and, with a certificate, `certificate.png`."""
     overview(scene).save(folder / "deformed.png")
+    overview(_by_displacement(scene)).save(folder / "displacement.png")
     if scene.dim == 2:
         _pressure(scene).save(folder / "pressure.png")
         plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
@@ -75,6 +76,16 @@ def overview(scene: Scene) -> Sheet:
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
 
     return space_files.deformed(moved, foundation[:, : scene.dim], title)
+
+
+def _by_displacement(scene: Scene) -> Scene:
+    """The scene with u for its stress, and |u| for what its cells are coloured by."""
+    fields = scene.fields
+    assert fields.displacement is not None
+    of_cells = fields.displacement[fields.cells].mean(axis=1)
+    return replace(
+        scene, fields=replace(fields, sigma=of_cells, sigma_at_points=fields.displacement), strength="$|u_h|$"
+    )
 
 
 def _apart(scene: Scene, distance: float) -> Array:
