@@ -63,7 +63,8 @@ def named_for(solution: ElasticSolution) -> str:
     friction, of = solution.data.friction, []
     if friction:
         of = [STEP] * (solution.step is not None) + [TRESCA] * friction.by_pressure
-    return " and ".join([*of, *([SURFACE] if solution.problem.surface else [])])
+    named = " and ".join(of)
+    return f"{named or 'the exact solution'}, {SURFACE}" if solution.problem.surface else named
 
 
 def check(domain: Domain, posed: Posed, kind: Kind) -> None:

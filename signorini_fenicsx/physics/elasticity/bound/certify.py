@@ -45,7 +45,7 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
-SURFACE = "the solution with tools as far as their surfaces are at the vertices of the mesh"
+SURFACE = "with tools as far as their surfaces are at the vertices of the mesh"
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
 HIGHER = {2: 4, 3: 3}
 """Degree of v on the cells with the largest shares of the gap and on their neighbours, by dimension."""
@@ -92,12 +92,13 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     )
     certificate = replace(gap.certificate(spaces), lacking="not in the discrete spaces")
     by_pressure = data.friction.by_pressure
-    other = [TRESCA] * by_pressure + [SURFACE] * bool(solution.problem.surface)
-    if not other:
+    if not by_pressure and not solution.problem.surface:
         return certificate
+    other = TRESCA if by_pressure else "the exact solution"
+    other += f", {SURFACE}" if solution.problem.surface else ""
     about = {"guaranteed": False, "of_last_bound": True} if by_pressure else {}
-    named = {"guaranteed_for": ", ".join(other)} if certificate.guaranteed else {}
-    return replace(certificate, of=f" to {', '.join(other)}", about=about | named)
+    named = {"guaranteed_for": other} if certificate.guaranteed else {}
+    return replace(certificate, of=f" to {other}", about=about | named)
 
 
 def _displacement(
