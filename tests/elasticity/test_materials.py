@@ -166,10 +166,8 @@ def test_all_constants_are_expressions(dim: int):
         errors.append(solutions[0].errors()["energy"])
         ratios.append([each.certify().bound / errors[-1] for each in (solutions[0], solutions[-1])])
     assert errors[1] < (0.3 if dim == 2 else 0.4) * errors[0]
-    by_text, by_ufl = zip(*ratios, strict=True)  # where E and ν are texts, enclosures of them are added
-    assert min(*by_text, *by_ufl) > 1
-    assert max(by_ufl) < 5
-    assert by_text[1] < 0.8 * by_text[0]
+    assert np.min(ratios) > 1
+    assert np.max(ratios) < 5
 
 
 def test_the_same_in_other_words():

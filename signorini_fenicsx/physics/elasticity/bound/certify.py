@@ -37,7 +37,7 @@ from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
-from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, is_enclosed, missed, unresolved
+from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, is_enclosed, unresolved, with_missed
 from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData
 from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -125,11 +125,9 @@ def gap_of_cells(
     material = problem.material
     off = off_law(v, problem.sigma, material.compliance, material.eigenstrain)
     gaps = square(material.stiffness, off, weight, material.dx)
-    if (more := missed(problem, v)) is not None:
-        gaps += weight * more * ufl.dx
-    of_subcells = fem.assemble_vector(fenicsx.form(gaps)).array
+    of_subcells = with_missed(problem, fem.assemble_vector(fenicsx.form(gaps)).array[: len(split.subcells)])
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
-    np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells[: len(split.subcells)])
+    np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells)
     np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
     np.add.at(on_contact, problem.supports.on.facets.cells, problem.supports.gap(v))
     return mismatch, on_contact

@@ -22,7 +22,6 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
 from signorini_fenicsx.physics.elasticity.bound.condensed import (
@@ -95,9 +94,7 @@ class BestDisplacement:
         self.laws = [
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
         ]
-        self.material = material_on_split(
-            spaces, data, split, 2 * degree - 2 + (0 if data.material.uniform else DEGREE)
-        )
+        self.material = material_on_split(spaces, data, split, 2 * degree - 2)
         self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
         self.openings = self.contact.openings(spaces.mesh, data)
         self.supports = SupportsOfDisplacement.of(spaces, data, split, self.space, y.stresses)

@@ -1,23 +1,29 @@
 """What quadrature may miss of the gap where E or ν vary within cells.
 
-Twice the gap has (ℂe, e) − 2(e, y) + (𝔸y, y) with e = ε(v), where ℂe = 2μe + λ tr e I and 𝔸y = (y − θ tr y I)/2μ. On a
-subcell let one of these coefficients, c, be within ρ of a polynomial of degree K, and let a quadrature with positive
-weights be exact for that polynomial times q ≥ 0. It has ∫ cq but for 2ρ ∫ q. So twice the gap is at most what
-quadrature gives and
+On deviators ℂ is 2μ and 𝔸 is 1/2μ, on multiples of I they are κ and 1/κ. On a subcell let each of these four be within
+ρ of a quadratic polynomial. Let 𝔸_P have the polynomials for 1/2μ and 1/κ, and o = e − 𝔸y, o_P = e − 𝔸_P y for
+e = ε(v). Then
 
-    2 (ρ₁‖e‖² + ρ₂‖tr e‖² + ρ₃‖y‖² + ρ₄‖tr y‖²)   for c = 2μ, λ, 1/2μ and θ/2μ.
+    ‖o − o_P‖_ℂ ≤ s,   s² = sup 2μ ρ₃²‖dev y‖² + sup κ ρ₄²‖tr y‖²/d,
 
-`expressions.enclosures` has ρ where E and ν are texts. A largest 𝔸 on a cell is one in a point with 2(ρ₃ + dρ₄)I, ρ the
-distances to constants.
+in true norms and in those by a quadrature with positive weights. o_P is cubic, so a quadrature that is exact for degree
+8 has ‖o_P‖²_ℂ but for 2ρ₁‖dev o_P‖² + 2ρ₂‖tr o_P‖²/d ≤ 2η‖o_P‖²_ℂ, where η is the largest of ρ₁/inf 2μ and
+ρ₂/inf κ. With ‖o‖_Q by quadrature
+
+    ‖o‖_ℂ ≤ (‖o‖_Q + s)/√(1 − 2η) + s.
+
+`expressions.enclosures` has ρ where E and ν are texts, and from distances to constants how much a coefficient varies.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
@@ -25,20 +31,19 @@ from signorini_fenicsx.certificate.certificate import Places, first_places
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.expressions import TREES, values
 from signorini_fenicsx.expressions.enclosures import distances
-from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
-from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.material import Material
-from signorini_fenicsx.physics.elasticity.problem import Plane
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
-ENOUGH, RESOLVED, ROUGHLY = 1e-9, 1e-2, 1e-2
-"""In the gap a coefficient need not be known better than up to the first share of itself. It is not resolved if ρ is
-more than the second share of 2μ or 1/2μ. Beside an 𝔸 in a point it need not be known better than up to the third one.
-"""
+DEGREE = 2
+"""Degree of the polynomials: e − 𝔸_P y is then cubic for v of a degree up to 4, see `certify.HIGHER`."""
+ENOUGH, ROUGHLY = 1e-9, 1e-2
+"""A coefficient need not be known better than up to the first share of itself, how it varies than up to the second."""
+RESOLVED = 0.05
+"""A coefficient is not resolved if ρ is more than this share of it, or if it varies by more than half of itself."""
 NAME = "young and poisson"
 
 
@@ -50,14 +55,13 @@ def is_enclosed(material: Material) -> bool:
 
 
 def _coefficients(material: Material, young: Tree, poisson: Tree) -> tuple[Tree, ...]:
-    """2μ, λ, 1/2μ and θ/2μ; in plane stress λ is that in the plane."""
+    """2μ, κ, 1/2μ and 1/κ."""
     one = exactly(1)
     more, less = Binary("+", one, poisson), Binary("-", one, Binary("*", exactly(2), poisson))
-    if material.dim == 2 and material.plane == Plane.STRESS:
-        less = Binary("-", one, poisson)
-    shear, softness = Binary("/", young, more), Binary("*", more, _inverse(young))
-    of_trace = Binary("*", poisson, softness if material.in_strain else _inverse(young))
-    return shear, Binary("*", shear, Binary("/", poisson, less)), softness, of_trace
+    if material.dim == 2:
+        less = Binary("*", more, less) if material.in_strain else Binary("-", one, poisson)
+    inverse = _inverse(young)
+    return Binary("/", young, more), Binary("/", young, less), Binary("*", more, inverse), Binary("*", less, inverse)
 
 
 def _inverse(tree: Tree) -> Tree:
@@ -78,7 +82,7 @@ def _distances(
     degree: int,
     share: float,
 ) -> tuple[Array, Array]:
-    """ρ of the four coefficients on simplices, infinite where none is known, and their sizes, (4, simplices) each.
+    """ρ of the four coefficients on simplices, infinite where none is known, and their values in the middle.
 
     Args:
         spaces: The spaces.
@@ -102,36 +106,65 @@ def _distances(
     return rho, sizes
 
 
-def _unsure(spaces: ElasticSpaces, material: Material, split: SplitMesh) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """ρ of the four coefficients on the subcells of a split mesh, and the mask of those where all are resolved."""
-    cells, vertices = split.subcells // (spaces.dim + 1), corners(split.mesh)
-    rho, sizes = _distances(spaces, material, cells, vertices, DEGREE, ENOUGH)
-    return rho, (rho <= RESOLVED * sizes[[0, 0, 2, 2]]).all(axis=0)
+@dataclass(frozen=True)
+class _Stiffness:
+    """What is known of the four coefficients on the subcells of a split mesh or a part of it, shape (4, subcells).
 
-
-def missed(problem: BestDisplacement, v: fem.Function) -> Expr | None:
-    """What is added to twice the gap, per volume, for a displacement v on the split mesh or a part of it (collective).
-
-    None where nothing is: E and ν are numbers on each region, or are not enclosed. It is 0 on subcells where a
-    coefficient is not resolved, which `unresolved` tells: there the bound relies on quadrature.
+    Attributes:
+        rho: ρ, infinite where none is known.
+        least: Lower bounds.
+        most: Upper bounds.
     """
-    material, split = problem.data.material, problem.split
-    if material.uniform or not is_enclosed(material):
-        return None
-    rho, resolved = _unsure(problem.spaces, material, split)
-    unsure = fem.Function(fenicsx.function_space(split.mesh, ("DG", 0, (4,))))
-    of_cells = unsure.x.array.reshape(-1, 4)
-    of_cells[unsure.function_space.dofmap.list[: len(resolved), 0]] = np.where(resolved, rho, 0.0).T
-    e, y = strain(v), problem.sigma
-    sizes = ufl.inner(e, e), ufl.tr(e) ** 2, ufl.inner(y, y), ufl.tr(y) ** 2
-    return 2 * ufl.dot(unsure, ufl.as_vector(sizes))
+
+    rho: Array
+    least: Array
+    most: Array
+
+    @classmethod
+    def of(cls, spaces: ElasticSpaces, material: Material, split: SplitMesh) -> Self:
+        """Enclose them."""
+        cells, vertices = split.subcells // (spaces.dim + 1), corners(split.mesh)
+        rho, middle = _distances(spaces, material, cells, vertices, DEGREE, ENOUGH)
+        change, _ = _distances(spaces, material, cells, vertices, 0, ROUGHLY)
+        return cls(rho, middle - 2 * change, middle + 2 * change)
+
+    @property
+    def resolved(self) -> npt.NDArray[np.bool_]:
+        """Mask of the subcells where all coefficients are resolved."""
+        return np.asarray(((self.rho <= RESOLVED * self.least) & (self.most <= 3 * self.least)).all(axis=0))
+
+
+def is_varying(material: Material) -> bool:
+    """Whether a material varies within cells and is enclosed."""
+    return not material.uniform and is_enclosed(material)
+
+
+def with_missed(problem: BestDisplacement, squares: Array) -> Array:
+    """‖o‖²_ℂ at most, from ‖o‖²_Q, per subcell of the split mesh or the part of it (collective).
+
+    It is ‖o‖²_Q itself where E and ν are numbers or are not enclosed, and where a coefficient is not resolved, which
+    `unresolved` tells.
+    """
+    spaces, material, split = problem.spaces, problem.data.material, problem.split
+    if not is_varying(material):
+        return squares
+    known, y = _Stiffness.of(spaces, material, split), problem.sigma
+    weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
+    forms = (weight * form * ufl.dx for form in (ufl.inner(ufl.dev(y), ufl.dev(y)), ufl.tr(y) ** 2 / spaces.dim))
+    sizes = np.stack([fem.assemble_vector(fenicsx.form(form)).array[: len(squares)] for form in forms])
+    resolved = known.resolved
+    rho, least, most = (np.where(resolved, each, 1.0) for each in (known.rho, known.least, known.most))
+    s = np.sqrt((most[:2] * rho[2:] ** 2 * sizes).sum(axis=0))
+    eta = (rho[:2] / least[:2]).max(axis=0)
+    root = (np.sqrt(np.maximum(squares, 0.0)) + s) / np.sqrt(np.where(resolved, 1 - 2 * eta, 1.0)) + s
+    return np.where(resolved, root**2, squares)
 
 
 def unresolved(spaces: ElasticSpaces, data: ElasticData) -> tuple[Places, npt.NDArray[np.bool_]]:
     """Where E or ν are enclosed but not resolved: places, the same on all ranks, and the owned cells (collective)."""
     coarse = np.zeros(len(spaces.order), dtype=bool)
-    if not data.material.uniform and is_enclosed(data.material):
-        _, resolved = _unsure(spaces, data.material, spaces.split)
+    if is_varying(data.material):
+        resolved = _Stiffness.of(spaces, data.material, spaces.split).resolved
         coarse[spaces.split.subcells[~resolved] // (spaces.dim + 1)] = True
     places = [("young or poisson", tuple(x)) for x in spaces.vertices[coarse].mean(axis=1).tolist()]
     return first_places(places, spaces.mesh.comm), coarse
@@ -139,8 +172,8 @@ def unresolved(spaces: ElasticSpaces, data: ElasticData) -> tuple[Places, npt.ND
 
 def beyond(spaces: ElasticSpaces, data: ElasticData, cells: npt.NDArray[np.int32]) -> Array:
     """How much larger 𝔸 may be on cells than in any point of each, a factor of the unit matrix, shape (cells,)."""
-    if data.material.uniform or not is_enclosed(data.material):
+    if not is_varying(data.material):
         return np.zeros(len(cells))
-    (*_, softness, of_trace), _ = _distances(spaces, data.material, cells, spaces.vertices[cells], 0, ROUGHLY)
-    found = 2 * (softness + spaces.dim * of_trace)
+    change, _ = _distances(spaces, data.material, cells, spaces.vertices[cells], 0, ROUGHLY)
+    found = 2 * change[2:].max(axis=0)
     return np.where(np.isfinite(found), found, 0.0)
