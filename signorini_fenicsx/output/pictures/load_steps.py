@@ -56,7 +56,8 @@ def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
     for index, part in enumerate(driven, start=1):
         axes, along = sheet.panel(index, 0), int(ranges[part].argmax())
         for k, (axis, colour) in enumerate(zip(axes_of, (style.CONTACT, style.FREE, style.WATER), strict=False)):
-            axes.plot(moved[part][:, along], forces[part][:, k], color=colour, marker=".", label=f"${axis}$")
+            look = {"color": colour, "linestyle": ("-", "--", ":")[k], "marker": ".os"[k], "markersize": 4}
+            axes.plot(moved[part][:, along], forces[part][:, k], label=f"${axis}$", **look)
         axes.set(xlabel=f"mean $u_{axes_of[along]}$", ylabel="force", title=f"force on {part}")
     sheet.legend_below(list(axes.lines) if driven else [])
     return sheet

@@ -158,6 +158,7 @@ class _Path:
         """Whether the squares of all numbers are floats, too (collective)."""
         return self._largest(self.x) < HUGE and self._largest(self._force) < HUGE
 
+    @np.errstate(divide="ignore", invalid="ignore")  # a factor that rounding makes 0 ends the path, see `minimise`
     def step(self) -> None:
         """Predict where the products vanish, then go towards where they all have a smaller value (collective)."""
         over, under = self._over, self._under
