@@ -1,7 +1,7 @@
 """Elastic contact against one linear solve with the known set, and against P2 displacements at the same energy error.
 
 uv run python scripts/elastic_benchmark.py [--quick] [--iterations] [--dim 2|3] [--alone CELLS] [--friction LAW]
-    [--bodies 1|2]
+    [--bodies 1|2] [--libraries]
 
 A block that is fixed on one side is pressed onto a foundation that is 0.02 away. Seconds are those of the processor, on
 one core, from the mesh to the fields; of ours and of the known set the better of two runs each, as the first one also
@@ -12,6 +12,8 @@ With --alone it solves one mesh by ours and bounds the error, once each, and pri
 the process after the solve and after the bound. With --iterations it prints instead how many iterations CG with
 multigrid takes from ν = 0.3 to ν = 0.4999.
 
+With --libraries, which needs the network once, P2 is also that of scikit-fem and of NGSolve, see `p2_libraries`.
+
 With --friction, `tresca` or `coulomb`, the block is pushed along the foundation too, and with --bodies 2 the lower half
 is a body of its own that is fixed below. Then the table has ours and the known set alone, with the bounds of the
 friction and the directions of slip known too, and how many solves ours took.
@@ -20,11 +22,14 @@ friction and the directions of slip known too, and how many solves ours took.
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
 import argparse
+import json
 import resource
+import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import dolfinx.mesh
 import numpy as np
@@ -162,6 +167,15 @@ def print_rubbing(cells: dict[int, tuple[int, ...]], bodies: int, friction: str)
             print(f"{line}   {counts}, {len(solution.bound_changes)} bounds of the friction", flush=True)
 
 
+def by_libraries(dim: int, sizes: tuple[int, ...]) -> list[dict]:
+    """What `p2_libraries` prints."""
+    libraries = ["--with", "ngsolve", "--with", "scikit-fem"]
+    script = str(Path(__file__).with_name("p2_libraries.py"))
+    command = ["uv", "run", "--no-project", *libraries, "python", script, "--dim", str(dim), *map(str, sizes)]
+    lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+    return [json.loads(line) for line in lines if line.startswith("{")]
+
+
 def print_iterations(cells: dict[int, tuple[int, ...]]) -> None:
     """The most iterations that a set takes, for each mesh and ν."""
     for dim, sizes in cells.items():
@@ -185,6 +199,7 @@ def main() -> None:
     options.add_argument("--iterations", action="store_true", help="iterations of CG only")
     options.add_argument("--dim", type=int, choices=(2, 3), action="append", help="this dimension only")
     options.add_argument("--alone", type=int, help="ours and its bound on one mesh with so many cells across")
+    options.add_argument("--libraries", action="store_true", help="P2 by scikit-fem and NGSolve too")
     options.add_argument("--friction", choices=FRICTION, default="none", help="with this friction, and pushed along")
     options.add_argument("--bodies", type=int, choices=(1, 2), default=1)
     asked = options.parse_args()
@@ -220,6 +235,10 @@ def main() -> None:
             error, of_other = np.sqrt(2 * (energy - exact)), np.sqrt(2 * (other.energy + exact))
             print(f"  ours {n:4d} {dofs:8d} {error:9.2e} {ours:8.2f} {bound:8.2f}   {ours / known:.2f}", flush=True)
             print(f"  P2   {n:4d} {other.unknowns:8d} {of_other:9.2e} {other.seconds:8.2f}   {other.steps} steps")
+        for one in by_libraries(dim, sizes) if asked.libraries else []:
+            error = np.sqrt(2 * (one["energy"] + exact))
+            print(f"  P2   {one['cells']:4d} {one['unknowns']:8d} {error:9.2e} {one['seconds']:8.2f}", end="   ")
+            print(f"{one['steps']} steps by {one['library']}")
 
 
 if __name__ == "__main__":

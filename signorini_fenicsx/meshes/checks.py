@@ -227,8 +227,7 @@ def left_over(mesh: FileMesh, listed: Collection[str]) -> dict[str, int]:
     """How many facets of the boundary that no listed part has each other part has, and "", which is for no part."""
     rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
     left, named = times == 1, np.zeros(len(rows), dtype=bool)
-    of_parts = {name: rows_of(part, rows) for name, part in mesh.parts.items()}
-    of_parts = {name: found[found >= 0] for name, found in of_parts.items()}
+    of_parts = {name: found[found >= 0] for name, found in _rows_of_parts(mesh, rows).items()}
     for name, found in of_parts.items():
         named[found] = True
         if name in listed:
@@ -254,7 +253,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     known = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
     rows, first, times = np.unique(everything, axis=0, return_index=True, return_counts=True)
-    owner = np.full(len(rows), -1)
+    of_parts, owner = _rows_of_parts(mesh, rows), np.full(len(rows), -1)
     used: list[str] = []
     for section, names in conditions.items():
         key = key_of(section)
@@ -262,7 +261,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             place = f"{key}: part '{name}'"
             if name not in mesh.parts:
                 raise InputError(f"{key}: unknown part '{name}'; the mesh has {known}")
-            found = rows_of(mesh.parts[name], rows)
+            found = of_parts[name]
             if len(found) == 0:
                 raise InputError(f"{place} is empty")
             if np.any(found < 0):
@@ -285,6 +284,12 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     if "contact" not in conditions and not conditions.get("inner"):  # otherwise laws may hold a component
         fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
         _check_components(mesh, everything, first[fixed])
+
+
+def _rows_of_parts(mesh: FileMesh, rows: Indices) -> dict[str, Indices]:
+    """The number of each facet of each part among these rows, −1 if it is not there."""
+    found = rows_of(_joined(list(mesh.parts.values()), mesh.dim), rows)
+    return dict(zip(mesh.parts, np.split(found, np.cumsum([len(part) for part in mesh.parts.values()])), strict=False))
 
 
 def key_of(section: str) -> str:

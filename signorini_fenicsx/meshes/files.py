@@ -23,20 +23,21 @@ def is_geometry(path: str) -> bool:
     return Path(path).suffix == ".geo"
 
 
-def read_mesh_file(path: str, h: float | None = None) -> FileMesh:
+def read_mesh_file(path: str, h: float | None = None, refined: int = 0) -> FileMesh:
     """Read a mesh, or let Gmsh make one (rank 0).
 
     Args:
         path: Path of the file.
         h: Largest cell diameter of a mesh that Gmsh makes; None for the sizes in the `.geo` file.
+        refined: How often Gmsh refines a coarser mesh for that.
 
     Raises:
         InputError: If the file cannot be read, or its mesh cannot be used.
     """
-    return read_file("mesh", path, checked, h)
+    return read_file("mesh", path, checked, h, refined)
 
 
-def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | None = None) -> T:
+def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | None = None, refined: int = 0) -> T:
     """Read the contents of a file in a confined process, and make something of them (rank 0).
 
     Args:
@@ -44,6 +45,7 @@ def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | 
         path: Path of the file.
         use: What is made of them.
         h: See `read_mesh_file`.
+        refined: See `read_mesh_file`.
 
     Raises:
         InputError: If the file cannot be read, or `use` raises it.
@@ -55,7 +57,7 @@ def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | 
         if place.stat().st_size == 0:
             raise InputError("the file is empty")
         with tempfile.TemporaryFile() as result:
-            arguments = [str(place.absolute()), repr(h or 0.0), repr(float(MAX_CELLS))]
+            arguments = [str(place.absolute()), repr(h or 0.0), str(refined), repr(float(MAX_CELLS))]
             confined.run("signorini_fenicsx.meshes.file_worker", arguments, result)
             result.seek(0)
             contents = unpack(result)

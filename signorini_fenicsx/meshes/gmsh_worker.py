@@ -18,12 +18,13 @@ STRAIGHT = ("Point", "Line", "Plane", "Volume")
 """Types of entities without curvature."""
 
 
-def read_with_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
+def read_with_gmsh(source: Path, h: float | None, refined: int, max_cells: float) -> Contents:
     """Read a mesh, or make one from a `.geo` file, in a sealed process.
 
     Args:
         source: The file, in a folder without other files that Gmsh would read too.
         h: Largest cell diameter of a mesh that is made; None for the file's own sizes.
+        refined: How often a coarser mesh is refined for that.
         max_cells: Largest number of cells of a mesh that is made.
 
     Raises:
@@ -35,15 +36,18 @@ def read_with_gmsh(source: Path, h: float | None, max_cells: float) -> Contents:
         gmsh.option.setNumber("General.NumThreads", 1)
         gmsh.open(str(source))
         if source.suffix == ".geo":
-            generate(h, max_cells)
+            generate(h, refined, max_cells)
         return model_contents()
     except Exception as error:  # Gmsh raises plain exceptions
         words = " ".join((str(error) or gmsh.logger.getLastError()).split()) or "it does not say why"
         raise InputError(f"Gmsh cannot use it: {re.sub(re.escape(str(source)), source.name, words)}") from error
 
 
-def generate(h: float | None, max_cells: float) -> None:
-    """Mesh the model with its own sizes; for an h, scale the sizes until the largest cell diameter is at most h."""
+def generate(h: float | None, refined: int, max_cells: float) -> None:
+    """Mesh the model with its own sizes; for an h, scale the sizes until the largest cell diameter is at most h.
+
+    Meshes after the first one are refined so many times; their new points are on the geometry.
+    """
     dim = gmsh.model.getDimension()
     if dim < 2:
         raise ValueError("the geometry has no surface and no volume")
@@ -54,11 +58,13 @@ def generate(h: float | None, max_cells: float) -> None:
             f"its coordinates are up to {largest:.4g}, too far from 0 for a size of {size:.3g}: measure them from a "
             "point of the domain"
         )
-    factor = 1.0
+    factor, levels = 1.0, 0
     while True:
         gmsh.option.setNumber("Mesh.MeshSizeFactor", factor)
         gmsh.model.mesh.clear()
         gmsh.model.mesh.generate(dim)
+        for _ in range(levels):
+            gmsh.model.mesh.refine()
         cells = gmsh.model.mesh.getElementsByType({2: 2, 3: 4}[dim])[1]
         if h is None or len(cells) == 0:
             return
@@ -76,7 +82,8 @@ def generate(h: float | None, max_cells: float) -> None:
             raise ValueError(f"h = {h:g} asks for about {expected:.1e} cells; at most {max_cells:.0e} are made")
         if not 1e-9 < factor < 1e9:
             raise ValueError(f"no mesh of it has its largest cell diameter in ({h / 2:g}, {h:g}]")
-        factor *= (0.94 if diameter > h else 0.8) * h / diameter
+        factor *= (0.94 if diameter > h else 0.8) * h / diameter * 2 ** (refined - levels)
+        levels = refined
 
 
 def node_rows(nodes: np.ndarray) -> np.ndarray:

@@ -204,8 +204,8 @@ def own_domain(
         check_memory(comm, f"mesh {path}, h = {h:g}", *on_root(comm, lambda: expected_size(path, h)), h)
 
     def about() -> tuple[int, int, int]:
-        levels = _file_refinements(path, h)
-        mesh = _coarse_enough(path, h, levels)
+        levels, by_gmsh = _file_refinements(path, h)
+        mesh = _coarse_enough(path, h, levels, by_gmsh)
         try:
             mesh = opened(mesh, inner, sides or {}) if inner else mesh
             check_boundary(mesh, conditions)
@@ -254,18 +254,24 @@ def handed_out(comm: MPI.Comm, whole: FileMesh | None, name: str, made: str = "g
     return marked_domain(mesh, parts, marks, curvature=curvature, name=name, made=made)
 
 
-def _file_refinements(path: str, h: float | None) -> int:
-    """How often the mesh of a `.geo` file is refined uniformly; 0 if the geometry is curved (rank 0)."""
+def _file_refinements(path: str, h: float | None) -> tuple[int, int]:
+    """How often the mesh of a `.geo` file is refined uniformly by us, and how often by Gmsh (rank 0).
+
+    Gmsh knows where new points of a curved boundary are. In space its children would be flat.
+    """
     if h is None or not is_geometry(path):
-        return 0
-    own = _own_size(path)
-    return refinements(expected_size(path, h)[1], own.dim) if own.straight else 0
+        return 0, 0
+    dim, cells = expected_size(path, h)
+    levels = refinements(cells, dim)
+    if _own_size(path).straight:
+        return levels, 0
+    return 0, levels if dim == 2 else 0
 
 
-def _coarse_enough(path: str, h: float | None, levels: int) -> FileMesh:
+def _coarse_enough(path: str, h: float | None, levels: int, by_gmsh: int) -> FileMesh:
     """A mesh whose uniform refinement has cells of diameter at most h (rank 0)."""
     asked = None if h is None else h * 2**levels
-    mesh = read_mesh_file(path, asked)
+    mesh = read_mesh_file(path, asked, by_gmsh)
     while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
         achieved = 2 * refined_diameter(mesh.points, mesh.cells)
         if achieved <= h * 2**levels:

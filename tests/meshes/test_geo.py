@@ -4,12 +4,16 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
+import dolfinx.mesh
+import numpy as np
 import pytest
 from geo_texts import HOSTILE, SQUARE, USUAL
+from mpi4py import MPI
 
 from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import data_folder
+from signorini_fenicsx.meshes import meshing
 from signorini_fenicsx.meshes.files import read_mesh_file
 
 ALWAYS = ("loops", "fields", "formulas made", "solids", "dam.geo")
@@ -80,7 +84,22 @@ def test_a_system_that_cannot_confine_a_process_reads_no_geometry(tmp_path: Path
     monkeypatch.chdir(tmp_path)
     (tmp_path / "square.geo").write_text(SQUARE)
     with pytest.raises(InputError, match="which this system cannot confine"):
-        file_worker._by_gmsh(data_folder("meshes") / "dam.geo", None, 1e8)
+        file_worker._by_gmsh(data_folder("meshes") / "dam.geo", None, 0, 1e8)
+
+
+def test_curved_geometries_are_refined_from_coarser_meshes(monkeypatch: pytest.MonkeyPatch):
+    """New points are on the arc of the clamp's toe; no mesh with the size of the file is needed at full h."""
+    monkeypatch.setattr(meshing, "REFINED_FROM", 10_000)
+    monkeypatch.setattr(meshing, "COARSEST", 500)
+    asked = []
+    monkeypatch.setattr(meshing, "read_mesh_file", lambda *about: asked.append(about) or read_mesh_file(*about))
+    parts = {"signorini": ["toe", "heel"], "neumann": ["washer", "free"], "dirichlet": ["stop"]}
+    domain = meshing.own_domain(MPI.COMM_SELF, str(data_folder("meshes") / "clamp.geo"), 1.2, parts)
+    assert asked[-1][2] == 2
+    assert 0.6 < domain.h <= 1.2
+    toe = domain.mesh.geometry.x[dolfinx.mesh.entities_to_geometry(domain.mesh, 1, domain.facets["toe"])]
+    assert len(toe) > 100
+    assert np.hypot(toe[..., 0] - 8, toe[..., 1] - 160.1) == pytest.approx(np.hypot(8, 159.9), rel=1e-14)
 
 
 def test_enough_hostile_texts():
