@@ -24,6 +24,8 @@ OF_SUMS = 1e-12
 """Rounding of a quantity, as a share of its size: a quantity that is known has an interval that is not shorter."""
 NEVER = 2.0**40
 """The scale of τ if the solution does not change with it: the quantity is known, and its length is rounding."""
+NEAR = 1e-6
+"""The first τ moves u by this share at least of how far ψ, gaps and u_D are from 0: less may be rounding where u is."""
 NOTHING = 1e-12
 """An integral that is at most this share of what it could be by the size of its integrand is rounding of 0."""
 
@@ -54,7 +56,8 @@ class Beside[Fields](ABC):
         """The interval (collective)."""
         size, response = self.size(), self.response()
         self._rounding = OF_SUMS * size * response
-        first = size / response if response > 0 else 0.0
+        moves = response * self.softness() * self.spaces.length ** (1 - self.domain.mesh.topology.dim / 2)
+        first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
         first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
         found = bracket(self.ends, first, self.discrete)
         if not math.isfinite(found.width) and self.of_flux and not found.reason.startswith(FAILED):
@@ -138,6 +141,10 @@ class Beside[Fields](ABC):
     @abstractmethod
     def size(self) -> float:
         """‖σ_h‖ (collective)."""
+
+    @abstractmethod
+    def distance(self) -> float:
+        """The largest of what u is compared with: u_D, ψ, gaps (collective)."""
 
     @abstractmethod
     def response(self) -> float:

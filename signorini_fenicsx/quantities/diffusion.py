@@ -128,6 +128,10 @@ class _Beside(Beside[Admissible]):
         norms: dict[str, float] = self.solution.norms()
         return norms["sigma_L2"] * self.softness()
 
+    def distance(self) -> float:
+        """The largest |u_D| and |ψ| (collective)."""
+        return max(map(abs, self.solution.data.extent(self.spaces)))
+
     def softness(self) -> float:
         """The root of κ⁻¹, about."""
         return 1 / math.sqrt(self.kappa)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
@@ -205,6 +206,10 @@ class _Beside(Beside[_Side]):
         """‖σ_h‖ (collective)."""
         norms: dict[str, float] = self.solution.norms()
         return norms["energy"]
+
+    def distance(self) -> float:
+        """The largest |u_D| and |g| (collective)."""
+        return float(self.comm.allreduce(np.abs(self.solution.data.lift).max(initial=0.0), MPI.MAX))
 
     def softness(self) -> float:
         """The root of 𝔸, about: the energy of σ_h by its norm (collective)."""

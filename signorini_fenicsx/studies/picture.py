@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -170,7 +171,9 @@ def _map(sheet: Sheet, axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) 
     axes.set_xticks(np.arange(len(across)) + 0.5, [f"{value:.3g}" for value in across])
     axes.set_yticks(np.arange(len(up)) + 0.5, [f"{value:.3g}" for value in up])
     axes.set_ylabel(short(y, wanted.keys))
-    sheet.bar(axes, image, "")
+    bar = sheet.bar(axes, image, "")
+    if (values[np.isfinite(values)] % 1 == 0).all():  # such as iterations
+        bar.ax.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def numbers(row: Row, keys: Iterable[str]) -> Row:
