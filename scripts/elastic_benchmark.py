@@ -12,7 +12,7 @@ With --alone it solves one mesh by ours and bounds the error, once each, and pri
 the process after the solve and after the bound. With --iterations it prints instead how many iterations CG with
 multigrid takes from ν = 0.3 to ν = 0.4999.
 
-With --libraries, which needs the network once, P2 is also that of scikit-fem and of NGSolve, see `p2_libraries`.
+With --libraries, P2 is also that of scikit-fem and of NGSolve, see `p2_libraries`: `uv run --group bench` has both.
 
 With --friction, `tresca` or `coulomb`, the block is pushed along the foundation too, and with --bodies 2 the lower half
 is a body of its own that is fixed below. Then the table has ours and the known set alone, with the bounds of the
@@ -25,6 +25,7 @@ import argparse
 import json
 import resource
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -169,9 +170,8 @@ def print_rubbing(cells: dict[int, tuple[int, ...]], bodies: int, friction: str)
 
 def by_libraries(dim: int, sizes: tuple[int, ...]) -> list[dict]:
     """What `p2_libraries` prints."""
-    libraries = ["--with", "ngsolve", "--with", "scikit-fem"]
     script = str(Path(__file__).with_name("p2_libraries.py"))
-    command = ["uv", "run", "--no-project", *libraries, "python", script, "--dim", str(dim), *map(str, sizes)]
+    command = [sys.executable, script, "--dim", str(dim), *map(str, sizes)]
     lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
     return [json.loads(line) for line in lines if line.startswith("{")]
 

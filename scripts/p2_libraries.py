@@ -1,6 +1,6 @@
 """The pressed block of `elastic_benchmark` by P2 displacements of scikit-fem and of NGSolve, each with its own solver.
 
-uv run --no-project --with ngsolve --with scikit-fem python scripts/p2_libraries.py [--dim 2|3] CELLS…
+uv run --group bench python scripts/p2_libraries.py [--dim 2|3] CELLS…
 
 Each library assembles and factorises: scikit-fem by SciPy's LU, NGSolve by its sparse Cholesky. The sets are found by a
 primal-dual active set, on the coefficients of Bernstein's basis on Γ_C as in `p2_contact`, so that the energy is above
