@@ -210,7 +210,9 @@ class CaseFile(Section):
         x = reference_coordinate(dim)
         texts = [(section, name, text, section != "time") for section, name, text in self.texts()]
         texts += [
-            ("", f"quantity.{i}.weight", each.weight, False) for i, each in enumerate(self.quantity) if each.weight
+            ("", f"quantity.{i}.{key}", text, False)
+            for i, each in enumerate(self.quantity)
+            for key, text in each.texts()
         ]
         for section, name, text, may_move in texts:
             try:
@@ -335,7 +337,7 @@ class Case(CaseFile):
         """
         names = "xyz"[:dim] + ("" if self.time is None else "t")
         exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
-        return replace(self.problem.read(names), exact=exact, laws=[law.law() for law in self.law])
+        return replace(self.problem.read(names), exact=exact, laws=[law.made() for law in self.law])
 
 
 def _below(branch: Any, section: str, key: str) -> Any:

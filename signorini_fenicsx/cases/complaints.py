@@ -7,13 +7,14 @@ from pydantic import BaseModel, ValidationError
 from signorini_fenicsx.base.text import did_you_mean
 
 
-def complaint(error: ValidationError, root: type[BaseModel], section: str = "") -> str:
+def complaint(error: ValidationError, root: type[BaseModel], section: str = "", of: str = "") -> str:
     """The first error that pydantic finds in a file, as one sentence with the place in TOML's notation.
 
     Args:
         error: What pydantic found.
         root: The model of the file, or of a section of it.
         section: Name of this section.
+        of: Of what the keys are, in words, in the place of the section.
     """
     errors = error.errors(include_url=False)
     first = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])  # a key that is misspelt
@@ -22,18 +23,19 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "") 
     place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
     if any(isinstance(step, int) for step in first["loc"]):  # of a list of sections, such as [[law]]
         place = ".".join([*sections, last])
+    owner = f" {of}" if of else _place_of_key(sections)
     match first["type"]:
         case "extra_forbidden":
             known = _known_keys(root, sections[len(above) :], last)
-            return f"unknown key '{last}'{_place_of_key(sections)}; known are {known}"
+            return f"unknown key '{last}'{owner}; known are {known}"
         case "missing":
-            return f"missing {'key' if sections else 'section or key'} '{last}'{_place_of_key(sections)}"
+            return f"missing {'key' if owner else 'section or key'} '{last}'{owner}"
         case "model_type" | "model_attributes_type":
             name, header = (place, f"[[{sections[-1]}]]") if last.isdigit() else (f"'{last}'", f"[{last}]")
             return f"{name} must be a section, {header}, not {shown(first['input'])}"
         case "value_error":
             message = str(first["ctx"]["error"])
-            where = f"{place}:" if sections else f"[{last}]"
+            where = f"{place}:" if owner else f"[{last}]"
             return f"{where} {message}" if last else message
         case "too_short":
             return f"{place}: must not be empty"

@@ -5,10 +5,14 @@ from dataclasses import MISSING, Field, fields
 from types import NoneType
 from typing import Any, ClassVar, get_args, get_type_hints
 
-from pydantic import create_model
+from pydantic import ConfigDict, ValidationError, create_model, model_validator
 
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, texts_of
+from signorini_fenicsx.contact.law import VERTICAL
 from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix
 
 READERS: dict[object, Any] = {Given: Expression, GivenByRegion: ExpressionByRegion, GivenMatrix: Conductivity}
@@ -27,12 +31,73 @@ class DataSection(Section):
         return [entry for name, value in given for entry in texts_of(name, value)]
 
 
-def data_section(kind: type, readers: Mapping[object, Any] = READERS, **own: Any) -> Any:
+class KindSection(Section):
+    """A section with the data of the dataclass that its `kind` names, under the names of the fields.
+
+    A subclass has `kind`, and keys that there are for all kinds.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    word: ClassVar[str]
+    """What such a section is, such as a law."""
+    of_kind: ClassVar[Mapping[str, type[DataSection]]]
+    """The keys of each kind."""
+    kind: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_data(cls, value: Any) -> Any:
+        kind = value.get("kind") if isinstance(value, Mapping) else None
+        if not isinstance(kind, str) or kind not in cls.of_kind:
+            return value  # which the check of `kind` refuses
+        section, of = cls.of_kind[kind], f"of the {cls.word} '{kind}'"
+        of_all = {key: entry for key, entry in value.items() if key in cls.model_fields}
+        known = [*keys_of(cls), *keys_of(section)]
+        for key in [key for key in value if key not in known]:
+            others = [name for name, other in cls.of_kind.items() if key in other.model_fields]
+            hint = f"; a {cls.word} with it is {' or '.join(others)}" if others else did_you_mean(key, known)
+            raise ValueError(f"unknown key '{key}' {of}; known are {', '.join(known)}{hint}")
+        try:
+            own = section.model_validate({key: entry for key, entry in value.items() if key not in of_all})
+        except ValidationError as error:
+            raise ValueError(complaint(error, section, of=of)) from None
+        return of_all | own.model_dump(exclude_unset=True)
+
+    @model_validator(mode="after")
+    def _can_be_made(self) -> Any:
+        try:
+            self.made()
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def data(self) -> DataSection:
+        """The data of the kind."""
+        return self.of_kind[self.kind].model_validate(self.model_extra or {})
+
+    def made(self) -> Any:
+        """What the section gives.
+
+        Raises:
+            InputError: If its data are not what they have to be.
+        """
+        raise NotImplementedError
+
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key."""
+        return [(key, text) for key, text in self.data.texts() if text != VERTICAL]  # as ends of graphs may be
+
+
+def data_section(
+    kind: type, readers: Mapping[object, Any] = READERS, words: tuple[str, ...] = (), **own: Any
+) -> type[DataSection]:
     """A `DataSection` with a key for each field of a dataclass, but for those that other sections have.
 
     Args:
         kind: The dataclass.
         readers: Pydantic's types by the types of fields; None as well is allowed where a field may be None.
+        words: Keys whose values are no expressions.
         own: Pydantic's types of single keys, or None for those that other sections have.
     """
     hints = get_type_hints(kind)
@@ -44,7 +109,9 @@ def data_section(kind: type, readers: Mapping[object, Any] = READERS, **own: Any
             keys[field.name] = (readers[one] | None if others else readers[one]), _default(field)
         elif own[field.name] is not None:
             keys[field.name] = own[field.name], _default(field)
-    return create_model(f"{kind.__name__}Section", __base__=DataSection, **keys)
+    section = create_model(f"{kind.__name__}Section", __base__=DataSection, **keys)
+    section.words = words
+    return section
 
 
 def _default(field: Field[Any]) -> Any:

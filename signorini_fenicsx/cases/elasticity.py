@@ -4,15 +4,13 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.costs import Cost
-from signorini_fenicsx.cases.data_section import READERS as SCALAR
-from signorini_fenicsx.cases.data_section import data_section
-from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.data_section import KindSection, data_section
+from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
 from signorini_fenicsx.cases.parts import PartsInside, Section
 from signorini_fenicsx.cases.values import (
     Directions,
@@ -23,14 +21,16 @@ from signorini_fenicsx.cases.values import (
     Vector,
     VectorByPart,
     choice,
-    texts_of,
 )
+from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
+from signorini_fenicsx.discrete.on_parts import one_value
+from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.physics.elasticity.problem import (
-    CoulombLaw,
+    Contact,
+    Coulomb,
     ElasticBoundary,
-    ElasticLaw,
     ElasticProblem,
     GivenAxes,
     GivenByPart,
@@ -39,6 +39,8 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenVector,
     GivenVectorByPart,
     Plane,
+    Tresca,
+    of_meeting,
 )
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solving import RULES
@@ -75,11 +77,40 @@ class ElasticParts(PartsInside):
         return ElasticBoundary(self.contact, self.neumann, self.fixed, self.inner)
 
 
-WITH_CONTACT = ("contact", "friction")
+OF_DATA = OF_LAWS | {
+    GivenVector: Vector,
+    GivenVectorByPart: VectorByPart,
+    GivenByPart: ExpressionByPart,
+    GivenModulus: Moduli,
+    GivenSupports: Stiffnesses,
+    GivenAxes: Directions,
+    Mapping[str, Given]: dict[str, Expression],
+}
+
+
+WITHOUT_FRICTION = data_section(
+    Contact, OF_DATA, ("surface",), surface=str | None, gap=None, parts=None, side=None, friction=None
+)
+
+
+class WithFriction(WITHOUT_FRICTION):  # type: ignore[misc, valid-type]
+    """The data of contact with friction."""
+
+    g: Expression | None = None
+    mu: Expression | None = None
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> Self:
+        if (self.g is None) == (self.mu is None):
+            raise ValueError("the law 'friction' must have either g, the bound of the shear, or mu, its coefficient")
+        return self
+
+
+WITH_CONTACT = {"contact": WITHOUT_FRICTION, "friction": WithFriction}
 NORMAL = tuple(name for name, kind in LAWS.items() if kind not in (Friction, River, Seepage))
 
 
-class ContactTexts(Section):
+class ContactTexts(KindSection):
     """`[[law]]`: contact on parts of Γ_C, with friction by g, the bound of the shear, or by μ, Coulomb's number.
 
     The foundation may be a `surface` in a mesh file. With `force` and `moment` it is a rigid tool that moves along and
@@ -87,84 +118,29 @@ class ContactTexts(Section):
     problems.
     """
 
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-    kind: Annotated[str, choice("law of elastic contact", (*WITH_CONTACT, *NORMAL))]
+    word = "law"
+    of_kind = WITH_CONTACT | {name: OF_KIND[name] for name in NORMAL}
+    kind: Annotated[str, choice("law of elastic contact", tuple(of_kind))]
     parts: list[str] = Field(min_length=1)
-    gap: Expression | None = None
-    surface: str | None = None
-    g: Expression | None = None
-    mu: Expression | None = None
-    force: Annotated[dict[str, Expression], Field(default={}, exclude_if=lambda given: not given)]
-    moment: Annotated[dict[str, Expression], Field(default={}, exclude_if=lambda given: not given)]
+    gap: Annotated[Expression | None, Field(default=None, exclude_if=lambda gap: gap is None)]
 
-    @model_validator(mode="after")
-    def _own_keys(self) -> Self:
-        extra = list(self.model_extra or {})
-        if self.kind in WITH_CONTACT:
-            known = ["kind", "parts", "gap", "surface", "force", "moment"] + (
-                ["g", "mu"] if self.kind == "friction" else []
-            )
-            for key in extra:
-                listed = f"{', '.join(known)}{did_you_mean(key, known)}"
-                raise ValueError(f"unknown key '{key}' of the law '{self.kind}'; known are {listed}")
-            return self
-        no_tool = dict.fromkeys(("surface", "force", "moment"), "tool")
-        for key, what in ({"g": "friction", "mu": "friction"} | no_tool).items():
-            if getattr(self, key):
-                raise ValueError(f"unknown key '{key}' of the law '{self.kind}', which has no {what}")
-        try:
-            self._normal()
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            raise ValueError(str(first["ctx"]["error"]) if "ctx" in first else first["msg"]) from None
-        return self
-
-    @model_validator(mode="after")
-    def _one_bound(self) -> Self:
-        if self.kind == "friction" and (self.g is None) == (self.mu is None):
-            raise ValueError("the law 'friction' must have either g, the bound of the shear, or mu, its coefficient")
-        if self.kind == "contact" and (self.g or self.mu) is not None:
-            key = "mu" if self.g is None else "g"
-            raise ValueError(f"unknown key '{key}' of the law 'contact', which has no friction; use kind \"friction\"")
-        return self
-
-    @model_validator(mode="after")
-    def _one_part(self) -> Self:
-        if (self.force or self.moment) and len(self.parts) > 1:
-            raise ValueError("force: a tool is on one part; give each part a [[law]] of its own")
-        return self
-
-    def _normal(self) -> LawTexts:
-        return LawTexts.model_validate({"kind": self.kind, "parts": self.parts, **(self.model_extra or {})})
+    def made(self) -> Contact | Law:
+        """The law, without its gap."""
+        data = dict(self.model_extra or {})
+        if self.kind not in WITH_CONTACT:
+            return LAWS[self.kind](self.parts, **data)
+        bounds = [friction(data.pop(key)) for key, friction in (("g", Tresca), ("mu", Coulomb)) if key in data]
+        return Contact(self.parts, **data, friction=next(iter(bounds), None))
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        found = (("gap", self.gap), ("g", self.g), ("mu", self.mu))
-        own = [(key, text) for key, text in found if text is not None]
-        own += [entry for key in ("force", "moment") for entry in texts_of(key, getattr(self, key))]
-        return own if self.kind in WITH_CONTACT else own + self._normal().texts()
-
-    def law(self) -> ElasticLaw | None:
-        """The law, None for contact without friction."""
-        if self.kind not in WITH_CONTACT:
-            return self._normal().law()
-        if self.g is not None:
-            return Friction(self.parts, self.g)
-        return None if self.mu is None else CoulombLaw(self.parts, self.mu)
+        return [*([] if self.gap is None else [("gap", self.gap)]), *super().texts()]
 
 
-READERS = SCALAR | {
-    GivenVector: Vector,
-    GivenVectorByPart: VectorByPart,
-    GivenByPart: ExpressionByPart,
-    GivenModulus: Moduli,
-    GivenSupports: Stiffnesses,
-    GivenAxes: Directions,
-}
 OF_PROBLEM = data_section(
     ElasticProblem,
-    READERS,
+    OF_DATA,
+    ("plane",),
     gap=Expression,  # single parts have theirs in a [[law]]
     surface=None,
     force=None,
@@ -177,8 +153,6 @@ OF_PROBLEM = data_section(
 
 class ElasticTexts(OF_PROBLEM):  # type: ignore[misc, valid-type]
     """`[problem]`: the data of an `ElasticProblem` as text in x, y, z; the material may have one for each region."""
-
-    words = ("plane",)
 
 
 class ElasticExact(Section):
@@ -270,11 +244,7 @@ class ElasticCase(CaseFile):
     def data(self) -> ElasticProblem:
         """The data as they are given."""
         values: dict[str, Any] = dict(self.problem)
-        own = {part: law.gap for law in self.law for part in law.parts if law.gap is not None}
-        if own:
-            values["gap"] = {part: own.get(part, self.problem.gap) for part in self.parts.contact}
-        for key in ("force", "moment"):
-            values[key] = {law.parts[0]: getattr(law, key) for law in self.law if getattr(law, key)}
-        values["surface"] = {part: law.surface for law in self.law for part in law.parts if law.surface is not None}
-        laws = [found for law in self.law if (found := law.law()) is not None]
-        return ElasticProblem(**values, exact=self.exact.u, laws=laws)
+        gaps = dict.fromkeys(self.boundary.contact, self.problem.gap)
+        gaps |= {part: self.problem.gap if law.gap is None else law.gap for law in self.law for part in law.parts}
+        values["gap"] = one_value(gaps, self.problem.gap)
+        return ElasticProblem(**values, **of_meeting([law.made() for law in self.law]), exact=self.exact.u)

@@ -94,14 +94,14 @@ def check_quantities_of(case: CaseFile, domain: Domain) -> None:
     """
     dim = domain.mesh.geometry.dim
     posed = case.posed(dim)[0], case.problem_at(dim, 1)
-    check_quantities(domain, posed, [each.measured for each in case.quantity])
+    check_quantities(domain, posed, [each.made() for each in case.quantity])
 
 
 @collector_off()
 def quantities_of(solution: Solved) -> dict[str, Quantity]:
     """The intervals for the quantities of the case of a solution, by their names (collective)."""
     listed = solution.source.quantity if isinstance(solution.source, CaseFile) else []
-    return {each.name: solution.quantity(each.measured) for each in listed}
+    return {each.name: solution.quantity(each.made()) for each in listed}
 
 
 @collector_off()

@@ -67,10 +67,7 @@ class Time(Times):
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        capacity = self.capacity or "1"
-        if isinstance(capacity, dict) and "corners" in capacity:
-            capacity = {"corners": [text for pair in capacity["corners"] for text in pair]}
-        return [*texts_of("initial", self.initial), *texts_of("capacity", capacity)]
+        return [*texts_of("initial", self.initial), *texts_of("capacity", self.capacity or "1")]
 
     @property
     def is_storage(self) -> bool:

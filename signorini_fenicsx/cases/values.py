@@ -1,7 +1,7 @@
 """Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
 from collections.abc import Callable, Mapping
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -46,6 +46,11 @@ def _vector(value: object) -> object:
             f'must be a list with an expression for each component, such as ["0", "-1"], not {shown(value)}'
         )
     return [_expression(entry) for entry in value]
+
+
+def _entries(value: object) -> object:
+    """Numbers and texts as texts, in lists too."""
+    return [_entries(entry) for entry in value] if isinstance(value, list) else _expression(value)
 
 
 def _vector_by_part(value: object) -> object:
@@ -182,6 +187,7 @@ Whole = Annotated[int, BeforeValidator(number)]
 Expression = Annotated[str, BeforeValidator(_expression)]
 Vector = Annotated[list[str], BeforeValidator(_vector)]
 VectorByPart = Annotated[list[str] | dict[str, list[str]], BeforeValidator(_vector_by_part)]
+Entries = Annotated[list[Any], BeforeValidator(_entries)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
 ExpressionByPart = Annotated[dict[str, str], BeforeValidator(_text_by_part)]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]

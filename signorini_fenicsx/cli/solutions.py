@@ -275,7 +275,7 @@ def _measuring(case: "CaseFile", name: str | None) -> "tuple[dict[str, Quantity]
     found: dict[str, Quantity] = {}
     if name is None:
         return found, None
-    kinds = {each.name: each.measured for each in case.quantity}
+    kinds = {each.name: each.made() for each in case.quantity}
     if name not in kinds:
         raise InputError(f"--quantity {name}: {case.name} has {', '.join(kinds) or 'no [[quantity]]'}")
 

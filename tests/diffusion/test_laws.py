@@ -214,7 +214,10 @@ def test_results_of_python_are_kept(folder: Path):
         ({"kind": "graph", "corners": [[0, 1]], "before": -1}, "before must not be negative"),
         ({"kind": "graph", "corners": [0, 1]}, "law.0: corners: must be pairs"),
         ({"kind": "frction", "g": "1"}, r"law.0.kind: unknown law 'frction'; .* \(did you mean 'friction'\?\)"),
-        ({"kind": "friction", "G": "1"}, "law.0: unknown key 'G' of the law 'friction'; known are g"),
+        (
+            {"kind": "friction", "G": "1"},
+            "law.0: unknown key 'G' of the law 'friction'; known are kind, parts, region, g",
+        ),
         ({"kind": "wall"}, "law.0: missing key 'beta' of the law 'wall'"),
         ({"kind": "friction", "g": "1 +"}, "law.0.g: "),
         ({"kind": "friction", "g": True}, "g: must be an expression"),

@@ -273,7 +273,10 @@ WRONG = [
     ('region = "all"\nkind = "obstacle"', "obstacle: needs psi, psi_upper or both"),
     ('region = "clay"\nkind = "reaction"\nc = 1', "law.0.region: unknown region 'clay' of the mesh; it has none"),
     ('region = "all"\nkind = "reaction"\nc = -1', "must not be negative; it is -1"),
-    ('region = "all"\nkind = "reaction"\nk = 1', "unknown key 'k' of the law 'reaction'; known are c"),
+    (
+        'region = "all"\nkind = "reaction"\nk = 1',
+        "unknown key 'k' of the law 'reaction'; known are kind, parts, region, c",
+    ),
     ('region = "all"\nkind = "graph"\ncorners = [[0, 1], [1, 0]]', "s must not fall from corner 0 to 1"),
     ('region = "all"\nkind = "graph"\ncorners = [[1, 0], [0, 1]]', "u must not fall from corner 0 to 1"),
     ('region = "all"\nkind = "obstacle"\npsi = "x"', "law.0.psi: is above u_D on Γ_D, as at"),

@@ -187,7 +187,7 @@ def test_commands(folder: Path):
     ("law", "message"),
     [
         ('kind = "wall"', "missing key 'beta' of the law 'wall'"),
-        ('kind = "wall", beta = 2, mu = 0.3', "unknown key 'mu' of the law 'wall', which has no friction"),
+        ('kind = "wall", beta = 2, mu = 0.3', "unknown key 'mu' of the law 'wall'; .* a law with it is friction"),
         ('kind = "wall", beta = 2, psi = 0', "unknown key 'psi' of the law 'wall'"),
         ('kind = "contact", psi = 0', "unknown key 'psi' of the law 'contact'"),
         ('kind = "wall", beta = -1', "beta must not be negative"),

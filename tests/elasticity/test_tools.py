@@ -154,7 +154,7 @@ def test_case_file(tmp_path: Path):
         "unknown axis; there are x, y": ("y = -0.1", "z = -0.1"),
         "law.force.y: must be a number": ("y = -0.1", 'y = "x"'),
         "force: a tool is on one part": ('parts = ["top"]', 'parts = ["top", "bottom"]'),
-        "unknown key 'force' of the law 'wall', which has no tool": (
+        "of the law 'wall'; known are kind, parts, gap, beta, level; a law with it is contact or friction": (
             'kind = "friction"\nparts = ["top"]\nmu = 0.5',
             'kind = "wall"\nparts = ["top"]\nbeta = 1',
         ),

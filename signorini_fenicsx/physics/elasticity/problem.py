@@ -233,11 +233,10 @@ class Elasticity:
     def on(self, domain: Domain) -> tuple[ElasticBoundary, ElasticProblem]:
         """The problem on a domain, sorted by the kinds of its boundary (collective)."""
         given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
-        touching = [condition for condition in self.conditions if isinstance(condition, Contact)]
         loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
         springs = [condition for condition in self.conditions if isinstance(condition, Support)]
-        normal = [condition for condition in self.conditions if is_normal(condition)]
-        meeting = [*touching, *normal]
+        meeting: list[Contact | Law] = [condition for condition in self.conditions if isinstance(condition, Contact)]
+        meeting += [condition for condition in self.conditions if is_normal(condition)]
         fixed = {part: each.components for each in given if each.components is not None for part in each.parts}
         pulled = dict.fromkeys(part for each in [*loads, *springs] for part in each.parts)
         boundary = ElasticBoundary(
@@ -249,7 +248,6 @@ class Elasticity:
         u_D = {part: nothing_for_0(each.value) for each in given for part in each.parts}
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
-        gaps = {part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}
         same = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("u_D", "conditions")}
         problem = ElasticProblem(
             **same,
@@ -257,13 +255,28 @@ class Elasticity:
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
             support={part: each.stiffness for each in springs for part in each.parts},
-            gap=one_value(gaps, 0.0),
-            surface={part: each.surface for each in touching if each.surface is not None for part in each.parts},
-            force={part: each.force for each in touching if each.force for part in each.parts},
-            moment={part: each.moment for each in touching if each.moment for part in each.parts},
-            laws=(*(each.friction.law(each.parts) for each in touching if each.friction is not None), *normal),
+            gap=one_value({part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}, 0.0),
+            **of_meeting(meeting),
         )
         return boundary, problem
+
+
+def of_meeting(meeting: Sequence[Contact | Law]) -> dict[str, Any]:
+    """The fields of an `ElasticProblem` for parts in contact and for those with other laws, but for the gap."""
+    touching = [condition for condition in meeting if isinstance(condition, Contact)]
+    return {
+        "surface": {part: each.surface for each in touching if each.surface is not None for part in each.parts},
+        "force": {part: each.force for each in touching if each.force for part in each.parts},
+        "moment": {part: each.moment for each in touching if each.moment for part in each.parts},
+        "laws": [law for each in meeting if (law := _law_of(each)) is not None],
+    }
+
+
+def _law_of(condition: Contact | Law) -> ElasticLaw | None:
+    """The law of a condition; None for contact without friction."""
+    if not isinstance(condition, Contact):
+        return condition
+    return None if condition.friction is None else condition.friction.law(condition.parts)
 
 
 @dataclass(frozen=True)
