@@ -87,6 +87,8 @@ class CaseFile(Section):
     """Options of commands that there are not for it."""
     held: ClassVar[str] = "u = u_D"
     """What holds on Γ_D, in words."""
+    is_vector: ClassVar[bool] = False
+    """Whether u is a vector."""
 
     @property
     def states(self) -> tuple[str, str]:

@@ -184,6 +184,7 @@ class ElasticCase(CaseFile):
     costs = COSTS
     lacks = ElasticSolution.lacks
     held = "clamped, u = u_D"
+    is_vector = True
 
     @property
     def states(self) -> tuple[str, str]:

@@ -35,7 +35,7 @@ def field_of_case(
     refuse_time(case)
     if case.parts.named.get("inner"):
         raise InputError(f"field {path}: {case.name} has parts inside the domain, where a file has one value and u two")
-    source, field = read_field(comm, path, name, vector=getattr(case, "physics", "") == "elasticity")
+    source, field = read_field(comm, path, name, vector=case.is_vector)
     shape = case.geometry.shape
     domain = mesh_case(case, comm) if shape is None else source
     for _ in range(levels):
