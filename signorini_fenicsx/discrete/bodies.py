@@ -7,6 +7,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs, extreme_around
 
 
@@ -14,7 +15,7 @@ def bodies(spaces: MeshSpaces) -> Indices:
     """A number of its body for each owned cell, from 0 without gaps over all ranks (collective)."""
     comm, space, cells = spaces.mesh.comm, spaces.crouzeix_raviart, len(spaces.cell_measures)
     facets = space.dofmap.list[:cells]
-    piece = np.unique(_pieces(facets), return_inverse=True)[1]
+    piece = np.unique(joined(facets.max(initial=-1) + 1, facets)[facets[:, 0]], return_inverse=True)[1]
     number = int(piece.max(initial=-1)) + 1
     body = (comm.scan(number) - number + piece).astype(np.float64)
     while True:  # pieces of several ranks that share a facet get the larger number
@@ -25,24 +26,6 @@ def bodies(spaces: MeshSpaces) -> Indices:
             of_all = np.unique(np.concatenate(comm.allgather(np.unique(body))))
             return np.searchsorted(of_all, body)
         body = largest[piece]
-
-
-def _pieces(facets: npt.NDArray[np.int32]) -> Indices:
-    """A number for each cell, the same for cells that are joined by facets of this rank.
-
-    Each piece, a cell at first, is joined to that with the smallest number among its neighbours, until none has any.
-    """
-    piece = np.arange(len(facets))
-    while True:
-        of_facet = np.full(facets.max(initial=-1) + 1, len(facets))
-        np.minimum.at(of_facet, facets.ravel(), np.repeat(piece, facets.shape[1]))
-        joined = np.arange(len(facets))
-        np.minimum.at(joined, piece, of_facet[facets].min(axis=1, initial=len(facets)))
-        if (joined[piece] == piece).all():
-            return piece
-        while (joined[joined] != joined).any():
-            joined = joined[joined]
-        piece = joined[piece]
 
 
 def spread(spaces: MeshSpaces, facets: npt.NDArray[np.int32], values: Array) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.rows import rows_of
+from signorini_fenicsx.base.rows import joined, rows_of
 from signorini_fenicsx.meshes.domain import other_side
 
 FLAT = 1e-14
@@ -320,13 +320,9 @@ def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: Mask) ->
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:
     """Refuse a component of several without a facet of Γ_D; `fixed` are the rows of Γ_D in the facets of all cells."""
-    from scipy.sparse import coo_array  # slow to import, and needed for meshes from files only
-    from scipy.sparse.csgraph import connected_components
-
     size = len(mesh.cells)
-    one, other = (facets % size for facets in neighbours(everything))
-    links = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(size, size))
-    count, component = connected_components(links, directed=False)
+    component = joined(size, np.stack(neighbours(everything), axis=1) % size)
+    count = int(component.max(initial=-1)) + 1
     free = np.setdiff1d(np.arange(count), component[fixed % size])
     if count > 1 and len(free) > 0:
         centre = mesh.points[mesh.cells[np.flatnonzero(component == free[0])[:1]]].mean(axis=1)

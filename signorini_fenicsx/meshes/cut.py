@@ -11,7 +11,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.rows import rows_of
+from signorini_fenicsx.base.rows import joined, rows_of
 from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.seams import unit_normals
@@ -46,9 +46,6 @@ def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
         facets: Facets between two cells as ascending vertices, shape (facets, dim). Those with all vertices at the edge
             of the cut stay closed, and are left out of the result.
     """
-    from scipy.sparse import coo_array  # slow to import, and needed for meshes from files only
-    from scipy.sparse.csgraph import connected_components
-
     number = len(cells)
     everything = faces(cells)
     one, other = neighbours(everything)
@@ -61,15 +58,13 @@ def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
     cell, place = np.nonzero(on_cut[cells])
     row = np.full(cells.shape, -1)
     row[cell, place] = np.arange(len(cell))
-    joined = np.stack([one[~here], other[~here]], axis=1)
-    joined = joined[on_cut[everything[joined[:, 0]]].any(axis=1)]
+    shut = np.stack([one[~here], other[~here]], axis=1)
+    shut = shut[on_cut[everything[shut[:, 0]]].any(axis=1)]
     links = [np.empty((0, 2), dtype=np.int64)]
-    for vertex in everything[joined[:, 0]].T:
+    for vertex in everything[shut[:, 0]].T:
         shared = on_cut[vertex]
-        links.append(_corner(cells, row, joined[shared] % number, vertex[shared]))
-    ends = np.concatenate(links)
-    graph = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(len(cell), len(cell)))
-    group = connected_components(graph, directed=False)[1]
+        links.append(_corner(cells, row, shut[shared] % number, vertex[shared]))
+    group = joined(len(cell), np.concatenate(links))
 
     # the first group of each vertex keeps the vertex, the others get copies
     of_group, first = np.unique(group, return_index=True)

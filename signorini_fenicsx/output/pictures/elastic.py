@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.laws import Friction
@@ -93,23 +94,19 @@ def _apart(scene: Scene, distance: float) -> Array:
 
     Their meshes fit together, so that they would cover each other where they are pressed over the gap.
     """
-    from scipy.sparse import coo_array  # slow to import, and rarely needed
-    from scipy.sparse.csgraph import connected_components
-
     facets, points, inside = scene.facets, scene.fields.points, _inside(scene)
     assert isinstance(facets, BodyFacets)
     if not facets.apart.any():
         return np.zeros_like(points)
-    cells, size = scene.fields.cells, len(points)
-    links = np.ones(cells.size), (np.repeat(cells[:, 0], cells.shape[1]), cells.ravel())
-    number, body = connected_components(coo_array(links, shape=(size, size)), directed=False)
+    size = len(points)
+    body = joined(size, scene.fields.cells)
     _, place = np.unique(points, axis=0, return_inverse=True)
     other = np.full(size, -1)
     for point in np.setdiff1d(np.arange(size), facets.vertices[inside]):
         other[place[point]] = body[point]
     here, there = body[facets.vertices[inside, 0]], other[place[facets.vertices[inside]]].max(axis=1)
     two = (here != there) & (there >= 0)
-    rows, each = np.zeros((int(two.sum()), number)), np.arange(int(two.sum()))
+    rows, each = np.zeros((int(two.sum()), int(body.max()) + 1)), np.arange(int(two.sum()))
     rows[each, here[two]], rows[each, there[two]] = 1.0, -1.0
     moved = np.linalg.lstsq(rows, -distance * facets.normals[inside][two], rcond=None)[0]
     return np.asarray(moved[body])
