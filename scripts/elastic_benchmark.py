@@ -35,7 +35,7 @@ from pathlib import Path
 import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
-from p2_contact import solve_p2
+from p2_contact import Box, solve_p2
 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.meshes.domain import Domain
@@ -225,7 +225,7 @@ def main() -> None:
             solution, ours = timed(partial(solve, domain, (boundary, problem), remesh=coarser_mesh))
             _, bound = timed(solution.certify)
             _, known = timed(partial(with_known_set, domain, solution))
-            other = solve_p2(domain.mesh, YOUNG, POISSON, f, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP)
+            other = solve_p2(Box(domain.mesh, YOUNG, POISSON, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP, f))
             norms = solution.norms()
             energy = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
             rows.append((n, solution.outcome.dofs, ours, bound, known, energy, other))

@@ -20,6 +20,29 @@ MOST_STEPS = 100
 
 
 @dataclass(frozen=True)
+class Box:
+    """An elastic box whose last coordinate is 0 on Γ_C.
+
+    Attributes:
+        mesh: Its mesh, on one process.
+        young: E, a number or UFL on the mesh.
+        poisson: ν.
+        g_N: Tractions by side: the coordinate and its value there.
+        fixed: For a side the components of v that are 0.
+        gap: g, a number.
+        f: Force per volume; none if it is empty.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    young: float | ufl.core.expr.Expr
+    poisson: float
+    g_N: Mapping[tuple[int, float], Sequence[float]]
+    fixed: Mapping[tuple[int, float], Sequence[int]]
+    gap: float
+    f: Sequence[float] = ()
+
+
+@dataclass(frozen=True)
 class P2Contact:
     """A solution by P2 displacements.
 
@@ -47,36 +70,20 @@ def stress(v: ufl.core.expr.Expr, young: float | ufl.core.expr.Expr, poisson: fl
     return 2 * mu * strain + lame * ufl.tr(strain) * ufl.Identity(len(v))
 
 
-def solve_p2(
-    mesh: dolfinx.mesh.Mesh,
-    young: float | ufl.core.expr.Expr,
-    poisson: float,
-    f: Sequence[float],
-    g_N: Mapping[tuple[int, float], Sequence[float]],
-    fixed: Mapping[tuple[int, float], Sequence[int]],
-    gap: float,
-    *,
-    between: bool = False,
-) -> P2Contact:
-    """Solve on a box whose last coordinate is 0 on Γ_C, with a gap that is a number.
+def solve_p2(box: Box, *, between: bool = False) -> P2Contact:
+    """Solve on a box.
 
-    If that is between two bodies, the mesh is cut there, and the body above is pressed onto that below.
+    If Γ_C is between two bodies, the mesh is cut there, and the body above is pressed onto that below.
 
     Args:
-        mesh: Mesh of the box, on one process.
-        young: E, a number or UFL on the mesh.
-        poisson: ν.
-        f: Force per volume.
-        g_N: Tractions by side: the coordinate and its value there.
-        fixed: For a side the components of v that are 0.
-        gap: g.
+        box: The box.
         between: Whether Γ_C is between two bodies.
 
     Raises:
         RuntimeError: If the sets do not settle.
     """
     began = time.process_time()
-    space, A, b, held, contact = assembled(mesh, young, poisson, f, g_N, fixed)
+    space, A, b, held, contact = assembled(box)
     jumps = scipy.sparse.eye_array(len(b)).tocsr()
     if between:
         contact, jumps = _jumps(space, contact, len(b))
@@ -85,12 +92,12 @@ def solve_p2(
     x, active = np.zeros(len(b)), np.zeros(len(contact), dtype=bool)
     for steps in range(1, MOST_STEPS + 1):
         x = np.zeros(len(b))
-        x[contact[active]] = -gap
+        x[contact[active]] = -box.gap
         essential = np.concatenate([held, contact[active]])
         free = np.setdiff1d(np.arange(len(b)), essential)
         x[free] = scipy.sparse.linalg.spsolve(A[free][:, free].tocsc(), (b - A @ x)[free])
         force = (A @ x - b)[contact]
-        following = np.where(active, force > 0, x[contact] < -gap)
+        following = np.where(active, force > 0, x[contact] < -box.gap)
         if (following == active).all():
             found = fem.Function(space)
             found.x.array[:] = jumps @ x
@@ -100,33 +107,27 @@ def solve_p2(
     raise RuntimeError("the sets do not settle")
 
 
-def assembled(
-    mesh: dolfinx.mesh.Mesh,
-    young: float | ufl.core.expr.Expr,
-    poisson: float,
-    f: Sequence[float],
-    g_N: Mapping[tuple[int, float], Sequence[float]],
-    fixed: Mapping[tuple[int, float], Sequence[int]],
-) -> tuple[fem.FunctionSpace, scipy.sparse.csr_array, np.ndarray, np.ndarray, np.ndarray]:
-    """The space, A, b, the unknowns that are 0, and the normal ones on Γ_C, of a problem as `solve_p2` takes it."""
+def assembled(box: Box) -> tuple[fem.FunctionSpace, scipy.sparse.csr_array, np.ndarray, np.ndarray, np.ndarray]:
+    """The space, A, b, the unknowns that are 0, and the normal ones on Γ_C."""
+    mesh = box.mesh
     assert mesh.comm.size == 1
     dim = mesh.geometry.dim
     element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
     space = fem.functionspace(mesh, element)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    load = ufl.dot(fem.Constant(mesh, np.array(f, dtype=float)), v) * ufl.dx
-    sides = [_facets(mesh, side) for side in g_N]
+    load = ufl.dot(fem.Constant(mesh, np.array(box.f or [0.0] * dim, dtype=float)), v) * ufl.dx
+    sides = [_facets(mesh, side) for side in box.g_N]
     numbers = np.concatenate([np.full(len(facets), number, dtype=np.int32) for number, facets in enumerate(sides)])
     facets = np.concatenate(sides)
     order = np.argsort(facets)
     tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets[order], numbers[order])
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
-    for number, traction in enumerate(g_N.values()):
+    for number, traction in enumerate(box.g_N.values()):
         load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds(number)
-    A = fem.assemble_matrix(fem.form(ufl.inner(stress(u, young, poisson), ufl.sym(ufl.grad(v))) * ufl.dx)).to_scipy()
-    A = A.tocsr()
+    form = ufl.inner(stress(u, box.young, box.poisson), ufl.sym(ufl.grad(v))) * ufl.dx
+    A = fem.assemble_matrix(fem.form(form)).to_scipy().tocsr()
     b = fem.assemble_vector(fem.form(load)).array
-    zero = [_dofs(space, mesh, side, k) for side, components in fixed.items() for k in components]
+    zero = [_dofs(space, mesh, side, k) for side, components in box.fixed.items() for k in components]
     held = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *zero]))
     contact = np.setdiff1d(_dofs(space, mesh, (dim - 1, 0.0), dim - 1), held)
     return space, A, b, held, contact

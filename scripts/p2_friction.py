@@ -13,7 +13,6 @@ import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +22,7 @@ import scipy.sparse.linalg
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from p2_contact import assembled, stress, stress_norm
+from p2_contact import Box, assembled, stress, stress_norm
 
 from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca, domain_of, solve
 
@@ -53,22 +52,14 @@ class P2Friction:
     unknowns: int
 
 
-def solve_p2_friction(
-    mesh: dolfinx.mesh.Mesh,
-    young: float,
-    poisson: float,
-    g_N: Mapping[tuple[int, float], Sequence[float]],
-    fixed: Mapping[tuple[int, float], Sequence[int]],
-    gap: float,
-    law: Tresca | Coulomb,
-) -> P2Friction:
-    """Solve on a box whose last coordinate is 0 on Γ_C; the arguments are those of `solve_p2`, and the law.
+def solve_p2_friction(box: Box, law: Tresca | Coulomb) -> P2Friction:
+    """Solve on a box with this law on Γ_C.
 
     Raises:
         RuntimeError: If the forces do not settle.
     """
-    dim = mesh.geometry.dim
-    space, A, b, held, contact = assembled(mesh, young, poisson, [0.0] * dim, g_N, fixed)
+    dim = box.mesh.geometry.dim
+    space, A, b, held, contact = assembled(box)
     free = np.setdiff1d(np.arange(len(b)), held)
     nodes = contact[np.isin(contact, free)] // dim
     rows = np.searchsorted(free, nodes[:, None] * dim + np.arange(dim))
@@ -79,7 +70,7 @@ def solve_p2_friction(
     at_rest = factors.solve(b[free])
     given = law.g * _weights(space, nodes) if isinstance(law, Tresca) else None
     mu = law.mu if isinstance(law, Coulomb) else 0.0
-    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], gap, mu, given)
+    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], box.gap, mu, given)
     x = np.zeros(len(b))
     x[free] = at_rest + flexible @ forces.ravel()
     slips = np.linalg.norm(x[nodes[:, None] * dim + np.arange(dim - 1)], axis=1)
@@ -148,7 +139,7 @@ def oblique(n: int, law: Tresca | Coulomb) -> tuple[Any, P2Friction]:
     contact = Contact("bottom", gap=GAP, friction=law)
     sides = [Neumann("top", PUSH), Neumann("end", LIFT), Neumann(["front", "back"]), Dirichlet("held", 0)]
     solution = solve(domain_of(mesh, parts), Elasticity(1.0, 0.3, conditions=[contact, *sides]))
-    other = solve_p2_friction(mesh, 1.0, 0.3, {(2, 1.0): PUSH, (0, 2.0): LIFT}, {(0, 0.0): [0, 1, 2]}, GAP, law)
+    other = solve_p2_friction(Box(mesh, 1.0, 0.3, {(2, 1.0): PUSH, (0, 2.0): LIFT}, {(0, 0.0): [0, 1, 2]}, GAP), law)
     return solution, other
 
 

@@ -6,7 +6,7 @@ from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 from elastic import box, two_boxes
 from mpi4py import MPI
-from p2_contact import solve_p2, stress, stress_norm
+from p2_contact import Box, solve_p2, stress, stress_norm
 from p2_friction import GAP as OBLIQUE_GAP
 from p2_friction import LAWS, oblique
 
@@ -31,7 +31,7 @@ def test_energies_bracket_the_exact_one(dim: int, nu: float):
         domain = box(MPI.COMM_SELF, n, [0.0] * dim, [2.0] + [1.0] * (dim - 1))
         solution = solve(domain, (boundary, problem))
         mesh = domain.mesh
-        other = solve_p2(mesh, 1.0, nu, f, {(dim - 1, 1.0): push}, {(0, 0.0): list(range(dim))}, GAP)
+        other = solve_p2(Box(mesh, 1.0, nu, {(dim - 1, 1.0): push}, {(0, 0.0): list(range(dim))}, GAP, f))
         assert 0 < solution.contact[0] < solution.touching.size
         assert other.touching > 0
         norms = solution.norms()
@@ -64,7 +64,7 @@ def test_energies_of_two_bodies(dim: int):
         stiff = {"upper": 1.0, "lower": 3.0}
         loads = [str(x) for x in f]
         solution = solve_problem(domain, Elasticity(stiff, 0.3, f=loads, conditions=conditions))
-        other = solve_p2(domain.mesh, young, 0.3, f, {(last, 0.5): push, (0, 1.0): lift}, fixed, GAP, between=True)
+        other = solve_p2(Box(domain.mesh, young, 0.3, {(last, 0.5): push, (0, 1.0): lift}, fixed, GAP, f), between=True)
         norms, certificate = solution.norms(), solution.certify()
         assert certificate.guaranteed
         complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
