@@ -21,14 +21,15 @@ from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
 from signorini_fenicsx.cases.costs import COSTS, Cost
 from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
+from signorini_fenicsx.cases.data_section import DataSection, KindSection
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.laws import LawTexts
-from signorini_fenicsx.cases.parts import Boundary, Parts, PartsWithLaws, Section
+from signorini_fenicsx.cases.parts import Boundary, Parts, PartsInside, PartsWithLaws, Section
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.quantities import QuantityTexts
-from signorini_fenicsx.cases.texts import ProblemTexts, Time, Times
+from signorini_fenicsx.cases.texts import Exact, ProblemTexts, Time, Times
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.cases.values import ExpressionByRegion, Positive, Whole, choice, texts_of, within
+from signorini_fenicsx.cases.values import Positive, Whole, choice, within
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.cut import Side
@@ -44,12 +45,6 @@ from signorini_fenicsx.solving.options import BACKENDS
 
 MODELS = {"elasticity": "signorini_fenicsx.cases.elasticity.ElasticCase"}
 """The cases of other physics than diffusion, by what a file has for `physics`."""
-
-
-class Exact(Section):
-    """`[exact]`: the exact solution u, if it is known, as text in x, y, z, or one per region."""
-
-    u: ExpressionByRegion | None = None
 
 
 class Solve(Section):
@@ -78,6 +73,10 @@ class CaseFile(Section):
     name: str = Field(default="case", exclude=True)
     title: str = ""
     geometry: Geometry
+    boundary: PartsInside
+    law: Annotated[Sequence[KindSection], Field(default=[], exclude_if=lambda laws: not laws)]
+    problem: DataSection
+    exact: DataSection
     solve: Solve = Solve()
     time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
     quantity: Annotated[list[QuantityTexts], Field(default=[], exclude_if=lambda quantities: not quantities)]
@@ -140,11 +139,16 @@ class CaseFile(Section):
     @property
     def sides(self) -> Mapping[str, Side]:
         """The named sides of some of them."""
-        return {}
+        return self.boundary.sides
 
-    def texts(self) -> list[tuple[str, str, str]]:
-        """Each expression with its section and its key."""
-        raise NotImplementedError
+    def texts(self) -> list[tuple[str, str, bool]]:
+        """Each expression with its place, and whether t is known to it in a problem in time."""
+        laws = [(f"law.{i}.", law.texts(), True) for i, law in enumerate(self.law)]
+        quantities = [(f"quantity.{i}.", quantity.texts(), False) for i, quantity in enumerate(self.quantity)]
+        of_time = [] if self.time is None else self.time.texts()
+        sections = [("[problem] ", self.problem.texts(), True), ("[exact] ", self.exact.texts(), True)]
+        sections += [*laws, *quantities, ("[time] ", of_time, False)]
+        return [(f"{place}{key}", text, may_move) for place, own, may_move in sections for key, text in own]
 
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
@@ -210,17 +214,10 @@ class CaseFile(Section):
 
     def _check_expressions(self, dim: int) -> None:
         x = reference_coordinate(dim)
-        texts = [(section, name, text, section != "time") for section, name, text in self.texts()]
-        texts += [
-            ("", f"quantity.{i}.{key}", text, False)
-            for i, each in enumerate(self.quantity)
-            for key, text in each.texts()
-        ]
-        for section, name, text, may_move in texts:
+        for place, text, may_move in self.texts():
             try:
                 parse_expression(text, x, self.last_time if may_move else None)
             except InputError as error:
-                place = f"[{section}] {name}" if section else name
                 raise ValueError(f"{place}: {error}") from None
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
@@ -280,11 +277,6 @@ class Case(CaseFile):
         return self.time is not None and self.time.is_storage
 
     @property
-    def sides(self) -> Mapping[str, Side]:
-        """The named sides of some of the parts inside the domain."""
-        return self.boundary.sides
-
-    @property
     def scheme(self) -> str:
         """The scheme in time, in words."""
         return "" if self.time is None else f" of {self.time.scheme}"
@@ -310,14 +302,6 @@ class Case(CaseFile):
         """The section `[boundary]`, and the parts with a `[[law]]`."""
         laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law) if law.parts}
         return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
-
-    def texts(self) -> list[tuple[str, str, str]]:
-        """Each expression with its section and its key."""
-        laws = [("", f"law.{i}.{name}", text) for i, law in enumerate(self.law) for name, text in law.texts()]
-        problem = [("problem", *entry) for entry in self.problem.texts()]
-        time = [] if self.time is None else [("time", *entry) for entry in self.time.texts()]
-        exact = [("exact", *entry) for entry in texts_of("u", self.exact.u or "0")]
-        return [*problem, *exact, *laws, *time]
 
     def posed(self, dim: int) -> tuple[Posed, Problem]:
         """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""

@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.costs import Cost
-from signorini_fenicsx.cases.data_section import KindSection, data_section
+from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
-from signorini_fenicsx.cases.parts import PartsInside, Section
+from signorini_fenicsx.cases.parts import PartsInside
 from signorini_fenicsx.cases.values import (
     Directions,
     Expression,
@@ -26,7 +26,6 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
 from signorini_fenicsx.discrete.on_parts import one_value
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.physics.elasticity.problem import (
     Contact,
     Coulomb,
@@ -155,7 +154,7 @@ class ElasticTexts(OF_PROBLEM):  # type: ignore[misc, valid-type]
     """`[problem]`: the data of an `ElasticProblem` as text in x, y, z; the material may have one for each region."""
 
 
-class ElasticExact(Section):
+class ElasticExact(DataSection):
     """`[exact]`: the displacement, where it is known, as text in x, y, z."""
 
     u: Vector | None = None
@@ -209,12 +208,6 @@ class ElasticCase(CaseFile):
         """What is solved and how, in words."""
         return f"elastic contact, {self.solve.algorithm}"
 
-    def texts(self) -> list[tuple[str, str, str]]:
-        """Each expression with its section and its key."""
-        exact = [("exact", "u", entry) for entry in self.exact.u or []]
-        laws = [("", f"law.{i}.{key}", text) for i, law in enumerate(self.law) for key, text in law.texts()]
-        return [("problem", *entry) for entry in self.problem.texts()] + exact + laws
-
     @model_validator(mode="after")
     def _solvable(self) -> Self:
         self.parts.refuse_repetition()
@@ -236,11 +229,6 @@ class ElasticCase(CaseFile):
     def posed(self, dim: int) -> tuple[ElasticBoundary, ElasticProblem]:
         """The parts and the data, see `CaseFile.posed`."""
         return self.parts.read(), self.data()
-
-    @property
-    def sides(self) -> Mapping[str, Side]:
-        """The named sides of some of the parts inside the domain."""
-        return self.boundary.sides
 
     def data(self) -> ElasticProblem:
         """The data as they are given."""

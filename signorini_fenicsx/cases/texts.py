@@ -1,19 +1,17 @@
-"""`[problem]` and `[time]`: the data of a scalar problem as text."""
+"""`[problem]`, `[time]` and `[exact]`: the data of a scalar problem as text."""
 
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from signorini_fenicsx.cases.data_section import data_section
+from signorini_fenicsx.cases.data_section import DataSection, data_section
 from signorini_fenicsx.cases.laws import LawTexts
-from signorini_fenicsx.cases.parts import Section
 from signorini_fenicsx.cases.values import (
     ExpressionByRegion,
     Positive,
     Whole,
     choice,
     text_by_region,
-    texts_of,
     within,
 )
 from signorini_fenicsx.contact.law import EVERYWHERE
@@ -47,9 +45,10 @@ class ProblemTexts(data_section(Problem, exact=None, laws=None)):  # type: ignor
         return Problem(**{key: parsed(value, names, f"[problem] {key}") for key, value in self})
 
 
-class Times(Section):
+class Times(DataSection):
     """`[time]`: the steps of an `Evolution`. With it t is known to all expressions but those of this section."""
 
+    words = ("end", "steps", "scheme")
     end: Annotated[Positive, within(1e-90, 1e90)]
     steps: Annotated[Whole, within(1, 10**6)]
 
@@ -65,11 +64,13 @@ class Time(Times):
     capacity: Annotated[CapacityText | None, BeforeValidator(_capacity)] = None
     scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
 
-    def texts(self) -> list[tuple[str, str]]:
-        """Each expression with the name of its key."""
-        return [*texts_of("initial", self.initial), *texts_of("capacity", self.capacity or "1")]
-
     @property
     def is_storage(self) -> bool:
         """Whether the capacity is the graph of a storage."""
         return isinstance(self.capacity, dict) and "corners" in self.capacity
+
+
+class Exact(DataSection):
+    """`[exact]`: the exact solution u, if it is known, as text in x, y, z, or one per region."""
+
+    u: ExpressionByRegion | None = None
