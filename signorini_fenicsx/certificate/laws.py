@@ -23,9 +23,7 @@ def gap(law: Chains, v: Array, eta: Array) -> Array:
     """φ(v) + φ*(−η) + ηv at sites whose v and η are in what their law allows, but for rounding."""
     low_p, high_p, low, high = law.extent()
     v, eta = np.clip(v, low_p, high_p), np.clip(eta, low, high)
-    total = np.zeros(len(v))
-    infinite = np.full((len(v), 1), np.inf)
-    ends = np.hstack([-infinite, law.p, infinite])
+    total, (ends, _) = np.zeros(len(v)), law.ends
     with np.errstate(invalid="ignore", over="ignore"):
         for segment in range(law.corners + 1):
             slope, begin, end = law.slope[:, segment], ends[:, segment], ends[:, segment + 1]
@@ -52,9 +50,7 @@ def half_gap(law: Chains, v: Array, eta: Array) -> Array:
     """
     low_p, high_p, low, high = law.extent()
     v, eta = np.clip(v, low_p, high_p), np.clip(eta, low, high)
-    most = np.zeros(len(v))
-    infinite = np.full((len(v), 1), np.inf)
-    ends = np.hstack([-infinite, law.p, infinite])
+    most, (ends, _) = np.zeros(len(v)), law.ends
     with np.errstate(invalid="ignore", over="ignore"):
         for corner in range(law.corners):
             product = (eta - law.flux[:, corner]) * (v - law.p[:, corner])

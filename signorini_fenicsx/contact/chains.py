@@ -78,6 +78,12 @@ class Chains:
         return np.isfinite(self.p).sum(axis=1)
 
     @property
+    def ends(self) -> tuple[Array, Array]:
+        """The ends of the segments, each in its column and the next one: p and σ·n, shape (sites, corners + 2)."""
+        infinite = np.full((len(self.p), 1), np.inf)
+        return np.hstack([-infinite, self.p, infinite]), np.hstack([infinite, self.flux, -infinite])
+
+    @property
     def kinds(self) -> Kinds:
         """A `Condition` per segment, shape (sites, corners + 1)."""
         flat = np.where(self.slope == 0, Condition.NO_FLUX, Condition.ROBIN)

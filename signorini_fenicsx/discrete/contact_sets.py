@@ -1,5 +1,6 @@
 """Sets of facets of Γ_S, on meshes that need not match: how much they overlap and how far they are apart."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -160,3 +161,22 @@ def _largest_distance(one: FacetSet, other: FacetSet) -> float:
                 nearest = np.minimum(nearest, np.sqrt(squares) / frame.factor)
             points, nearest = passed_on(comm, (points, nearest))
     return float(comm.allreduce(nearest.max(initial=0.0), MPI.MAX))
+
+
+def by_state(
+    comm: MPI.Comm, names: Sequence[str], state: Indices, measure: Array, sites: str
+) -> dict[str, dict[str, float]]:
+    """Number and measure of the sites in each state, by the name of the state (collective).
+
+    Args:
+        comm: Communicator.
+        names: The names of the states.
+        state: The number of the state of each site of this rank.
+        measure: Of each site.
+        sites: What the sites are called.
+    """
+    local = np.stack([np.bincount(state, weights, len(names)) for weights in (None, measure)])
+    counts, measures = comm.allreduce(local).tolist()
+    return {
+        name: {sites: int(count), "measure": size} for name, count, size in zip(names, counts, measures, strict=True)
+    }

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import joined, rows_of
 from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours
@@ -141,30 +141,46 @@ def _is_second(mesh: FileMesh, name: str, side: Side, facets: Indices, cells: In
     Raises:
         InputError: If that is not clear.
     """
-    key = f"[boundary] sides.{name}"
-    if isinstance(side, str):
-        if side not in mesh.regions:
-            known = ", ".join(mesh.regions) or "none"
-            raise InputError(f"{key}: unknown region '{side}'; the mesh has {known}")
-        inside = np.isin(cells, mesh.regions[side])
-        unclear = inside[:, 0] == inside[:, 1]
-        why = f"not between '{side}' and another region"
-        second = inside[:, 1]
-    else:
-        direction = np.asarray(side, dtype=np.float64)
-        if direction.shape != (mesh.dim,) or not np.isfinite(direction).all() or not direction.any():
-            raise InputError(f"{key}: must be a region, or a direction of {mesh.dim} numbers, not {side}")
-        corners = mesh.points[facets]
-        across = unit_normals(corners[:, 1:] - corners[:, :1])
-        middle = mesh.points[mesh.cells[cells[:, 1]]].mean(axis=1) - corners[:, 0]
-        along = across @ (direction / np.linalg.norm(direction))
-        unclear = np.abs(along) < PARALLEL
-        why = f"parallel to the direction {tuple(direction.tolist())}"
-        second = along * np.einsum("fi,fi->f", middle, across) > 0
+    key, corners = f"[boundary] sides.{name}", mesh.points[facets]
+    middle = mesh.points[mesh.cells[cells[:, 1]]].mean(axis=1)
+    second, unclear, why = on_side(key, side, mesh.regions, cells, corners, middle)
     if unclear.any():
-        where = ", ".join(f"{x:.6g}" for x in mesh.points[facets[unclear][0]].mean(axis=0))
+        where = ", ".join(f"{x:.6g}" for x in corners[unclear][0].mean(axis=0))
         raise InputError(
             f"{key}: {np.count_nonzero(unclear)} facets are {why}, the first around ({where}); name the side by a "
             "region of cells, or by a direction that points to it from all its facets"
         )
     return second
+
+
+def on_side(
+    key: str, side: Side, regions: Mapping[str, AnyIndices], cells: AnyIndices, corners: Array, middle: Array
+) -> tuple[Mask, Mask, str]:
+    """Whether the second of the two cells of each facet is on a side.
+
+    Args:
+        key: What messages call the side.
+        side: The side.
+        regions: The cells of each region.
+        cells: The cells of each facet, shape (facets, 2).
+        corners: Of the facets, shape (facets, dim, dim).
+        middle: Of the second cells, shape (facets, dim).
+
+    Returns:
+        Masks of the facets where it is, and of those where that is not clear; and why, in words.
+
+    Raises:
+        InputError: If the side is neither a region nor a direction.
+    """
+    if isinstance(side, str):
+        if side not in regions:
+            raise InputError(f"{key}: unknown region '{side}'; the mesh has {', '.join(regions) or 'none'}")
+        first, second = np.isin(cells, regions[side]).T
+        return second, first == second, f"not between '{side}' and another region"
+    dim, direction = corners.shape[2], np.asarray(side, dtype=np.float64)
+    if direction.shape != (dim,) or not np.isfinite(direction).all() or not direction.any():
+        raise InputError(f"{key}: must be a region, or a direction of {dim} numbers, not {side}")
+    across = unit_normals(corners[:, 1:] - corners[:, :1])
+    along = across @ (direction / np.linalg.norm(direction))
+    second = along * np.einsum("fi,fi->f", middle - corners[:, 0], across) > 0
+    return second, np.abs(along) < PARALLEL, f"parallel to the direction {tuple(direction.tolist())}"

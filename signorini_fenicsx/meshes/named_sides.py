@@ -13,9 +13,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.meshes.cut import PARALLEL, Side
+from signorini_fenicsx.meshes.cut import Side, on_side
 from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_pairs, other_side
-from signorini_fenicsx.meshes.seams import unit_normals
 
 
 def oriented(domain: Domain, sides: Mapping[str, Side]) -> Domain:
@@ -48,22 +47,10 @@ def _is_across(domain: Domain, part: str, side: Side, pair: Sequence[npt.NDArray
         InputError: If that is not clear.
     """
     mesh, dim, key = domain.mesh, domain.mesh.topology.dim, f"side of '{part}'"
-    if isinstance(side, str):
-        if side not in domain.regions:
-            raise InputError(f"{key}: unknown region '{side}'; the mesh has {', '.join(domain.regions) or 'none'}")
-        inside, wrong = (np.isin(cells_behind(mesh, facets), domain.regions[side]) for facets in pair)
-        unclear, why = inside == wrong, f"not between '{side}' and another region"
-    else:
-        direction = np.asarray(side, dtype=np.float64)
-        if direction.shape != (dim,) or not np.isfinite(direction).all() or not direction.any():
-            raise InputError(f"{key}: must be a region, or a direction of {dim} numbers, not {side}")
-        x = mesh.geometry.x[:, :dim]
-        corners = x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, pair[0])].reshape(-1, dim, dim)
-        middle = x[mesh.geometry.dofmaps[0][cells_behind(mesh, pair[0])]].mean(axis=1) - corners[:, 0]
-        normals = unit_normals(corners[:, 1:] - corners[:, :1])
-        along = normals @ (direction / np.linalg.norm(direction))
-        unclear, why = np.abs(along) < PARALLEL, f"parallel to the direction {tuple(direction.tolist())}"
-        wrong = along * np.einsum("fi,fi->f", middle, normals) < 0
+    x, cells = mesh.geometry.x[:, :dim], np.stack([cells_behind(mesh, facets) for facets in pair], axis=1)
+    corners = x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, pair[0])].reshape(-1, dim, dim)
+    middle = x[mesh.geometry.dofmaps[0][cells[:, 1]]].mean(axis=1)
+    wrong, unclear, why = on_side(key, side, domain.regions, cells, corners, middle)
     number = mesh.comm.allreduce(int(np.count_nonzero(unclear)))
     if number > 0:
         raise InputError(f"{key}: {counted(number, 'facet')} may be on both sides, {why}; name a region or a direction")

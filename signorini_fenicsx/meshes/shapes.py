@@ -6,7 +6,7 @@ A rectangle has its corners in its name: "[-2, 2] x [0, 1]" is −2 < x < 2, 0 <
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import gmsh
@@ -112,13 +112,18 @@ def _polygon(*corners: tuple[float, float], height: float = 0.0) -> Callable[[],
     """A polygon in the plane z = 0, or with a height > 0 the prism above it."""
 
     def outline() -> None:
-        points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
-        lines = [gmsh.model.geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
-        base = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+        _, base = _filled(corners)
         if height > 0:
             gmsh.model.geo.extrude([(2, base)], 0, 0, height)
 
     return outline
+
+
+def _filled(corners: Sequence[tuple[float, float]]) -> tuple[list[int], int]:
+    """The corners of a polygon in the plane z = 0, and its surface."""
+    points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
+    lines = [gmsh.model.geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+    return points, gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
 
 
 def _circle_loop(radius: float) -> int:
@@ -144,10 +149,7 @@ def _annulus() -> None:
 
 def _slit_square() -> None:
     """The square (−1, 1)² with a line in it, from the middle of its left side to its centre."""
-    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, 0)]
-    points = [gmsh.model.geo.addPoint(x, y, 0) for x, y in corners]
-    lines = [gmsh.model.geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
-    square = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(lines)])
+    points, square = _filled([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, 0)])
     slit = gmsh.model.geo.addLine(points[-1], gmsh.model.geo.addPoint(0, 0, 0))
     gmsh.model.geo.synchronize()
     gmsh.model.mesh.embed(1, [slit], 2, square)

@@ -49,7 +49,27 @@ class Mean(Integral):
 
 
 @dataclass(frozen=True)
-class Flux(Kind):
+class OnParts(Kind):
+    """A quantity of what acts on parts of the boundary.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+
+    Raises:
+        InputError: If there is no part.
+    """
+
+    parts: str | Sequence[str]
+
+    def __post_init__(self) -> None:
+        """Make a list of one name."""
+        object.__setattr__(self, "parts", names_of("parts", self.parts))
+        if not self.parts:
+            raise InputError(f"parts: a {type(self).__name__.lower()} needs the parts where it is measured")
+
+
+@dataclass(frozen=True)
+class Flux(OnParts):
     """∫ weight·κ∇u·n over parts of the boundary, or inside the domain, where u or a law is given.
 
     Attributes:
@@ -60,18 +80,11 @@ class Flux(Kind):
         InputError: If there is no part.
     """
 
-    parts: str | Sequence[str]
     weight: Given = 1.0
-
-    def __post_init__(self) -> None:
-        """Make a list of one name."""
-        object.__setattr__(self, "parts", names_of("parts", self.parts))
-        if not self.parts:
-            raise InputError("parts: a flux needs the part through which it is")
 
 
 @dataclass(frozen=True)
-class Force(Kind):
+class Force(OnParts):
     """∫ σn·direction over parts of the boundary where an elastic body is held, or in contact: the force on it there.
 
     Attributes:
@@ -82,14 +95,7 @@ class Force(Kind):
         InputError: If there is no part.
     """
 
-    parts: str | Sequence[str]
     direction: Sequence[float] | None = None
-
-    def __post_init__(self) -> None:
-        """Make a list of one name."""
-        object.__setattr__(self, "parts", names_of("parts", self.parts))
-        if not self.parts:
-            raise InputError("parts: a force needs the parts on which it acts")
 
 
 @dataclass(frozen=True)

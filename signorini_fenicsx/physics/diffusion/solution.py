@@ -24,7 +24,7 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
-from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_state, hausdorff
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.forms.norms import l2
@@ -246,14 +246,8 @@ class Solution(Solved):
         states: dict[str, dict[str, Any]] = {}
         spaces, laws = self.spaces, self.data.inside
         for part in laws.of_regions if laws is not None else ():
-            names, segment = part.law.segments, part.law.named(self.segments_of_law(part))
-            on = [part.rows[segment == number] for number in range(len(names))]
-            local = np.array([[len(some), spaces.cell_measures[some].sum()] for some in on])
-            counts = spaces.mesh.comm.allreduce(local).tolist()
-            states[part.name] = {
-                name: {"cells": int(cells), "measure": measure}
-                for name, (cells, measure) in zip(names, counts, strict=True)
-            }
+            segment, measure = part.law.named(self.segments_of_law(part)), spaces.cell_measures[part.rows]
+            states[part.name] = by_state(spaces.mesh.comm, part.law.segments, segment, measure, "cells")
         return states
 
     def segments_of_law(self, part: PartLaw) -> Indices:
@@ -315,13 +309,8 @@ class Solution(Solved):
         for law in self.data.laws.of_parts:
             for part in law.law.parts:
                 on_part = spaces.part_of_facet == spaces.part_names.index(part)
-                on = [on_part & (law.law.named(segment) == number) for number in range(len(law.law.segments))]
-                local = np.array([[np.count_nonzero(some), spaces.facet_measure[some].sum()] for some in on])
-                counts = spaces.mesh.comm.allreduce(local).tolist()
-                states[part] = {
-                    name: {"facets": int(facets), "measure": measure}
-                    for name, (facets, measure) in zip(law.law.segments, counts, strict=True)
-                }
+                own, measure = law.law.named(segment[on_part]), spaces.facet_measure[on_part]
+                states[part] = by_state(spaces.mesh.comm, law.law.segments, own, measure, "facets")
         return states
 
     @collector_off()

@@ -137,8 +137,8 @@ class NormalLaws:
 
     def _ends(self) -> tuple[Array, Array]:
         """The least and the largest pressure of each segment, shape (sites, segments) each."""
-        none = np.full((len(self.chains.p), 1), np.inf)
-        return np.hstack([self.chains.flux, -none]), np.hstack([none, self.chains.flux])
+        fluxes = self.chains.ends[1]
+        return fluxes[:, 1:], fluxes[:, :-1]
 
     def own(self, segment: Indices, means: Array, pressure: Array) -> Array:
         """P' from the means p. On a flat segment it is what makes its ends those of the graph."""

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, by_state, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity import shown
@@ -254,16 +254,10 @@ class ElasticSolution(Solved):
     def friction_states(self) -> dict[str, dict[str, float]]:
         """Number of facet vertices with friction in each state, and their measure (collective)."""
         states = self._states_or_open.ravel()
-        number = len(STATES)
         measure = np.repeat(self.spaces.rough.measure / self.spaces.dim, self.spaces.dim)
-        local = np.stack([np.bincount(states, weights, number) for weights in (None, measure)])
-        counts, measures = self.spaces.mesh.comm.allreduce(local).tolist()
+        counts = by_state(self.spaces.mesh.comm, STATES, states, measure, "vertices")
         names = STATES[:-1] if self.spaces.dim == 2 else ("stick", "slip", "open")
-        return {
-            name: {"vertices": int(counts[index]), "measure": measures[index]}
-            for name in names
-            for index in [STATES.index(name)]
-        }
+        return {name: counts[name] for name in names}
 
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
@@ -271,18 +265,10 @@ class ElasticSolution(Solved):
         spaces, states = self.spaces, {}
         part_of_site = np.repeat(spaces.part_of_facet, spaces.dim)
         for law in self.data.laws.of_parts:
-            names = law.law.segments
             for part in law.law.parts:
                 on_part = part_of_site == spaces.part_names.index(part)
-                weights = None, spaces.site_measure[on_part]
-                local = np.stack(
-                    [np.bincount(law.law.named(self.segment[on_part]), each, len(names)) for each in weights]
-                )
-                counts, measures = spaces.mesh.comm.allreduce(local).tolist()
-                states[part] = {
-                    name: {"vertices": int(count), "measure": measure}
-                    for name, count, measure in zip(names, counts, measures, strict=True)
-                }
+                segment, measure = law.law.named(self.segment[on_part]), spaces.site_measure[on_part]
+                states[part] = by_state(spaces.mesh.comm, law.law.segments, segment, measure, "vertices")
         return states
 
     @collector_off()

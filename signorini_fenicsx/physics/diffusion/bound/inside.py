@@ -310,9 +310,8 @@ class Inside:
 def _on_segment(law: Chains, v: Array, s: Array, omega: Array, segment: Indices, weights: Array) -> tuple[Array, Mask]:
     """The η of `nearest_to_graph` for cells that are on a flat or sloped segment in all points, and which these are."""
     column = np.minimum(np.repeat(segment, v.shape[1]), law.corners)
-    sites, infinite = np.arange(v.size), np.full((v.size, 1), np.inf)
+    sites, (ends, _) = np.arange(v.size), law.ends
     slope, value = (values[sites, column].reshape(v.shape) for values in (law.slope, law.value))
-    ends = np.hstack([-infinite, law.p, infinite])
     begin, end = (ends[sites, column + i].reshape(v.shape) for i in (0, 1))
     line = np.where(np.isfinite(slope), slope, 0.0)
     theta = 1 / (1 + line * omega[:, None])

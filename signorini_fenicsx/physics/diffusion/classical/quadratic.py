@@ -137,7 +137,7 @@ def _of_cells(spaces: Spaces, data: Data) -> Array:
         law, rows = data.inside.chains, np.arange(cells)
         steep = law.slope > 0
         last = steep.shape[1] - 1 - np.argmax(steep[:, ::-1], axis=1)
-        lowest = np.hstack([law.flux, np.full((cells, 1), -np.inf)])
+        lowest = law.ends[1][:, 1:]
         meets = steep & (np.arange(steep.shape[1]) < last[:, None])
         corners = -np.where(meets, lowest, 0.0).sum(axis=1)
         right -= np.where(steep.any(axis=1), corners, law.value[rows, 0]) / weight**2
@@ -155,13 +155,12 @@ def _laws_inside(data: Data, of_cells: Array) -> Array:
         return np.empty((0, 6))
     law, comm = data.inside.chains, data.f_h.function_space.mesh.comm
     at = np.nonzero(law.slope > 0)
-    rows = at[0]
-    infinite = np.full((len(law.p), 1), np.inf)
-    lowest, highest = np.hstack([law.flux, -infinite]), np.hstack([infinite, law.flux])
+    rows, (_, ends) = at[0], law.ends
     vertical = np.isinf(law.slope[at])
     value = law.value[at] + np.where(vertical, 1.0, law.slope[at]) * data.inside.means[rows]
     first = comm.exscan(len(of_cells)) or 0
-    return np.column_stack([first + rows, 1 / of_cells[rows, 0], law.slope[at], value, lowest[at], highest[at]])
+    bounds = ends[:, 1:][at], ends[:, :-1][at]
+    return np.column_stack([first + rows, 1 / of_cells[rows, 0], law.slope[at], value, *bounds])
 
 
 def _laws(task: DiffusionTask, flux_size: int) -> tuple[Array, Array]:
@@ -189,17 +188,15 @@ def _laws(task: DiffusionTask, flux_size: int) -> tuple[Array, Array]:
     bounds[spaces.flux_dofs, 3] = -np.where(np.isinf(beta), value, weight * value) * basis
     rows, columns = np.nonzero(steep & several[:, None])
     first = spaces.mesh.comm.exscan(flux_size) or 0
-    infinite = np.full((len(e), 1), np.inf)
-    lowest, highest = np.hstack([law.flux, -infinite]), np.hstack([infinite, law.flux])
-    at = rows, columns
+    at, (_, fluxes) = (rows, columns), law.ends
     pieces = [
         first + spaces.flux_dofs[rows],
         basis[rows],
         e[rows],
         law.slope[at],
         law.value[at],
-        lowest[at],
-        highest[at],
+        fluxes[:, 1:][at],
+        fluxes[:, :-1][at],
     ]
     return bounds, np.column_stack(pieces).astype(np.float64)
 

@@ -172,8 +172,7 @@ class LawOnFacets:
     def _on_one_slope(self, p: Array, pressure: Array) -> Array:
         """Mask of the facets on which all of p and λ are on one sloped segment."""
         chains, found = self.chains, np.zeros(len(p), dtype=bool)
-        infinite = np.full((len(p), 1), np.inf)
-        ends, fluxes = np.hstack([-infinite, chains.p, infinite]), np.hstack([infinite, chains.flux, -infinite])
+        ends, fluxes = chains.ends
         for segment in range(chains.corners + 1):
             slope, (begin, end) = chains.slope[:, segment], (ends[:, [segment + k]] for k in (0, 1))
             high, low = (fluxes[:, [segment + k]] for k in (0, 1))
