@@ -129,8 +129,8 @@ def read_header(path: Path) -> Header:
     with path.open("rb") as file:
         try:
             version = np.lib.format.read_magic(file)
-            known = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            shape, by_columns, kind = known[version](file)
+            readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+            shape, by_columns, kind = readers[version](file)
         except (KeyError, ValueError) as error:
             raise ValueError(f"{path.name} is not an array: {error}") from None
         header = Header(tuple(int(length) for length in shape), kind, file.tell())

@@ -79,8 +79,8 @@ def _tidy() -> None:
     """Remove the folders of processes that were killed: those that are older than any process may be."""
     for left in Path(tempfile.gettempdir()).glob(f"{FOLDER}*"):
         with contextlib.suppress(OSError):
-            found = left.lstat()
-            if found.st_uid == os.geteuid() and time.time() - found.st_mtime > 2 * SECONDS:
+            status = left.lstat()
+            if status.st_uid == os.geteuid() and time.time() - status.st_mtime > 2 * SECONDS:
                 shutil.rmtree(left)  # refuses links
 
 
@@ -236,11 +236,11 @@ def seal() -> bool:
     class Program(ctypes.Structure):
         _fields_ = (("length", ctypes.c_ushort), ("code", ctypes.c_void_p))
 
-    given = Program(len(code) // 8, ctypes.addressof(program))
+    filter_program = Program(len(code) // 8, ctypes.addressof(program))
     _prctl(PR_SET_NO_NEW_PRIVS, 1)
     libc = ctypes.CDLL(None, use_errno=True)
     wanted = map(ctypes.c_long, (call, SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC))
-    return bool(libc.syscall(*wanted, ctypes.byref(given)) == 0)
+    return bool(libc.syscall(*wanted, ctypes.byref(filter_program)) == 0)
 
 
 LOAD, EQUAL, AT_LEAST, ANY_BIT, RETURN = 0x20, 0x15, 0x35, 0x45, 0x06

@@ -357,8 +357,8 @@ def listed(folder: int, place: Path) -> set[str]:
     if not kind_of(folder, MANIFEST):
         return {name for name in OWN if is_file(folder, name)} if is_file(folder, MARK) else set()
     try:
-        found = json.loads(text_of(MANIFEST, at=folder))
-        names = found.get("files") if isinstance(found, dict) and found.get("written_by") == __package__ else None
+        table = json.loads(text_of(MANIFEST, at=folder))
+        names = table.get("files") if isinstance(table, dict) and table.get("written_by") == __package__ else None
         if not isinstance(names, list) or not all(isinstance(name, str) and _is_below(name) for name in names):
             raise ValueError
     except (OSError, ValueError, RecursionError):

@@ -167,18 +167,18 @@ def compiled(
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
     work = partial(_kept, signature, partial(_compile_here, ufl_object, form_compiler_options, options))
     cache = options["cache_dir"]
-    found: list[Any] = []
-    on_root(comm, lambda: found.append(patiently(work, cache, compiling=True)))
+    modules: list[Any] = []
+    on_root(comm, lambda: modules.append(patiently(work, cache, compiling=True)))
     failure: OSError | None = None
     if comm.rank != 0:
         try:
-            found.append(patiently(work, cache, compiling=False))
+            modules.append(patiently(work, cache, compiling=False))
         except OSError as error:
             failure = error
     failures = [error for error in comm.allgather(failure) if error is not None]
     if failures:
         raise failures[0]
-    return found[0]
+    return modules[0]
 
 
 @cache  # both libraries read their files once too

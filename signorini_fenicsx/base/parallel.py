@@ -188,10 +188,10 @@ def collector_off_in_steps[**P, T](steps: Callable[P, Iterator[T]]) -> Callable[
 
     @functools.wraps(steps)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> Iterator[T]:
-        found = steps(*args, **kwargs)
+        results = steps(*args, **kwargs)
         while True:
             with collector_off():
-                item = next(found, None)
+                item = next(results, None)
             if item is None:
                 return
             yield item

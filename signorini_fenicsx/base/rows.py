@@ -126,12 +126,12 @@ def find_rows(comm: MPI.Comm, rows: Indices, tables: Sequence[Indices]) -> Indic
         (n, tables).
     """
     exchange = Exchange(comm, rows.sum(axis=1) % comm.size)
-    asked, found = exchange.send(rows), []
+    asked, columns = exchange.send(rows), []
     for table in tables:
-        known = Exchange(comm, table.sum(axis=1) % comm.size)
-        number = known.send(first_row(comm, len(table)) + np.arange(len(table)))
-        found.append(np.append(number, -1)[rows_of(asked, known.send(table))])
-    return exchange.answer(np.stack(found, axis=1))
+        to_keepers = Exchange(comm, table.sum(axis=1) % comm.size)
+        number = to_keepers.send(first_row(comm, len(table)) + np.arange(len(table)))
+        columns.append(np.append(number, -1)[rows_of(asked, to_keepers.send(table))])
+    return exchange.answer(np.stack(columns, axis=1))
 
 
 def rows_of(wanted: Indices, known: Indices) -> Indices:

@@ -23,11 +23,11 @@ def determinants(matrices: Array) -> Array:
 
 def inverses(matrices: Array) -> Array:
     """Inverses of matrices of shape (n, d, d) with d = 2 or 3; not finite where there is none."""
-    m, found = np.moveaxis(matrices, 0, -1), np.empty(matrices.shape, order="F")
+    m, inverse = np.moveaxis(matrices, 0, -1), np.empty(matrices.shape, order="F")
     for i, j in np.ndindex(len(m), len(m)):
-        found[:, j, i] = _minor(m, i, j) if len(m) == 3 else (-1) ** (i + j) * m[1 - i, 1 - j]
-    found /= determinants(matrices)[:, None, None]
-    return found
+        inverse[:, j, i] = _minor(m, i, j) if len(m) == 3 else (-1) ** (i + j) * m[1 - i, 1 - j]
+    inverse /= determinants(matrices)[:, None, None]
+    return inverse
 
 
 def gathered(values: Array, numbers: npt.NDArray[np.int32]) -> Array:

@@ -368,8 +368,8 @@ def case_of(tree: dict[str, Any], path: Path) -> Any:
         except InputError as error:
             raise InputError(f"{error}{_of_other_physics(tree)}") from None
     if not isinstance(tree["physics"], str) or tree["physics"] not in MODELS:
-        known = " or ".join(f'"{name}"' for name in MODELS)
-        raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {known}, or leave it out")
+        names = " or ".join(f'"{name}"' for name in MODELS)
+        raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {names}, or leave it out")
     model = model_of(tree["physics"])
     for key in tree:
         if key in Case.model_fields and key not in model.model_fields:
@@ -392,9 +392,9 @@ def _of_other_physics(tree: dict[str, Any]) -> str:
         for section in ("problem", "boundary"):
             models = [model.model_fields[section].annotation for model in (model_of(physics), Case)]
             theirs, ours = (set(getattr(model, "model_fields", {})) for model in models)
-            given = tree.get(section)
-            if isinstance(given, dict) and (found := [key for key in given if key in theirs - ours]):
-                return f"; '{found[0]}' is of {physics}, which needs physics = \"{physics}\""
+            keys = tree.get(section)
+            if isinstance(keys, dict) and (foreign := [key for key in keys if key in theirs - ours]):
+                return f"; '{foreign[0]}' is of {physics}, which needs physics = \"{physics}\""
     return ""
 
 

@@ -55,10 +55,10 @@ def with_dam(tree: dict[str, Any]) -> dict[str, Any]:
         dam = Dam.model_validate(tree["dam"])
     except ValidationError as error:
         raise ValueError(complaint(error, Dam, "dam")) from None
-    given = [f"[{key}]" for key in (*dam.sections, "law") if key in tree]
-    given += [f"[geometry] {key}" for key in ("shape", "file") if key in geometry]
-    if given:
-        raise ValueError(f"[dam] stands for {given[0]}; leave that out")
+    repeated = [f"[{key}]" for key in (*dam.sections, "law") if key in tree]
+    repeated += [f"[geometry] {key}" for key in ("shape", "file") if key in geometry]
+    if repeated:
+        raise ValueError(f"[dam] stands for {repeated[0]}; leave that out")
     return tree | dam.sections | {"geometry": geometry | {"shape": dam.shape}}
 
 

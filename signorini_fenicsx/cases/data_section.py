@@ -27,8 +27,8 @@ class DataSection(Section):
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
-        given = [(name, value) for name, value in self if value is not None and name not in self.words]
-        return [entry for name, value in given for entry in texts_of(name, value)]
+        data = [(name, value) for name, value in self if value is not None and name not in self.words]
+        return [entry for name, value in data for entry in texts_of(name, value)]
 
 
 class KindSection(Section):

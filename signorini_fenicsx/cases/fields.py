@@ -51,9 +51,9 @@ def _labelled(domain: Domain, shape: str, path: str) -> Domain:
     Raises:
         InputError: If its boundary is not that of the shape.
     """
-    found = label_parts(domain.mesh, shape, made=domain.origin())
+    labelled = label_parts(domain.mesh, shape, made=domain.origin())
     outer = len(dolfinx.mesh.exterior_facet_indices(domain.mesh.topology))
-    apart = np.array([len(np.unique(np.concatenate(list(found.facets.values())))) - outer])
+    apart = np.array([len(np.unique(np.concatenate(list(labelled.facets.values())))) - outer])
     if domain.mesh.comm.allreduce(np.abs(apart).sum()) > 0:
         raise InputError(f"field {path}: the boundary of its mesh is not that of the shape '{shape}'")
-    return found
+    return labelled

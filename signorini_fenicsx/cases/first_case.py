@@ -66,10 +66,10 @@ class Place:
             return cls(f"shape = {json.dumps(full_name(name))}", shape.names, shape.inside, shape.dim)
         mesh = read_mesh_file(name)
         rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
-        found = {part: rows_of(facets, rows) for part, facets in mesh.parts.items()}
-        inside = [part for part, own in found.items() if np.any(times[own[own >= 0]] > 1)]
+        rows_of_parts = {part: rows_of(facets, rows) for part, facets in mesh.parts.items()}
+        inside = [part for part, own in rows_of_parts.items() if np.any(times[own[own >= 0]] > 1)]
         path = Path(os.path.relpath(name, folder)).as_posix()
-        return cls(f"file = {json.dumps(path)}", list(found), inside, mesh.dim)
+        return cls(f"file = {json.dumps(path)}", list(rows_of_parts), inside, mesh.dim)
 
 
 def words(physics: str) -> tuple[str, ...]:

@@ -163,8 +163,8 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
         *map(len, (spaces.facets, spaces.neumann_facets, spaces.dirichlet_facets)),
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
-    found = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
-    return Checked(found, _left(case, spaces), _parts(case, spaces), remarks)
+    totals = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
+    return Checked(totals, _left(case, spaces), _parts(case, spaces), remarks)
 
 
 def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:

@@ -121,10 +121,10 @@ def _modulus(value: object) -> object:
 
 def _directions(value: object) -> object:
     """A list with one direction in the plane, or two in space."""
-    given = value if isinstance(value, list) else []
-    if [len(entry) if isinstance(entry, list) else 0 for entry in given] not in ([2], [3, 3]):
+    directions = value if isinstance(value, list) else []
+    if [len(entry) if isinstance(entry, list) else 0 for entry in directions] not in ([2], [3, 3]):
         raise ValueError(f"must list one direction in the plane, as [[1, 1]], or two in space, not {shown(value)}")
-    return [_vector(entry) for entry in given]
+    return [_vector(entry) for entry in directions]
 
 
 def _matrix_or_text(value: object) -> object:
@@ -142,8 +142,8 @@ def _matrix_or_text(value: object) -> object:
 
 def text_by_region(value: object) -> object:
     """A number or text, or a table with one per region."""
-    given = value if isinstance(value, dict) else {"": value}
-    texts = {region: text_of(entry) for region, entry in given.items()}
+    by_region = value if isinstance(value, dict) else {"": value}
+    texts = {region: text_of(entry) for region, entry in by_region.items()}
     if not texts or not all(isinstance(text, str) for text in texts.values()):
         raise ValueError("must be an expression, or a table with one per region")
     return texts if isinstance(value, dict) else texts[""]

@@ -151,14 +151,14 @@ def adapt[S: Solved](
         check_kind("what solve_on returns", solution, Solved)
         start = solution if solution.method.starts_from_sets else None
         certificate = certify(solution)
-        found = None if measure is None else measure(solution)
+        interval = None if measure is None else measure(solution)
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         row = _row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds)
-        on_row(row if found is None else MeasuredRow(**vars(row), lower=found.lower, upper=found.upper))
-        narrow = found is not None and width is not None and found.width <= width
+        on_row(row if interval is None else MeasuredRow(**vars(row), lower=interval.lower, upper=interval.upper))
+        narrow = interval is not None and width is not None and interval.width <= width
         if narrow or (target is not None and certificate.relative <= target):
             return solution, certificate
-        shares = None if found is None else found.shares
+        shares = None if interval is None else interval.shares
         with doing("refining the mesh"):
             marked = dorfler(certificate.indicator.x.array if shares is None else np.sqrt(shares), theta, comm)
             try:

@@ -27,7 +27,7 @@ def gap(law: Chains, v: Array, eta: Array) -> Array:
     with np.errstate(invalid="ignore", over="ignore"):
         for segment in range(law.corners + 1):
             slope, begin, end = law.slope[:, segment], ends[:, segment], ends[:, segment + 1]
-            there = np.isfinite(slope) & (segment <= law.count)
+            inside = np.isfinite(slope) & (segment <= law.count)
             ahead = eta - law.value[:, segment]
             for sign, first, last in ((1.0, begin, np.minimum(end, v)), (-1.0, np.maximum(begin, v), end)):
                 # ∫ [±(η − s(t))]_+ over first < t < last, where η − s(t) = ahead + slope·t
@@ -35,7 +35,7 @@ def gap(law: Chains, v: Array, eta: Array) -> Array:
                 flat = np.where(at[0] > 0, at[0] * (last - first), 0.0)
                 sloped = np.abs(at[1] - at[0]) * (at[1] + at[0]) / np.where(slope > 0, 2 * slope, 1.0)
                 area = np.where(slope > 0, sloped, flat)
-                total += np.where(there & (last > first), area, 0.0)
+                total += np.where(inside & (last > first), area, 0.0)
     return total
 
 
@@ -83,8 +83,8 @@ def with_mean(base: Array, low: Array, high: Array, mean: Array, weights: Array)
     lowest, highest = np.zeros(len(base), dtype=np.int64), np.full(len(base), ends.shape[1] - 1)
 
     def mean_with(c: Array) -> Array:
-        found: Array = np.clip(base + c[:, None], low, high) @ weights
-        return found
+        means: Array = np.clip(base + c[:, None], low, high) @ weights
+        return means
 
     rows = np.arange(len(base))
     while np.any(highest - lowest > 1):

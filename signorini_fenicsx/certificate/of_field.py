@@ -89,8 +89,8 @@ def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
     if of_physics is None:
         raise InputError(f"{solution.physics}: no bound of functions is known")
     _check(solution, v)
-    found: FieldBound = of_physics.field_bound(solution, v)
-    return found
+    bound: FieldBound = of_physics.field_bound(solution, v)
+    return bound
 
 
 def _check(solution: Solved, v: fem.Function) -> None:

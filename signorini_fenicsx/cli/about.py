@@ -114,6 +114,6 @@ def version(as_json: Json = False) -> None:
     """Show the versions of this program and of all software that can change a result."""
     from signorini_fenicsx.base.versions import versions
 
-    report, found = Report(as_json=as_json), versions()
-    report.entries(found, width=max(map(len, found)) + 1)
-    report.json(found)
+    report, of_software = Report(as_json=as_json), versions()
+    report.entries(of_software, width=max(map(len, of_software)) + 1)
+    report.json(of_software)

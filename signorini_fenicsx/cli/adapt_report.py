@@ -41,5 +41,5 @@ class AdaptReport(CaseReport):
         if fitted:
             self.entry("slopes", f"{fitted}, of the error against the unknowns; best possible {best:.2f}")
         self.entry("certified", bound(certificate))
-        for name, found in quantities.items():
-            self.entry(name, interval(found))
+        for name, quantity in quantities.items():
+            self.entry(name, interval(quantity))

@@ -87,8 +87,8 @@ def convergence(
 
     comm, report = MPI.COMM_WORLD, ConvergenceReport(quiet=quiet, as_json=as_json)
     problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
-    if vary not in (known := [way.value for way in Vary]):
-        raise InputError(f"--vary {vary}: must be one of {', '.join(known)}")
+    if vary not in (ways := [way.value for way in Vary]):
+        raise InputError(f"--vary {vary}: must be one of {', '.join(ways)}")
     way, steps = Vary(vary), _levels(levels)
     if way is not Vary.EPS and not steps[-1] < reference <= MAX_LEVEL:
         raise InputError(f"--reference {reference}: must be finer than the last level, {steps[-1]}, up to {MAX_LEVEL}")
@@ -103,7 +103,7 @@ def convergence(
 
 def _levels(text: str) -> range:
     first, separator, last = text.partition(":")
-    known = [str(level) for level in range(MAX_LEVEL + 1)]
-    if not (separator and first in known and last in known and int(first) <= int(last)):
+    allowed = [str(level) for level in range(MAX_LEVEL + 1)]
+    if not (separator and first in allowed and last in allowed and int(first) <= int(last)):
         raise InputError(f"--levels {text}: must be FIRST:LAST with FIRST ≤ LAST ≤ {MAX_LEVEL}, such as 2:6")
     return range(int(first), int(last) + 1)

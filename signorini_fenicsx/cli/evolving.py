@@ -124,11 +124,11 @@ def solve_in_time(
         done = steps.begin(case, start_from, restart=restart)
         report.heading(case, comm)
         report.columns(case, certified=certify_steps)
-        last, found = _go_on(case, comm, start, steps, done, StepBounds() if certify_steps else None, report)
-        write_evolution(folder.path, steps, last, found, plot=plot)
+        last, quantities = _go_on(case, comm, start, steps, done, StepBounds() if certify_steps else None, report)
+        write_evolution(folder.path, steps, last, quantities, plot=plot)
         folder.publish()
         steps.remove()
-        report.finished(on_root(comm, lambda: _read_summary(folder.target)), found, certified=certify_steps)
+        report.finished(on_root(comm, lambda: _read_summary(folder.target)), quantities, certified=certify_steps)
         report.published(folder.target)
 
 
@@ -154,7 +154,7 @@ def _go_on(
     told = done if bounds is None else max(0, done - MOST_BEFORE)
     past = None if told == 0 else (lambda own: steps.past(own, told))
     domain = shared_domain(start, case)
-    last, found = None, dict[str, "Quantity"]()
+    last, quantities = None, dict[str, "Quantity"]()
     began = time.perf_counter()
     try:
         for instant in evolve_case(
@@ -163,9 +163,9 @@ def _go_on(
             certificate = None if bounds is None else bounds.certify(instant)
             if instant.step <= done:
                 continue
-            found = quantities_of(instant.solution)
+            quantities = quantities_of(instant.solution)
             now = time.perf_counter()
-            row = row_of(instant, certificate, found, now - began)
+            row = row_of(instant, certificate, quantities, now - began)
             steps.save(instant, row)
             report.step(row)
             last, began, done = instant, now, instant.step
@@ -180,9 +180,9 @@ def _go_on(
         error.args = (f"step {done + 1}, t = {t:.5g}: {error}{ways}",)
         raise
     assert last is not None
-    return last, found
+    return last, quantities
 
 
 def _read_summary(target: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((target / "summary.json").read_text(encoding="utf-8"))
-    return found
+    summary: dict[str, Any] = json.loads((target / "summary.json").read_text(encoding="utf-8"))
+    return summary

@@ -59,9 +59,9 @@ def certify(
         write = partial(write_solution, folder=folder.path, plot=plot)
         with failure_kept(folder, write):
             solution = solve_case(problem, comm, domain=domain, on_step=on_step)
-        found = bound_field(solution, v)
-        write(solution, certificate=found.certificate, of_field=found)
+        bounds = bound_field(solution, v)
+        write(solution, certificate=bounds.certificate, of_field=bounds)
         folder.publish()
-        report.solution(solution, found.certificate)
-        report.field(found)
+        report.solution(solution, bounds.certificate)
+        report.field(bounds)
         report.published(folder.target)

@@ -41,7 +41,7 @@ def init(
     comm, report = MPI.COMM_WORLD, Report()
     if shape is not None and mesh is not None:
         raise InputError("init: give --shape or --mesh, not both")
-    given = _conditions(on or [])
+    conditions = _conditions(on or [])
 
     def text() -> str:
         from signorini_fenicsx.cases.first_case import DIFFUSION, Place, case_text
@@ -50,12 +50,12 @@ def init(
             raise InputError(f"init: {case} must end in .toml")
         if case.exists():
             raise InputError(f"init: {case} exists already; choose another name")
-        if given or not sys.stdin.isatty():
+        if conditions or not sys.stdin.isatty():
             place = Place.of(mesh or shape or "square", case.parent)
-            if not given:
+            if not conditions:
                 example = f"--on {place.parts[0] if place.parts else 'PART'}=signorini"
                 raise InputError(f"init: give a condition, such as {example}; the parts are {', '.join(place.parts)}")
-            return case_text(title, place, physics or DIFFUSION, given)
+            return case_text(title, place, physics or DIFFUSION, conditions)
         return _asked(case, mesh or shape, physics, title)
 
     _write(case, on_root(comm, text), comm)
@@ -68,16 +68,16 @@ def _conditions(on: list[str]) -> dict[str, str]:
     Raises:
         InputError: If one is not PART=CONDITION, or a part has two.
     """
-    found: dict[str, str] = {}
+    conditions: dict[str, str] = {}
     for entry in on:
         parts, separator, word = entry.rpartition("=")
         for part in parts.split(","):
             if not separator or not part.strip() or not word:
                 raise InputError(f"--on {entry}: must be PART=CONDITION, such as bottom=signorini")
-            if part.strip() in found:
+            if part.strip() in conditions:
                 raise InputError(f"--on {entry}: '{part.strip()}' has a condition already")
-            found[part.strip()] = word.strip()
-    return found
+            conditions[part.strip()] = word.strip()
+    return conditions
 
 
 def _asked(case: Path, where: str | None, physics: str | None, title: str) -> str:

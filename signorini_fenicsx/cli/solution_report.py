@@ -81,7 +81,7 @@ class SolutionReport(CaseReport):
             lines["certified"] += f"; bound/error {certificate.bound / error:.3g}" if not certificate.of else ""
         if proof is not None and proof.proven is not None:
             lines["proved"] = proved(proof.proven, proof.seconds)
-        lines |= {name: interval(found) for name, found in (quantities or {}).items()}
+        lines |= {name: interval(quantity) for name, quantity in (quantities or {}).items()}
         lines["seconds"] = named(summary["timings"], ".2f")
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)

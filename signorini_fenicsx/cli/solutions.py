@@ -115,10 +115,10 @@ def solve(
             solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
         certificate = certify(solution, for_signorini=for_signorini or rigorous)
         proof = _proof(solution, certificate) if rigorous else None
-        found = quantities_of(solution)
-        write(solution, folder.path, certificate=certificate, proof=proof, quantities=found)
+        quantities = quantities_of(solution)
+        write(solution, folder.path, certificate=certificate, proof=proof, quantities=quantities)
         folder.publish()
-        report.solution(solution, certificate, proof, found)
+        report.solution(solution, certificate, proof, quantities)
         report.published(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
@@ -221,7 +221,7 @@ def adapt(
     problem = on_root(comm, lambda: _on_first_mesh(case, values))
     _refuse_lacking(problem, {"--html": html})
     rows: list[AdaptRow] = []
-    found, measure = _measuring(problem, quantity)
+    measured, measure = _measuring(problem, quantity)
 
     def on_row(row: AdaptRow) -> None:
         rows.append(row)
@@ -234,7 +234,7 @@ def adapt(
         report.columns(wanted, most, {} if quantity is None else {quantity: narrow})
         with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
             solution, certificate = refined(theta=part)
-            quantities = dict(found)
+            quantities = dict(measured)
             if uniform:
                 refined(theta=1.0)
         write_solution(solution, folder.path, certificate=certificate, quantities=quantities, plot=plot, html=html)
@@ -272,18 +272,18 @@ def _measuring(case: "CaseFile", name: str | None) -> "tuple[dict[str, Quantity]
     Raises:
         InputError: If the case has no such quantity.
     """
-    found: dict[str, Quantity] = {}
+    measured: dict[str, Quantity] = {}
     if name is None:
-        return found, None
+        return measured, None
     kinds = {each.name: each.made() for each in case.quantity}
     if name not in kinds:
         raise InputError(f"--quantity {name}: {case.name} has {', '.join(kinds) or 'no [[quantity]]'}")
 
     def measure(solution: "Solved") -> "Quantity":
-        found[name] = solution.quantity(kinds[name])
-        return found[name]
+        measured[name] = solution.quantity(kinds[name])
+        return measured[name]
 
-    return found, measure
+    return measured, measure
 
 
 def _checked(

@@ -53,9 +53,9 @@ class StudyReport(Report):
                 state = states[run.name] = Status.TODO
             end = _end(folder.record(run)) if state in ENDED else ""
             self.line(f"{state.value:<7} {in_words(run, keys)}{end}")
-        found = list(states.values())
-        ended = sum(state in ENDED for state in found)
-        counts = ", ".join(f"{found.count(state)} {state.value}" for state in Status if state in found)
+        statuses = list(states.values())
+        ended = sum(state in ENDED for state in statuses)
+        counts = ", ".join(f"{statuses.count(state)} {state.value}" for state in Status if state in statuses)
         self.line(f"{ended}/{len(runs)}: {counts}; {'a launch is under way' if busy else 'no launch is under way'}")
 
 

@@ -69,10 +69,10 @@ class ErrorRow:
 
     def columns(self) -> dict[str, float | None]:
         """All numbers by the names that tables give them."""
-        found = {name: getattr(self, name) for name in ("level", "h", "eps", "cells", "iterations")}
+        values = {name: getattr(self, name) for name in ("level", "h", "eps", "cells", "iterations")}
         for name, error in self.errors.items():
-            found |= {name: error, f"{name}_order": self.orders[name]}
-        return found | {f"slides_{name}": error for name, error in self.slides.items()}
+            values |= {name: error, f"{name}_order": self.orders[name]}
+        return values | {f"slides_{name}": error for name, error in self.slides.items()}
 
 
 def slides_errors(case: str, algorithm: str) -> dict[int, tuple[float, float]]:

@@ -52,12 +52,12 @@ class Chains:
             before: β of the first segment, ∞ if it is vertical, shape (sites,).
             beyond: β of the last one.
         """
-        there = np.isfinite(p)
-        at, fallen = np.where(there, p, 0.0), np.where(there, flux, 0.0)
+        is_corner = np.isfinite(p)
+        at, fallen = np.where(is_corner, p, 0.0), np.where(is_corner, flux, 0.0)
         run, fall = np.diff(at, axis=1), -np.diff(fallen, axis=1)
         between = np.divide(fall, run, out=np.full_like(fall + run, np.inf), where=run.real > 0)
-        slope = np.column_stack([before, np.where(there[:, 1:], between, 0.0), np.zeros_like(beyond)])
-        slope[np.arange(len(p)), there.sum(axis=1)] = beyond
+        slope = np.column_stack([before, np.where(is_corner[:, 1:], between, 0.0), np.zeros_like(beyond)])
+        slope[np.arange(len(p)), is_corner.sum(axis=1)] = beyond
         left = np.maximum(np.arange(slope.shape[1]) - 1, 0)
         vertical = np.isinf(slope)
         value = np.where(vertical, at[:, left], fallen[:, left] + np.where(vertical, 0.0, slope) * at[:, left])
@@ -107,8 +107,8 @@ class Chains:
         first = np.argmax(2 * alike + same, axis=1)
         if p is None:
             return first
-        there = (self.p < p[:, None]).sum(axis=1)
-        return np.where(_chosen(alike, there), there, first)
+        of_p = (self.p < p[:, None]).sum(axis=1)
+        return np.where(_chosen(alike, of_p), of_p, first)
 
     def nearest(self, kind: Kinds, p: Array, flux: Array) -> Indices:
         """The segment of each chain that has this kind and whose line is nearest to p and σ·n."""
@@ -164,12 +164,12 @@ class Chains:
         of_p, of_flux = (scale[:, None] for scale in scales)
         off = np.maximum(np.abs(p[:, None] - self.p) / of_p, np.abs(flux[:, None] - self.flux) / of_flux)
         near = np.pad(off <= tolerance, ((0, 0), (1, 1)))  # no corner is before the first segment nor after the last
-        found = np.zeros_like(present)
+        direction = np.zeros_like(present)
         for step, corner in ((-1, present), (1, present + 1)):
             other = np.clip(present + step, 0, self.corners)
             same = [_chosen(values, other) == _chosen(values, present) for values in (self.slope, self.value)]
-            found[_chosen(near, corner) & ~(same[0] & same[1])] = step  # a corner may have no bend
-        return found
+            direction[_chosen(near, corner) & ~(same[0] & same[1])] = step  # a corner may have no bend
+        return direction
 
     def extent(self) -> tuple[Array, Array, Array, Array]:
         """The least and the largest p and the least and the largest σ·n of each chain, infinite ones among them."""
@@ -205,7 +205,7 @@ class Chains:
         Corners at p = ∞, which there are on chains with fewer corners than others, do not count.
         """
         rows, last = np.arange(len(p)), np.maximum(self.count - 1, 0)
-        found = []
+        ends = []
         for passed in ((self.p < p[:, None]).sum(axis=1), (self.p <= p[:, None]).sum(axis=1)):
             passed = np.minimum(passed, self.count)
             corner = np.clip(passed - 1, 0, last)
@@ -213,8 +213,8 @@ class Chains:
             steep = np.isinf(slope)
             beside = np.where(passed == 0, 0, corner)
             fallen = np.where(steep, 0.0, slope) * np.where(steep, 0.0, p - self.p[rows, beside])
-            found.append(self.flux[rows, beside] - fallen)
-        return found[0], found[1]
+            ends.append(self.flux[rows, beside] - fallen)
+        return ends[0], ends[1]
 
     def plus(self, other: Chains) -> Chains:
         """The chains whose σ·n is the sum of both at equal p, with the corners of both.
@@ -237,10 +237,10 @@ class Chains:
             inside = np.where(np.isinf(p), p, np.clip(p, low[:, None], high[:, None]))
         flux = np.empty_like(p)
         for column in range(p.shape[1]):
-            there = np.where(np.isinf(p[:, column]), 0.0, inside[:, column])
-            mine, theirs = self.ends_at(there), other.ends_at(there)
+            at_p = np.where(np.isinf(p[:, column]), 0.0, inside[:, column])
+            mine, theirs = self.ends_at(at_p), other.ends_at(at_p)
             at = self.flux[:, column] if own[column] else other.flux[:, column - self.corners]
-            moved = there != p[:, column]
+            moved = at_p != p[:, column]
             at = np.where(moved, (mine if own[column] else theirs)[int(column >= self.corners)], at)
             flux[:, column] = at + (theirs[0] if own[column] else mine[1])
         flux = np.where(np.isinf(p), -np.inf, flux)

@@ -50,15 +50,15 @@ class Floating:
             side = loose[self.named].astype(np.int64) - loose[self.across]
             flux = np.where(steep, 0.0, law.value[rows, segment] - iterate.flux)
             up = comm.allreduce(float((side * self.measure) @ flux)) > 0
-            there = np.clip(segment + (side if up else -side), 0, law.count)
-            corner = np.minimum(np.minimum(segment, there), law.corners - 1)
-            reachable = (there != segment) & (law.slope[rows, there] > 0)
+            following = np.clip(segment + (side if up else -side), 0, law.count)
+            corner = np.minimum(np.minimum(segment, following), law.corners - 1)
+            reachable = (following != segment) & (law.slope[rows, following] > 0)
             distance = np.full(len(segment), np.inf)
             distance[reachable] = np.abs(law.p[rows, corner] - iterate.p)[reachable]
             nearest = comm.allreduce(distance.min(initial=np.inf), MPI.MIN)
             if not np.isfinite(nearest):
                 break
-            segment = np.where(distance <= nearest, there, segment)
+            segment = np.where(distance <= nearest, following, segment)
         return segment
 
     def _loose(self, steep: np.ndarray, comm: MPI.Comm) -> np.ndarray:
@@ -67,5 +67,5 @@ class Floating:
         group = np.arange(self.number + 1)
         for one, other in np.concatenate(comm.allgather(pairs)):
             group[group == max(group[one], group[other])] = min(group[one], group[other])
-        found: np.ndarray = (group == group[group != group[GROUND]].min(initial=len(group))) & (group != GROUND)
-        return found
+        loose: np.ndarray = (group == group[group != group[GROUND]].min(initial=len(group))) & (group != GROUND)
+        return loose

@@ -131,10 +131,10 @@ class Law(OnParts, metaclass=Placed):
 
     def with_data(self, change: Callable[[str, Any], Any]) -> Self:
         """The law with each of its data changed by a function of its name, with the law's in front, and value."""
-        given = {name: getattr(self, name) for name in self._data_names()}
+        data = {name: getattr(self, name) for name in self._data_names()}
         new = {
             name: value if value is None or value == VERTICAL else change(f"{self.name}.{name}", value)
-            for name, value in given.items()
+            for name, value in data.items()
         }
         law = replace(self, **new)
         object.__setattr__(law, "region", self.region)

@@ -69,11 +69,11 @@ def gradient_of(spaces: MeshSpaces, form: Form, control: Control) -> float | Arr
     if isinstance(control, fem.Constant):
         return sum(spaces.integrate(_by_constant(part, control)) for part in forms)
     space = control.function_space
-    found = np.zeros(space.dofmap.index_map.size_local * space.dofmap.index_map_bs)
+    gradient = np.zeros(space.dofmap.index_map.size_local * space.dofmap.index_map_bs)
     for part in forms:
         by_control = ufl.derivative(part, control, ufl.TestFunction(space))
-        found += assembled(by_control, spaces.entity_maps)[: len(found)]
-    return found
+        gradient += assembled(by_control, spaces.entity_maps)[: len(gradient)]
+    return gradient
 
 
 def _by_constant(form: Form, control: fem.Constant) -> Form:

@@ -96,8 +96,8 @@ class Change:
         values = []
         for function in (self.u, self.sigma):
             domain = replace(self.spaces.domain, mesh=function.function_space.mesh)
-            (found,) = at_points([function], domain, points)
-            values.append(found.reshape(len(found), *function.ufl_shape))
+            (rows,) = at_points([function], domain, points)
+            values.append(rows.reshape(len(rows), *function.ufl_shape))
         return values[0], values[1]
 
 

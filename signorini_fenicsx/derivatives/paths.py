@@ -31,15 +31,15 @@ def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[An
         InputError: If there is no number at a path.
     """
     problem = solution.problem
-    found: list[Any] = []
+    constants: list[Any] = []
     for control in controls:
         if isinstance(control, str):
             section, *names = control.split(".")
-            make = partial(_constant, control, solution.spaces.mesh, found)
+            make = partial(_constant, control, solution.spaces.mesh, constants)
             problem = _replaced(problem, [*{"law": ["laws"]}.get(section, []), *names], make, control)
         else:
-            found.append(control)
-    return solution if problem is solution.problem else solution.of_problem(problem), found
+            constants.append(control)
+    return solution if problem is solution.problem else solution.of_problem(problem), constants
 
 
 def _constant(path: str, mesh: dolfinx.mesh.Mesh, found: list[Any], given: Any) -> fem.Constant:

@@ -50,10 +50,10 @@ def without(
     """
     body = bodies(spaces)
     number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
-    found = np.zeros(number, dtype=bool)
-    found[body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]] = True
+    has_some = np.zeros(number, dtype=bool)
+    has_some[body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]] = True
     if cells is not None:
-        found[body[cells]] = True
-    spaces.mesh.comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
-    among = np.where(found, 0, np.cumsum(~found))
-    return among[body], int((~found).sum())
+        has_some[body[cells]] = True
+    spaces.mesh.comm.Allreduce(MPI.IN_PLACE, has_some, MPI.LOR)
+    among = np.where(has_some, 0, np.cumsum(~has_some))
+    return among[body], int((~has_some).sum())

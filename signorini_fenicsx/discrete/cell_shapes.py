@@ -36,10 +36,10 @@ def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Entities:
 def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
     """Vertices of cells of this rank, by default of all, shape (cells, dim + 1, dim)."""
     x, nodes, dim = mesh.geometry.x, cell_nodes(mesh)[cells], mesh.topology.dim
-    found = np.empty((*nodes.shape, dim), order="F")
+    corners_of_cells = np.empty((*nodes.shape, dim), order="F")
     for vertex, of_vertex in enumerate(nodes.T):
-        found[:, vertex] = x.take(of_vertex, axis=0)[:, :dim]  # far faster than x[of_vertex]
-    return found
+        corners_of_cells[:, vertex] = x.take(of_vertex, axis=0)[:, :dim]  # far faster than x[of_vertex]
+    return corners_of_cells
 
 
 def facet_corners(mesh: dolfinx.mesh.Mesh, facets: Entities) -> Array:

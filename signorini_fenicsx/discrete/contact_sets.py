@@ -76,16 +76,16 @@ class Segments:
         """The segments for the sites of another mesh of the domain: that at the midpoint of each (collective)."""
         if spaces is self.spaces:
             return self.segment if self.cells is None else np.append(self.segment, self.cells)
-        found = np.empty(0, dtype=np.int64)
+        segments = np.empty(0, dtype=np.int64)
         if spaces.part_names:
-            found = self._sample(self.spaces.multiplier(self.segment, "segment"), spaces.Lambda.mesh)
-        found = found[: len(spaces.facets)]
+            segments = self._sample(self.spaces.multiplier(self.segment, "segment"), spaces.Lambda.mesh)
+        segments = segments[: len(spaces.facets)]
         if self.cells is None:
-            return found
+            return segments
         numbers, usual = fem.Function(self.spaces.Q), self._usual(self.cells)
         numbers.x.array[:] = self.cells - usual  # no ghost cells
         near = self._near_others(self.cells != usual, spaces.mesh)
-        return np.append(found, self._sample(numbers, spaces.mesh, near) + usual)
+        return np.append(segments, self._sample(numbers, spaces.mesh, near) + usual)
 
     def _usual(self, segment: Indices) -> int:
         """The segment that most cells of all ranks are on (collective)."""

@@ -34,8 +34,8 @@ def check_nodes(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray
         InputError: If they are not.
     """
     mesh = spaces.mesh
-    found = datum.values(in_facets(mesh, facets, quadratic_nodes(facet_type(mesh.topology.dim))))
-    if not mesh.comm.allreduce(bool(np.isfinite(found).all()), op=MPI.LAND):
+    values = datum.values(in_facets(mesh, facets, quadratic_nodes(facet_type(mesh.topology.dim))))
+    if not mesh.comm.allreduce(bool(np.isfinite(values).all()), op=MPI.LAND):
         raise InputError(f"{in_problem(name)}: not finite everywhere {where}")
 
 
@@ -60,19 +60,19 @@ def least_value(spaces: MeshSpaces, datum: Datum, wanted: Array) -> tuple[float,
     values below the `wanted` one of the cell are possible.
     """
     mesh, vertices = spaces.mesh, corners(spaces.mesh)
-    found: list[tuple[float, tuple[float, ...]]] = [(np.inf, ())]
+    candidates: list[tuple[float, tuple[float, ...]]] = [(np.inf, ())]
     for points in cell_quadrature(mesh, owned_cells(mesh), quadrature_degree(datum)):
         values = datum.values(points)
         values = values if values.ndim == 2 else np.linalg.eigvalsh(values)[:, :, 0]
-        found += _least(values.ravel(), points.x.reshape(-1, mesh.geometry.dim))
+        candidates += _least(values.ravel(), points.x.reshape(-1, mesh.geometry.dim))
     for tree, inside in datum.pieces or []:
         if isinstance(tree, TREES):
             cells = np.arange(len(vertices)) if inside is None else np.flatnonzero(inside)
             cells = cells[~surely_above(tree, vertices[cells], spaces.frame, wanted[cells])]
             if mesh.comm.allreduce(len(cells)) > 0:
                 of_tree = ranges(tree, vertices[cells], None, spaces.frame, wanted[cells], np.inf)
-                found += _least(of_tree.least, of_tree.at)
-    return min(mesh.comm.allgather(min(found)))
+                candidates += _least(of_tree.least, of_tree.at)
+    return min(mesh.comm.allgather(min(candidates)))
 
 
 def _least(values: Array, places: Array) -> list[tuple[float, tuple[float, ...]]]:

@@ -180,10 +180,10 @@ class _ByRegion(Datum):
     @property
     def pieces(self) -> list[tuple[Tree | Rows, Mask | None]] | None:
         """The pieces of all regions; None if one has none."""
-        found = [(inside, datum.pieces) for inside, datum in self.parts]
-        if any(pieces is None for _, pieces in found):
+        pieces_of_parts = [(inside, datum.pieces) for inside, datum in self.parts]
+        if any(pieces is None for _, pieces in pieces_of_parts):
             return None
-        return [(tree, inside) for inside, pieces in found for tree, _ in pieces or ()]
+        return [(tree, inside) for inside, pieces in pieces_of_parts for tree, _ in pieces or ()]
 
     def _values(self, points: Points) -> Array:
         values = np.empty((*points.shape, *self.shape))
@@ -228,14 +228,14 @@ class _OnParts(Datum):
 
     def _values(self, points: Points) -> Array:
         values = np.zeros(points.shape)
-        for inside, there, datum in self._on(points):
-            values[inside] = datum.values(there)
+        for inside, points_inside, datum in self._on(points):
+            values[inside] = datum.values(points_inside)
         return values
 
     def _gradients(self, points: Points) -> Array:
         gradients = np.zeros((*points.shape, points.mesh.geometry.dim))
-        for inside, there, datum in self._on(points):
-            gradients[inside] = datum.jet(there, gradient=True)[:, :, 1:]
+        for inside, points_inside, datum in self._on(points):
+            gradients[inside] = datum.jet(points_inside, gradient=True)[:, :, 1:]
         return gradients
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:

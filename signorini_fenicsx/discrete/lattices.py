@@ -23,26 +23,26 @@ def lattice(vertices: int, degree: int) -> Indices:
 def numbers_in(points: Indices, degree: int) -> Indices:
     """The number of points in their lattice, from α of shape (…, vertices)."""
     weights = (degree + 1) ** np.arange(points.shape[-1])
-    known = lattice(points.shape[-1], degree) @ weights
-    number = np.zeros(known.max(initial=0) + 1, dtype=np.int64)
-    number[known] = np.arange(len(known))
-    found: Indices = number[points @ weights]
-    return found
+    keys = lattice(points.shape[-1], degree) @ weights
+    number = np.zeros(keys.max(initial=0) + 1, dtype=np.int64)
+    number[keys] = np.arange(len(keys))
+    numbers: Indices = number[points @ weights]
+    return numbers
 
 
 def lagrange(hats: Array, degree: int) -> Array:
     """The polynomials that are 1 in one point of the lattice and 0 in the others, shape (…, points)."""
-    found = np.ones((*hats.shape[:-1], len(lattice(hats.shape[-1], degree))))
+    basis = np.ones((*hats.shape[:-1], len(lattice(hats.shape[-1], degree))))
     for index, point in enumerate(lattice(hats.shape[-1], degree)):
         for vertex, steps in enumerate(point):
             for step in range(steps):
-                found[..., index] *= (degree * hats[..., vertex] - step) / (step + 1)
-    return found
+                basis[..., index] *= (degree * hats[..., vertex] - step) / (step + 1)
+    return basis
 
 
 def lagrange_slopes(hats: Array, degree: int) -> Array:
     """Derivatives of the Lagrange functions by the hats as independent variables, shape (…, points, vertices)."""
-    found = np.zeros((*hats.shape[:-1], len(lattice(hats.shape[-1], degree)), hats.shape[-1]))
+    slopes = np.zeros((*hats.shape[:-1], len(lattice(hats.shape[-1], degree)), hats.shape[-1]))
     for index, point in enumerate(lattice(hats.shape[-1], degree)):
         factors = [(vertex, step) for vertex, steps in enumerate(point) for step in range(steps)]
         for left_out, (vertex, step) in enumerate(factors):
@@ -50,5 +50,5 @@ def lagrange_slopes(hats: Array, degree: int) -> Array:
             for other, (v, s) in enumerate(factors):
                 if other != left_out:
                     term = term * (degree * hats[..., v] - s) / (s + 1)
-            found[..., index, vertex] += term
-    return found
+            slopes[..., index, vertex] += term
+    return slopes

@@ -280,12 +280,12 @@ def owned_on_facets(space: fem.FunctionSpace, facets: npt.NDArray[np.int32]) -> 
 def extreme_around(space: fem.FunctionSpace, nodes: npt.NDArray[np.integer], values: Array, *, largest: bool) -> Array:
     """The largest or smallest value of the facets around each node, infinite where there is none (collective)."""
     sign = 1.0 if largest else -1.0
-    found = fem.Function(space)
-    found.x.array[:] = -np.inf
-    np.maximum.at(found.x.array, nodes.ravel(), sign * values.ravel())
-    found.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-    found.x.scatter_forward()
-    return np.asarray(sign * found.x.array, dtype=np.float64)
+    extreme = fem.Function(space)
+    extreme.x.array[:] = -np.inf
+    np.maximum.at(extreme.x.array, nodes.ravel(), sign * values.ravel())
+    extreme.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
+    extreme.x.scatter_forward()
+    return np.asarray(sign * extreme.x.array, dtype=np.float64)
 
 
 def assembled(form: ufl.Form | fem.Form, entity_maps: Sequence[dolfinx.mesh.EntityMap] = ()) -> Array:

@@ -58,11 +58,11 @@ def _values(name: str, given: OfPoints, x: Array) -> Array:
     """
     what = f"[problem] {name}: the function of points of shape {x.shape}"
     try:
-        found = np.asarray(given(x))
+        values = np.asarray(given(x))
     except Exception as error:
         raise InputError(f"{what} fails: {type(error).__name__}: {error}") from error
-    if found.shape[-1:] != x.shape[1:]:
-        raise InputError(f"{what} must give one value for each, not an array of shape {found.shape}")
-    if found.dtype.kind not in REAL:
-        raise InputError(f"{what} must give real numbers, not {found.dtype}")
-    return found
+    if values.shape[-1:] != x.shape[1:]:
+        raise InputError(f"{what} must give one value for each, not an array of shape {values.shape}")
+    if values.dtype.kind not in REAL:
+        raise InputError(f"{what} must give real numbers, not {values.dtype}")
+    return values

@@ -162,11 +162,11 @@ def data_of_law(spaces: MeshSpaces, law: Law, name: str) -> dict[str, Datum]:
     Raises:
         InputError: If a text cannot be read, or is no scalar.
     """
-    found: dict[str, Datum] = {}
+    data: dict[str, Datum] = {}
     for key, given in law.data().items():
         place = f"{name}.{key}"
-        found[key] = datum_of(spaces, place, parsed(given, "xyz"[: spaces.mesh.geometry.dim], place))
-    return found
+        data[key] = datum_of(spaces, place, parsed(given, "xyz"[: spaces.mesh.geometry.dim], place))
+    return data
 
 
 def means_of(spaces: MeshSpaces, part: PartLaw) -> dict[str, Array]:
@@ -215,12 +215,12 @@ def _bounds(
     Raises:
         InputError: If a bound is neither a datum nor a number, or is not finite somewhere.
     """
-    found: list[Datum | None] = []
+    bounds: list[Datum | None] = []
     for which, slope, (u, _) in (("first", graph.before, graph.corners[0]), ("last", graph.beyond, graph.corners[-1])):
         if not spaces.mesh.comm.allreduce(bool(np.isinf(slope).any()), MPI.LOR):
-            found.append(None)
+            bounds.append(None)
         elif np.ndim(u) == 0:
-            found.append(datum_of(spaces, f"{part.name} ({part.law.name})", float(u)))
+            bounds.append(datum_of(spaces, f"{part.name} ({part.law.name})", float(u)))
         else:
             key = next((key for key, values in means.items() if values is u), None)
             if key is None:
@@ -229,8 +229,8 @@ def _bounds(
                     "corner must be one of its data as it was given, or a number, not computed from them"
                 )
             _check_nodes(spaces, part, key)
-            found.append(part.data[key])
-    return found[0], found[1]
+            bounds.append(part.data[key])
+    return bounds[0], bounds[1]
 
 
 def _check_nodes(spaces: MeshSpaces, part: PartLaw, key: str) -> None:
@@ -258,8 +258,8 @@ def refuse_data(spaces: MeshSpaces, part: PartLaw) -> None:
         values = {key: datum.values(points).ravel() for key, datum in part.data.items()}
         with np.errstate(all="ignore"):  # of data that are refused below
             graph = part.law.falling(values)
-        known = [*values.values(), *(each for corner in graph.corners for each in corner)]
-        largest = max(float(np.abs(each).max(initial=0.0)) for each in known)
+        numbers = [*values.values(), *(each for corner in graph.corners for each in corner)]
+        largest = max(float(np.abs(each).max(initial=0.0)) for each in numbers)
         rounding = ROUNDING * comm.allreduce(largest if np.isfinite(largest) else 0.0, MPI.MAX)
         for what, size in (*part.law.refused(values), *_not_monotone(graph, inside=bool(part.law.region))):
             size = np.broadcast_to(size, points.shape[0] * points.shape[1])

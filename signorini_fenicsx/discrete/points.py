@@ -118,8 +118,8 @@ class Points(ABC):
 
     def integrals(self, values: Array) -> Array:
         """Integrals over each cell or facet of values of shape (n, points)."""
-        found: Array = self.scale * (values @ self.weights)
-        return found
+        integrals: Array = self.scale * (values @ self.weights)
+        return integrals
 
     def linear(self, function: fem.Function, *, gradient: bool = False) -> Array:
         """Jet of a function that is linear on each cell by its values in the vertices, shape (n, points, …)."""
@@ -225,18 +225,18 @@ class FacetPoints(Points):
         values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
         values = values.reshape(len(self.cells), len(self._in_cell), len(self.points), *per_facet.ufl_shape)
         which = self.local if per_facet.ufl_shape[0] > 1 else 0
-        found: Array = np.moveaxis(values, 3, 2)[np.arange(len(self.cells)), self.local, which]
-        return found
+        at_facets: Array = np.moveaxis(values, 3, 2)[np.arange(len(self.cells)), self.local, which]
+        return at_facets
 
     def _normals(self, value: Expr) -> list[dict[Expr, Expr]]:
         """The normal of each facet of a cell, if there is a normal in the value; else one empty table."""
-        found = extract_type(value, ufl.classes.FacetNormal)
-        if not found:
+        normals_in_value = extract_type(value, ufl.classes.FacetNormal)
+        if not normals_in_value:
             return [{}]
         inverse = ufl.JacobianInverse(self.mesh.ufl_domain())
         reference = basix.cell.facet_outward_normals(self.mesh.basix_cell()).tolist()
         normals = [ufl.dot(ufl.as_vector(normal), inverse) for normal in reference]
-        return [dict.fromkeys(found, normal / ufl.sqrt(ufl.inner(normal, normal))) for normal in normals]
+        return [dict.fromkeys(normals_in_value, normal / ufl.sqrt(ufl.inner(normal, normal))) for normal in normals]
 
     def among(self, cells: Mask) -> Self:
         """The facets of some of the cells; `cells` is a mask."""

@@ -79,8 +79,8 @@ def seen_in_cells(space: fem.FunctionSpace, datum: Datum, cells: npt.NDArray[np.
 def values_in(given: Any) -> Values:
     """The constants and functions in what was given, in dataclasses, mappings and sequences, with their values now."""
     if isinstance(given, Expr):
-        found = [*extract_coefficients(given), *extract_constants(given)]
-        return [(each, values_of(each).copy()) for each in found if isinstance(each, fem.Constant | fem.Function)]
+        terminals = [*extract_coefficients(given), *extract_constants(given)]
+        return [(each, values_of(each).copy()) for each in terminals if isinstance(each, fem.Constant | fem.Function)]
     inner: Iterable[Any] = ()
     if isinstance(given, Mapping):
         inner = given.values()
@@ -106,10 +106,10 @@ def parts_of(form: Form) -> list[Form]:
 
 def derivative_by(function: fem.Function, form: Form, entity_maps: Sequence[dolfinx.mesh.EntityMap]) -> fem.Function:
     """The derivative of a form by each coefficient of a function, as coefficients, ghosts updated (collective)."""
-    found = fem.Function(function.function_space)
+    derivative = fem.Function(function.function_space)
     for part in parts_of(form):
         if any(function is other for other in part.coefficients()):
             by_function = ufl.derivative(part, function, ufl.TestFunction(function.function_space))
-            found.x.array[:] += assembled(by_function, entity_maps)
-    found.x.scatter_forward()
-    return found
+            derivative.x.array[:] += assembled(by_function, entity_maps)
+    derivative.x.scatter_forward()
+    return derivative

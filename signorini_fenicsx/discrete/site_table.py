@@ -37,8 +37,8 @@ class SiteTable:
     def gathered(self, comm: MPI.Comm) -> Self | None:
         """The rows of all ranks on rank 0, in order; None elsewhere (collective)."""
         rows = {key: gather_rows(comm, values) for key, values in vars(self).items()}
-        found = {key: values for key, values in rows.items() if values is not None}
-        return type(self)(**found).in_order() if found else None
+        columns = {key: values for key, values in rows.items() if values is not None}
+        return type(self)(**columns).in_order() if columns else None
 
     def in_order(self) -> Self:
         """The rows ordered by part and then along the part."""

@@ -49,8 +49,8 @@ def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
     number = len(cells)
     everything = faces(cells)
     one, other = neighbours(everything)
-    here = rows_of(everything[one], facets) >= 0
-    pairs = np.stack([one[here], other[here]], axis=1)
+    is_cut = rows_of(everything[one], facets) >= 0
+    pairs = np.stack([one[is_cut], other[is_cut]], axis=1)
     on_cut = np.zeros(len(points), dtype=bool)
     on_cut[facets] = True
 
@@ -58,7 +58,7 @@ def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
     cell, place = np.nonzero(on_cut[cells])
     row = np.full(cells.shape, -1)
     row[cell, place] = np.arange(len(cell))
-    shut = np.stack([one[~here], other[~here]], axis=1)
+    shut = np.stack([one[~is_cut], other[~is_cut]], axis=1)
     shut = shut[on_cut[everything[shut[:, 0]]].any(axis=1)]
     links = [np.empty((0, 2), dtype=np.int64)]
     for vertex in everything[shut[:, 0]].T:
@@ -83,8 +83,8 @@ def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
 def _corner(cells: Indices, row: Indices, of: Indices, vertex: Indices) -> Indices:
     """Rows of the corners of some cells, shape (n, 2), at these vertices."""
     place = np.argmax(cells[of] == vertex[:, None, None], axis=2)
-    found: Indices = row[of, place]
-    return found
+    corners: Indices = row[of, place]
+    return corners
 
 
 type Side = str | Sequence[float]
@@ -121,12 +121,12 @@ def opened(mesh: FileMesh, inner: Sequence[str], sides: Mapping[str, Side]) -> F
     pairs = [np.empty((0, 2), dtype=np.int64)]
     original = rows_of(done.sides[:, 0], after)
     for name in inner:
-        here = rows_of(before[original], mesh.parts[name]) >= 0
-        if not here.any():
+        of_part = rows_of(before[original], mesh.parts[name]) >= 0
+        if not of_part.any():
             raise InputError(f"[boundary] inner: part '{name}' opens nowhere, all its vertices are at its edge")
-        two, cells = done.sides[here], done.pairs[here]
+        two, cells = done.sides[of_part], done.pairs[of_part]
         second = _is_second(
-            mesh, name, sides.get(name, (0.0,) * (mesh.dim - 1) + (1.0,)), before[original[here]], cells
+            mesh, name, sides.get(name, (0.0,) * (mesh.dim - 1) + (1.0,)), before[original[of_part]], cells
         )
         named = second.astype(np.int64)
         each = np.arange(len(two))

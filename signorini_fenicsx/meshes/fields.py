@@ -68,11 +68,11 @@ def _chosen(mesh: FileMesh, name: str | None, width: int) -> Array:
     """
     fitting = {key: found for key, values in mesh.values.items() if (found := _of_width(values, width)) is not None}
     kind = "a number" if width == 1 else "a vector"
-    there = f"it has {', '.join(map(repr, fitting))}" if fitting else f"it has no values with {kind} at each point"
+    offers = f"it has {', '.join(map(repr, fitting))}" if fitting else f"it has no values with {kind} at each point"
     if name is not None and name not in fitting:
-        raise InputError(f"has no values '{name}' with {kind} at each point; {there}")
+        raise InputError(f"has no values '{name}' with {kind} at each point; {offers}")
     if name is None and len(fitting) != 1:
-        raise InputError(f"{there}" + ("; choose one by --name" if fitting else ""))
+        raise InputError(f"{offers}" + ("; choose one by --name" if fitting else ""))
     found = fitting[name or next(iter(fitting))]
     if not np.isfinite(found).all():
         raise InputError("a value is not a number, or infinite")
@@ -99,14 +99,14 @@ def on_mesh_of(domain: Domain, field: fem.Function, source: Domain) -> fem.Funct
         InputError: If it is not: the meshes are others, and the new one is no refinement of the old one.
     """
     vector, dim = len(field.ufl_shape) > 0, domain.mesh.topology.dim
-    found, linear, again = (_linear(domain, vector=vector, degree=degree) for degree in (2, 1, 2))
-    places = found.function_space.tabulate_dof_coordinates()[:, :dim]
-    found.x.array[:] = at_points([field], source, places)[0].ravel()
-    if domain.mesh.comm.allreduce(bool(np.isnan(found.x.array).any()), MPI.LOR):
+    v, linear, again = (_linear(domain, vector=vector, degree=degree) for degree in (2, 1, 2))
+    places = v.function_space.tabulate_dof_coordinates()[:, :dim]
+    v.x.array[:] = at_points([field], source, places)[0].ravel()
+    if domain.mesh.comm.allreduce(bool(np.isnan(v.x.array).any()), MPI.LOR):
         raise InputError(f"field {source.name}: its mesh does not cover that of the case")
-    linear.interpolate(found)
+    linear.interpolate(v)
     again.interpolate(linear)
-    apart = np.array([np.abs(found.x.array - again.x.array).max(initial=0.0), np.abs(found.x.array).max(initial=0.0)])
+    apart = np.array([np.abs(v.x.array - again.x.array).max(initial=0.0), np.abs(v.x.array).max(initial=0.0)])
     domain.mesh.comm.Allreduce(MPI.IN_PLACE, apart, MPI.MAX)
     if apart[0] > SAME * apart[1]:
         raise InputError(

@@ -32,15 +32,15 @@ def check_memory(comm: MPI.Comm, what: str, dim: int, cells: float, h: float | N
         InputError: On all ranks, with the size that would fit.
     """
     neighbours = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    there = comm.allreduce(available() * comm.size / neighbours.size, MPI.MIN)
+    memory = comm.allreduce(available() * comm.size / neighbours.size, MPI.MIN)
     neighbours.Free()
     needed = BYTES_PER_FACET[dim] * FACETS_PER_CELL[dim] * cells
-    if needed > there:
-        fit = cells * there / needed
+    if needed > memory:
+        fit = cells * memory / needed
         larger = 1.05 * (cells / fit) ** (1 / dim)  # with some reserve, as it is rounded to two digits
         advice = "take a coarser mesh or more machines" if h is None else f"h = {h * larger:.2g} fits"
         raise InputError(
-            f"{what}: about {cells:.2g} cells need {needed / 2**30:.3g} GB of memory, and {there / 2**30:.3g} GB are "
+            f"{what}: about {cells:.2g} cells need {needed / 2**30:.3g} GB of memory, and {memory / 2**30:.3g} GB are "
             f"there, enough for {fit:.2g} cells; {advice}"
         )
 
@@ -51,8 +51,8 @@ def available(system: Path = Path("/")) -> float:
     Args:
         system: The root of the file system.
     """
-    found = re.search(r"^MemAvailable:\s*(\d+) kB", _text(system / "proc/meminfo"), re.MULTILINE)
-    left = [1024.0 * int(found[1])] if found else [float("inf")]
+    entry = re.search(r"^MemAvailable:\s*(\d+) kB", _text(system / "proc/meminfo"), re.MULTILINE)
+    left = [1024.0 * int(entry[1])] if entry else [float("inf")]
     groups = re.findall(r"^\d+:([^:\n]*):(.*)$", _text(system / "proc/self/cgroup"), re.MULTILINE)
     for controllers, name in groups:
         if controllers == "":

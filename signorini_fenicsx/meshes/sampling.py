@@ -173,12 +173,12 @@ def _in_space(mesh: dolfinx.mesh.Mesh, points: npt.ArrayLike) -> Array:
     """
     dim, wrong = mesh.geometry.dim, False
     try:
-        given = np.asarray(points, dtype=np.float64)
+        coordinates = np.asarray(points, dtype=np.float64)
     except (TypeError, ValueError):
-        given, wrong = np.empty((0, dim)), True
-    if given.size == 0:
-        given = np.empty((0, dim))
-    wrong = wrong or given.ndim != 2 or given.shape[1] != dim
+        coordinates, wrong = np.empty((0, dim)), True
+    if coordinates.size == 0:
+        coordinates = np.empty((0, dim))
+    wrong = wrong or coordinates.ndim != 2 or coordinates.shape[1] != dim
     if mesh.comm.allreduce(wrong, MPI.LOR):
         raise InputError(f"points: must be an array of shape (n, {dim}), a row for each point")
-    return np.pad(given, ((0, 0), (0, 3 - dim)))
+    return np.pad(coordinates, ((0, 0), (0, 3 - dim)))

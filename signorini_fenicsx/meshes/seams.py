@@ -87,7 +87,7 @@ def _near(corners: Array, tried: Array) -> Iterator[tuple[Indices, Indices]]:
     while start < len(middle):
         before = ends[start - 1] if start > 0 else 0
         stop = max(start + 1, int(np.searchsorted(ends, before + PAIRS)))
-        found = tree.query_ball_point(middle[start:stop], radius[start:stop])
-        facet = np.repeat(np.arange(start, stop), [len(points) for points in found])
-        yield facet, np.concatenate([np.asarray(points, dtype=np.int64) for points in found])
+        near = tree.query_ball_point(middle[start:stop], radius[start:stop])
+        facet = np.repeat(np.arange(start, stop), [len(points) for points in near])
+        yield facet, np.concatenate([np.asarray(points, dtype=np.int64) for points in near])
         start = stop

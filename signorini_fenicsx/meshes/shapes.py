@@ -170,8 +170,8 @@ def _ball() -> None:
     octants = []
     for pole in (south, north):
         up = [gmsh.model.geo.addCircleArc(a, centre, pole) for a in equator]
-        for arc, here, there in zip(around, up, up[1:] + up[:1], strict=True):
-            loop = gmsh.model.geo.addCurveLoop([arc, there, -here])
+        for arc, begin, end in zip(around, up, up[1:] + up[:1], strict=True):
+            loop = gmsh.model.geo.addCurveLoop([arc, end, -begin])
             octants.append(gmsh.model.geo.addSurfaceFilling([loop], sphereCenterTag=centre))
     gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop(octants)])
 
@@ -293,13 +293,13 @@ def _intervals(name: str) -> tuple[float, float, float, float]:
     Raises:
         InputError: If this is not the name of one.
     """
-    found = re.fullmatch(f"{INTERVAL}x{INTERVAL}", name)
-    if found is None:
+    match = re.fullmatch(f"{INTERVAL}x{INTERVAL}", name)
+    if match is None:
         meant = did_you_mean(name, SHAPES)
         raise InputError(
             f"unknown shape '{name}'; use one of {', '.join(SHAPES)}, or a rectangle such as '[-2, 2] x [0, 1]'{meant}"
         )
-    left, right, low, high = (parse_number(end.strip()) for end in found.groups())
+    left, right, low, high = (parse_number(end.strip()) for end in match.groups())
     if not (left < right and low < high):
         raise InputError(f"shape '{name}': each interval must begin with the smaller number")
     return left, right, low, high

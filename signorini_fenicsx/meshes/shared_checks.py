@@ -45,11 +45,11 @@ def _check_facets(comm: MPI.Comm, cells: Indices, positive: Mask) -> None:
     width = cells.shape[1]
     facets = np.concatenate([np.delete(cells, opposite, axis=1) for opposite in range(width)])
     side = np.concatenate([positive ^ (opposite % 2 == 1) for opposite in range(width)])
-    found = Exchange(comm, facets.sum(axis=1) % comm.size).send(np.column_stack([facets, side]))
-    found = found[np.lexsort(found[:, :-1].T)]
-    same = np.all(found[1:, :-1] == found[:-1, :-1], axis=1)
+    rows = Exchange(comm, facets.sum(axis=1) % comm.size).send(np.column_stack([facets, side]))
+    rows = rows[np.lexsort(rows[:, :-1].T)]
+    same = np.all(rows[1:, :-1] == rows[:-1, :-1], axis=1)
     refuse(comm, "more than two cells meet at a facet" * bool(np.any(same[1:] & same[:-1])))
-    folded = same & (found[1:, -1] == found[:-1, -1])
+    folded = same & (rows[1:, -1] == rows[:-1, -1])
     refuse(comm, "neighbouring cells overlap (inverted or folded cells)" * bool(folded.any()))
 
 

@@ -44,14 +44,14 @@ class Surface:
             x: Shape (points, d).
             directions: Likewise.
         """
-        found = np.full(len(x), np.inf)
+        nearest = np.full(len(x), np.inf)
         parts = -(-len(x) * len(self.corners) // AT_ONCE)
         for rows in np.array_split(np.arange(len(x)), parts) if parts > 0 else []:
             near, element = self._near(x[rows], directions[rows])
             distance, crossed = self._crossings(x[rows[near]], directions[rows[near]], element)
             far_first = np.argsort(-np.abs(distance[crossed]), kind="stable")
-            found[rows[near[crossed][far_first]]] = distance[crossed][far_first]
-        return found
+            nearest[rows[near[crossed][far_first]]] = distance[crossed][far_first]
+        return nearest
 
     def _near(self, x: Array, directions: Array) -> tuple[Indices, Indices]:
         """Pairs of a line and an element whose ball it meets."""

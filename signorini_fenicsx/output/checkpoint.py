@@ -58,23 +58,23 @@ def load_solution(
     """
     check_kind("folder", folder, str, Path)
     on_root(comm, lambda: refuse_incomplete(folder))
-    found = read_checkpoint(comm, Path(folder))
-    given, boundary = problem, found.boundary
+    checkpoint = read_checkpoint(comm, Path(folder))
+    given, boundary = problem, checkpoint.boundary
     if hasattr(problem, "on"):
-        _, problem = sorted_on(_read_domain(found, comm, {}), problem)
-    if problem is not None and not isinstance(problem, found.keeping.problem):
-        name = found.about.physics.capitalize()
+        _, problem = sorted_on(_read_domain(checkpoint, comm, {}), problem)
+    if problem is not None and not isinstance(problem, checkpoint.keeping.problem):
+        name = checkpoint.about.physics.capitalize()
         raise InputError(f"problem: {folder} is the solution of a problem of {name}, not of {type(given).__name__}")
-    problem, options = problem or _read_problem(found), options or _read_options(found)
+    problem, options = problem or _read_problem(checkpoint), options or _read_options(checkpoint)
     try:
-        system = system_on(_read_domain(found, comm, boundary.named), boundary, problem)
-        rows = _rows_of_facets(found, system.spaces)
+        system = system_on(_read_domain(checkpoint, comm, boundary.named), boundary, problem)
+        rows = _rows_of_facets(checkpoint, system.spaces)
     except InputError as error:
-        raise InputError(f"{found.path}: is damaged: its mesh: {error}") from None
-    solution = found.keeping.read(system.boundary, problem, system.spaces, _stored(found, options, rows))
-    damage = _damage_of(found.about, solution)
+        raise InputError(f"{checkpoint.path}: is damaged: its mesh: {error}") from None
+    solution = checkpoint.keeping.read(system.boundary, problem, system.spaces, _stored(checkpoint, options, rows))
+    damage = _damage_of(checkpoint.about, solution)
     if damage is not None:
-        raise InputError(f"{found.path}: is damaged: {damage}")
+        raise InputError(f"{checkpoint.path}: is damaged: {damage}")
     return solution
 
 

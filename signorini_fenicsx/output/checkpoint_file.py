@@ -168,11 +168,11 @@ class Checkpoint:
         Raises:
             InputError: If they are something else.
         """
-        found = {name: (self.about.model_extra or {}).get(name, []) for name in self.keeping.own}
-        for name, values in found.items():
+        numbers = {name: (self.about.model_extra or {}).get(name, []) for name in self.keeping.own}
+        for name, values in numbers.items():
             if not isinstance(values, list) or not all(isinstance(value, int | float) for value in values):
                 raise InputError(f"{self.path}: not a readable solution ({name} is no list of numbers)")
-        return found
+        return numbers
 
     @property
     def title(self) -> str:

@@ -133,11 +133,11 @@ def _problem(solution: Solved) -> dict[str, Any]:
     if isinstance(solution.source, CaseFile):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
-    laws, known = getattr(solution.problem, "laws", ()), keeping_of(boundary.physics).laws
+    laws, laws_of_files = getattr(solution.problem, "laws", ()), keeping_of(boundary.physics).laws
     problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]
-    if not all(law.name in known and _storable(vars(law)) for law in laws):
+    if not all(law.name in laws_of_files and _storable(vars(law)) for law in laws):
         laws, missing = (), [*missing, "laws"]
     kinds = {each.name: getattr(boundary, each.name) for each in fields(boundary)[1:]}
     others: dict[str, Any] = {

@@ -51,7 +51,7 @@ def row_of(
         **(solution.errors() or {}),
         **bounds,
         **trust,
-        **{key: value for name, found in quantities.items() for key, value in found.columns(name).items()},
+        **{key: value for name, quantity in quantities.items() for key, value in quantity.columns(name).items()},
         "seconds": seconds,
     }
 

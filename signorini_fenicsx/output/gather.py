@@ -131,7 +131,7 @@ def _fields(domain: Domain, drawn: Drawn, sample: Sample, indicator: fem.Functio
         "indicator": None if indicator is None else indicator.x.array,
         "regions": membership(domain) if domain.regions else None,
     }
-    found: dict[str, Any] = {key: sample.in_cells(rows) for key, rows in of_cells.items() if rows is not None}
+    of_sample: dict[str, Any] = {key: sample.in_cells(rows) for key, rows in of_cells.items() if rows is not None}
     if at_points is None:
         return None
     u = at_points[:, :width]
@@ -143,5 +143,5 @@ def _fields(domain: Domain, drawn: Drawn, sample: Sample, indicator: fem.Functio
         displacement=None if width == 1 else u,
         sigma_at_points=at_points[:, width:],
         of=sample.of,
-        **found,
+        **of_sample,
     )

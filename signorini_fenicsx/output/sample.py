@@ -172,10 +172,10 @@ def _firsts(groups: Indices, keys: tuple[Array, ...]) -> Indices:
 
 def _different(boxes: Indices, middles: Array) -> Indices:
     """One row for each set of boxes, the first one by its middle."""
-    found = np.sort(boxes, axis=1)
-    order = np.lexsort((*middles.T[::-1], *found.T))
+    corners = np.sort(boxes, axis=1)
+    order = np.lexsort((*middles.T[::-1], *corners.T))
     new = np.ones(len(order), dtype=bool)
-    new[1:] = (np.diff(found[order], axis=0) != 0).any(axis=1)
+    new[1:] = (np.diff(corners[order], axis=0) != 0).any(axis=1)
     return order[new]
 
 

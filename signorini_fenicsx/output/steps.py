@@ -174,8 +174,8 @@ class StepFolder:
         """An array of a step for the cells or facets of this rank."""
         first = on_root(self._comm, lambda: self._first(step))
         if (first, kind) not in self._rows:
-            known = self._read(self.path / f"{MESH}{first:06}" / f"{kind}.npy")
-            rows = find_rows(self._comm, _places(spaces)[kind], [known])[:, 0]
+            places_of_file = self._read(self.path / f"{MESH}{first:06}" / f"{kind}.npy")
+            rows = find_rows(self._comm, _places(spaces)[kind], [places_of_file])[:, 0]
             if self._comm.allreduce(int(np.count_nonzero(rows < 0))) > 0:
                 raise InputError(f"--restart: {self.path} is of another mesh")
             self._rows[first, kind] = rows

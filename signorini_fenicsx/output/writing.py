@@ -123,8 +123,8 @@ def with_quantities(summary: dict[str, Any], quantities: Mapping[str, Quantity])
     """A summary with the intervals for quantities, by their names, in its section for quantities."""
     if not quantities:
         return summary
-    found = {name: each.summary() for name, each in quantities.items()}
-    return summary | {"quantities": summary.get("quantities", {}) | found}
+    summaries = {name: each.summary() for name, each in quantities.items()}
+    return summary | {"quantities": summary.get("quantities", {}) | summaries}
 
 
 def _make(folder: Path) -> None:

@@ -105,26 +105,26 @@ class Xdmf:
         if name != IN_CELLS and field.nodes == 1:
             values = field.values.reshape(-1, *field.values.shape[2:])
             return [(each, "Node") for each in Field(field.name, values, field.order).with_derived()]
-        found = [(each, "Cell") for each in field.means().with_derived()]
+        fields = [(each, "Cell") for each in field.means().with_derived()]
         if field.at_points:
             values = (
                 field.values if field.nodes else np.repeat(field.values[:, None], self._spaces.nodes.shape[1], axis=1)
             )
             size = self._spaces.mesh.geometry.index_map().size_local
             rows = self._around(values.reshape(*values.shape[:2], -1))[:size].reshape(size, *values.shape[2:])
-            found += [(each, "Node") for each in Field(field.name, rows, field.order).with_derived()]
-        return found
+            fields += [(each, "Node") for each in Field(field.name, rows, field.order).with_derived()]
+        return fields
 
     def _attributes(self, place: str, fields: list[tuple[Field, str]]) -> list[Element]:
         """Write fields, and say where they are."""
         arrays = {f"{place}/{center}/{field.name}": _in_space(field) for field, center in fields}
         heads = add_to_hdf5(self._spaces.mesh.comm, self._path, arrays)
-        found = []
+        attributes = []
         for (field, center), key, head in zip(fields, arrays, heads, strict=True):
             about = {"Name": field.name, "AttributeType": KINDS[field.order], "Center": center}
-            found.append(ElementTree.Element("Attribute", about))
-            found[-1].append(_item(key, head))
-        return found
+            attributes.append(ElementTree.Element("Attribute", about))
+            attributes[-1].append(_item(key, head))
+        return attributes
 
     def close(self) -> None:
         """Write the texts, and a script that shows them in ParaView."""

@@ -154,9 +154,9 @@ def outward(scene: Scene, triangles: Indices) -> Array:
     sides = np.concatenate([np.delete(cells, corner, axis=1) for corner in range(4)])
     both = np.concatenate([np.sort(triangles, axis=1), np.sort(sides, axis=1)])
     _, number = np.unique(both, axis=0, return_inverse=True)
-    wanted, found = number.ravel()[: len(triangles)], number.ravel()[len(triangles) :]
+    wanted, of_cells = number.ravel()[: len(triangles)], number.ravel()[len(triangles) :]
     cell_of = np.full(number.max() + 1 if number.size else 0, -1)
-    cell_of[found] = np.tile(np.arange(len(cells)), 4)
+    cell_of[of_cells] = np.tile(np.arange(len(cells)), 4)
     corners, cell = points[triangles], cell_of[wanted]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

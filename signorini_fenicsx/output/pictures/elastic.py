@@ -104,10 +104,10 @@ def _apart(scene: Scene, distance: float) -> Array:
     other = np.full(size, -1)
     for point in np.setdiff1d(np.arange(size), facets.vertices[inside]):
         other[place[point]] = body[point]
-    here, there = body[facets.vertices[inside, 0]], other[place[facets.vertices[inside]]].max(axis=1)
-    two = (here != there) & (there >= 0)
+    named_body, other_body = body[facets.vertices[inside, 0]], other[place[facets.vertices[inside]]].max(axis=1)
+    two = (named_body != other_body) & (other_body >= 0)
     rows, each = np.zeros((int(two.sum()), int(body.max()) + 1)), np.arange(int(two.sum()))
-    rows[each, here[two]], rows[each, there[two]] = 1.0, -1.0
+    rows[each, named_body[two]], rows[each, other_body[two]] = 1.0, -1.0
     moved = np.linalg.lstsq(rows, -distance * facets.normals[inside][two], rcond=None)[0]
     return np.asarray(moved[body])
 

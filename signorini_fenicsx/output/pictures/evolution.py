@@ -153,10 +153,10 @@ def _draw_part(axes: Axes, scenes: Sequence[Scene], groups: dict[str, str], part
 
 def _numbers(groups: Sequence[Group], names: Sequence[str], size: int) -> Indices:
     """The number of the group of each facet."""
-    found = np.zeros(size, dtype=np.int64)
+    numbers = np.zeros(size, dtype=np.int64)
     for group in groups:
-        found[group.facets] = names.index(group.name)
-    return found
+        numbers[group.facets] = names.index(group.name)
+    return numbers
 
 
 def shown(steps: int) -> list[int]:

@@ -79,12 +79,12 @@ def _contact(scene: Scene, tables: Sequence[ContactTable], times: Sequence[float
         ends = along[together.any(axis=0)] if together.any() else along
         room = 0.1 * np.ptp(ends)
         limits = max(along.min(), ends.min() - room), min(along.max(), ends.max() + room)
-        for column, (word, found) in enumerate(values.items()):
+        for column, (word, over_time) in enumerate(values.items()):
             axes = sheet.panel(row, column, aspect=2.8 / 2.4 if rubs else 1.5)
-            largest = max(float(np.abs(np.nan_to_num(found)).max(initial=0.0)), 1e-300)
+            largest = max(float(np.abs(np.nan_to_num(over_time)).max(initial=0.0)), 1e-300)
             low, colours = (0.0, style.FLUX_MAP) if column == 0 else (-largest, "RdBu_r")
             grid = _edges(along), np.append(2 * times[0] - times[1] if len(times) > 1 else 0.0, times)
-            of_facets = found.reshape(len(tables), -1, 2).mean(axis=2)
+            of_facets = over_time.reshape(len(tables), -1, 2).mean(axis=2)
             image = axes.pcolormesh(*grid, of_facets, cmap=colours, vmin=low, vmax=largest, rasterized=True)
             axes.set_facecolor("0.85")
             axes.grid(visible=False)

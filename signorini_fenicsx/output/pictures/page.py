@@ -185,11 +185,11 @@ def _surface(
 
 def _rims(scene: Scene, points: Array, others: Indices) -> list:
     """The boundary of a surface over the plane, Γ_S in the colours of its contact set."""
-    found = [(others, "black", 3, "Γ<sub>D</sub>, Γ<sub>N</sub>")]
-    found += [
+    looks = [(others, "black", 3, "Γ<sub>D</sub>, Γ<sub>N</sub>")]
+    looks += [
         (scene.facets.vertices[group.facets], group.colour, 8, f"Γ<sub>S</sub>, {group.name}") for group in scene.groups
     ]
-    return [_edges(points, *look) for look in found if len(look[0])]
+    return [_edges(points, *look) for look in looks if len(look[0])]
 
 
 def _edges(points: Array, edges: Indices, color: str, width: float, name: str) -> go.Scatter3d:

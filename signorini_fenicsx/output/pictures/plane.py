@@ -191,7 +191,7 @@ class Plane:
             (scene.phreatic_line is not None, "phreatic line", {"color": style.WATER, "linewidth": 1.8}),
             (len(scene.interfaces()) > 0, "regions", {"color": "black", "linewidth": 0.8, "linestyle": "--"}),
         ]
-        handles = [Line2D([], [], label=label, **look) for there, label, look in listed if there]
+        handles = [Line2D([], [], label=label, **look) for is_drawn, label, look in listed if is_drawn]
         return handles + ([] if self.water is None else self.water.handles())
 
     def _surroundings(self, axes: Axes, title: str) -> None:

@@ -94,12 +94,12 @@ class Scene:
 
         The colour of a segment does not depend on which others have facets, so it stays in time.
         """
-        found = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
+        groups = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
         if self.segments:
             names, others = np.array(self.segments)[self.facets.segment], itertools.cycle(style.SEGMENTS)
             colours = {each: style.OF_SEGMENT.get(each) or next(others) for each in sorted(set(self.segments))}
-            found = [Group(each, colour, names == each) for each, colour in colours.items()]
-        return [group for group in found if group.facets.any()]
+            groups = [Group(each, colour, names == each) for each, colour in colours.items()]
+        return [group for group in groups if group.facets.any()]
 
     @cached_property
     def measure(self) -> Array:
@@ -193,7 +193,7 @@ def chains(edges: Indices) -> list[tuple[Indices, Indices]]:
     left = set(range(len(edges)))
     ends_of = edges.tolist()
     starts = [row for row, (a, b) in enumerate(ends_of) if len(around[a]) == 1 or len(around[b]) == 1]
-    found = []
+    chains = []
     for row in [*starts, *range(len(edges))]:
         if row not in left:
             continue
@@ -205,8 +205,8 @@ def chains(edges: Indices) -> list[tuple[Indices, Indices]]:
             rows.append(following)
             a, b = ends_of[following]
             vertices.append(a if b == vertices[-1] else b)
-        found.append((np.array(rows), np.array(vertices)))
-    return found
+        chains.append((np.array(rows), np.array(vertices)))
+    return chains
 
 
 def creases(points: Array, triangles: Indices, angle: float = 30) -> Indices:

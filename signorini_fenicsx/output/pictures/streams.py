@@ -30,8 +30,8 @@ def streamlines(fields: Fields) -> tuple[list[Array], Array]:
     if not np.nanmax(norm, initial=0.0) > 0:
         return [], np.empty((0, 3, 2))
     sigma[:, norm < STILL * np.nanquantile(norm, style.QUANTILE)] = np.nan
-    found = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
-    lines = [line for line in found.lines.get_segments() if len(line) > 2]
+    plot = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
+    lines = [line for line in plot.lines.get_segments() if len(line) > 2]
     return lines, np.array([head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
 
 

@@ -40,10 +40,10 @@ class Water:
         if not np.allclose(scene.facets.psi, -y, rtol=0, atol=1e-6 * size) or np.ptp(y) < 0.05 * size:
             return None
         boundary = scene.boundary
-        given = boundary.kind == DIRICHLET
+        is_dirichlet = boundary.kind == DIRICHLET
         pools = []
-        for level in np.unique(np.round(-boundary.u[given] / size, 9)) * size:
-            wet = given & np.isclose(-boundary.u, level, rtol=0, atol=1e-6 * size)
+        for level in np.unique(np.round(-boundary.u[is_dirichlet] / size, 9)) * size:
+            wet = is_dirichlet & np.isclose(-boundary.u, level, rtol=0, atol=1e-6 * size)
             for _, vertices in chains(boundary.vertices[wet]):
                 points = scene.fields.points[vertices]
                 if points[:, 1].max() <= level + 1e-6 * size:

@@ -122,9 +122,9 @@ class DiffusionSteps:
 
         It is what is left of the s of all laws in Ω after those of which u tells s.
         """
-        found, laws, step = np.zeros(len(self.capacity)), solution.data.inside, solution.step
+        content, laws, step = np.zeros(len(self.capacity)), solution.data.inside, solution.step
         if not self.storage or laws is None or step is None:
-            return found
+            return content
         u, a = solution.u.x.array, self.rate(step)
         s = solution.cell_flux.divergence + solution.data.source(solution.u).x.array
         numbers = [i for i, _ in _storages(self._problem)]
@@ -136,8 +136,8 @@ class DiffusionSteps:
                     others[other.rows] += (ends[0] + ends[1]) / 2
             most, least = (-end for end in own.ends_at(u[rows])[::-1])
             alone = len(laws.of_regions) == 1
-            found[rows] += others[rows] / a if alone else np.clip(others[rows] / a, least, most)
-        return found
+            content[rows] += others[rows] / a if alone else np.clip(others[rows] / a, least, most)
+        return content
 
     def of_step(self, solution: Solution) -> dict[str, float]:
         """The integral of the content, where there is storage (collective)."""

@@ -200,13 +200,13 @@ class FacetSystem:
         conditions = conditions.take(self._facets)
         fixed = self._fixed(conditions)
         self.b.array_w[:] = self._load
-        given = np.zeros(len(fixed))
+        traces = np.zeros(len(fixed))
         if conditions.has_values:
             self._add_values(conditions)
             held = conditions.kind == Condition.ZERO_TRACE
-            given[len(self._dirichlet_dofs) :] = conditions.values_where(held)
-        self.b.array_w[fixed] = given
-        self.x.array_w[fixed] = given
+            traces[len(self._dirichlet_dofs) :] = conditions.values_where(held)
+        self.b.array_w[fixed] = traces
+        self.x.array_w[fixed] = traces
         return fixed
 
     def _fixed(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
@@ -216,15 +216,15 @@ class FacetSystem:
     def _add_values(self, conditions: SiteConditions) -> None:
         """The loads of fluxes that are not 0, and those of traces that are not, in `b` (collective)."""
         zero_trace = conditions.kind == Condition.ZERO_TRACE
-        known, image = self.matrix.createVecs()
-        known.set(0.0)
-        known.array_w[self.trace_dofs[zero_trace]] = conditions.values_where(zero_trace)
-        self._operator.natural.mult(known, image)
+        values, image = self.matrix.createVecs()
+        values.set(0.0)
+        values.array_w[self.trace_dofs[zero_trace]] = conditions.values_where(zero_trace)
+        self._operator.natural.mult(values, image)
         self.b.array_w[:] -= image.array_r
         self.b.array_w[self.trace_dofs[~zero_trace]] += (
             conditions.values_where(~zero_trace) * self.spaces.facet_measure[~zero_trace]
         )
-        for vector in (known, image):
+        for vector in (values, image):
             vector.destroy()
 
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:

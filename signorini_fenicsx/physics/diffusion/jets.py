@@ -11,9 +11,9 @@ from signorini_fenicsx.base.arrays import Array
 
 def product(a: Array, b: Array) -> Array:
     """The jet of a product of two functions, from theirs."""
-    found = a[..., :1] * b + b[..., :1] * a
-    found[..., :1] = a[..., :1] * b[..., :1]
-    return found
+    jet = a[..., :1] * b + b[..., :1] * a
+    jet[..., :1] = a[..., :1] * b[..., :1]
+    return jet
 
 
 def cut_off(cut: Array, jet: Array) -> Array:

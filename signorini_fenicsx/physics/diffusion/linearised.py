@@ -206,13 +206,13 @@ class Linearised:
         of_sigma, of_balance, traces = self._backend.respond(self._conditions, loads)
         through = spaces.outflow * of_sigma.x.array[spaces.V.dofmap.list]
         of_f = of_s - volumes * of_balance.x.array
-        found = {"f": of_f, "c": -u * of_f}
+        derivatives = {"f": of_f, "c": -u * of_f}
         if "kappa" in self.seen:
             form = spaces.kept(_by_kappa, data.kappa_h, self._solution.sigma, of_sigma)
-            found["kappa"] = -assembled(form)
+            derivatives["kappa"] = -assembled(form)
         if "u_D" in self.seen:
-            found["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
-        found["g_N"] = -traces[on_neumann] * spaces.neumann_measure
+            derivatives["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
+        derivatives["g_N"] = -traces[on_neumann] * spaces.neumann_measure
         of_trace = on_p + spaces.basis_flux * of_sigma.x.array[spaces.flux_dofs]
         of_force = -spaces.facet_measure * traces[on_gamma]
         of_u = on_u - np.einsum("cf->c", through)
@@ -220,13 +220,13 @@ class Linearised:
             rows = line.part.rows
             if line.part.law.region:
                 held = self._held_cells[rows]
-                of_value = np.where(line.steep, of_u[rows], np.where(held, 0.0, found["f"][rows]))
-                of_slope = np.where(held, 0.0, found["c"][rows])
+                of_value = np.where(line.steep, of_u[rows], np.where(held, 0.0, derivatives["f"][rows]))
+                of_slope = np.where(held, 0.0, derivatives["c"][rows])
             else:
                 of_value = np.where(line.steep, of_trace[rows], of_force[rows])
                 of_slope = np.where(line.steep, 0.0, -of_force[rows] * p[rows])
-            found |= line.sensitivities(of_slope, of_value)
-        return found
+            derivatives |= line.sensitivities(of_slope, of_value)
+        return derivatives
 
     def _jumps(self, functional: fem.Function) -> Array:
         """Z with ⟨z, τ·n⟩ the value at τ of a functional that is given by its values at the basis functions."""

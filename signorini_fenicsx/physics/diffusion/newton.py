@@ -60,10 +60,10 @@ class PenaltyNewton:
         self._reset()
         law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
         flux, n, dx, ds = sigma + data.sigma_lift, spaces.n, ufl.dx, spaces.ds
-        given = trace_term(data.u_lift, tau, n, spaces.ds_dirichlet + ds)
+        of_data = trace_term(data.u_lift, tau, n, spaces.ds_dirichlet + ds)
         source = data.f_h if data.c_h is None else data.f_h - data.c_h * u
         residual = [
-            flux_equation(flux, u, tau, dx, data.kappa_h) - trace_term(p, tau, n, ds) - given,  # (25a)
+            flux_equation(flux, u, tau, dx, data.kappa_h) - trace_term(p, tau, n, ds) - of_data,  # (25a)
             mass_balance(flux, v, dx) + load(source, v, dx),  # (25b)
             law(sigma, p, q, self._eps_now, n, ds),
         ]

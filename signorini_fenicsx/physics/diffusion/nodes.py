@@ -49,8 +49,8 @@ def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:
     for each in (total, count):
         each.x.scatter_reverse(la.InsertMode.add)
         each.x.scatter_forward()
-    found = count.x.array > 0
-    function.x.array[found] = total.x.array[found] / count.x.array[found]
+    has_place = count.x.array > 0
+    function.x.array[has_place] = total.x.array[has_place] / count.x.array[has_place]
 
 
 def quadratic_on_sides(datum: Datum, space: fem.FunctionSpace, spaces: Spaces) -> fem.Function:
@@ -130,8 +130,8 @@ class Jumps:
         known[given] = 1.0
         somewhere = _over_places(space, self.pairs, known) > 0
         value[somewhere & (known == 0)] = -np.inf
-        there = _over_places(space, self.pairs, at.astype(np.float64)) > 0
-        v.x.array[there] = _over_places(space, self.pairs, value)[there]
+        is_joined = _over_places(space, self.pairs, at.astype(np.float64)) > 0
+        v.x.array[is_joined] = _over_places(space, self.pairs, value)[is_joined]
 
     def taken(self, v: fem.Function) -> None:
         """Put the jumps of a function in the place of its values, ghosts updated (collective)."""
@@ -166,10 +166,10 @@ def _over_places(space: fem.FunctionSpace, pairs: tuple[Entities, Entities], val
     nodes = np.vstack(pairs)
     while True:
         larger = np.maximum(*(values[side] for side in pairs))
-        found = np.maximum(values, extreme_around(space, nodes, np.vstack([larger, larger]), largest=True))
-        if not space.mesh.comm.allreduce(bool((found > values).any()), MPI.LOR):
-            return found
-        values = found
+        larger_values = np.maximum(values, extreme_around(space, nodes, np.vstack([larger, larger]), largest=True))
+        if not space.mesh.comm.allreduce(bool((larger_values > values).any()), MPI.LOR):
+            return larger_values
+        values = larger_values
 
 
 def _in_pairs(space: fem.FunctionSpace, named: Entities, across: Entities) -> tuple[Entities, Entities]:

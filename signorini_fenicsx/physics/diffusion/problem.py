@@ -67,9 +67,9 @@ class Diffusion:
             InputError: If a part is unknown.
         """
         u_D = self.u_D
-        given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
-        if given and names_all(domain, self.conditions):
-            u_D = given[0].value
+        dirichlet = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
+        if dirichlet and names_all(domain, self.conditions):
+            u_D = dirichlet[0].value
         flux = next((condition.value for condition in self.conditions if isinstance(condition, Neumann)), 0.0)
         neumann: list[str] = []
         laws: list[Law] = []

@@ -155,24 +155,24 @@ DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colou
 
 def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
-    found = {}
+    lines = {}
     if solution.spaces.part_names:
-        found["contact"] = f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}"
+        lines["contact"] = f"{summary['contact_facets']} facets, measure {summary['contact_measure']:.6g}"
     if "obstacle" in summary:
         on = summary["obstacle"]
         size = f"measure {on['contact_measure']:.6g}, force {on['force']:.6g}"
-        found["obstacle"] = f"{on['contact_cells']} cells in contact, {size}"
+        lines["obstacle"] = f"{on['contact_cells']} cells in contact, {size}"
     for law, segments in summary.get("regions", {}).items():
         counts = ", ".join(f"{name} {count['cells']}" for name, count in segments.items())
-        found[f"in Ω, {law}"] = f"cells on each segment: {counts}"
+        lines[f"in Ω, {law}"] = f"cells on each segment: {counts}"
     for part, segments in summary.get("segments", {}).items():
         counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
-        found[f"on {part}"] = f"facets on each segment: {counts}"
+        lines[f"on {part}"] = f"facets on each segment: {counts}"
     if "violation" in summary:
         left = named({VIOLATIONS[name]: value for name, value in summary["violation"].items()}, ".3e")
-        found["ε"] = f"{summary['eps']:g} leaves {left}"
+        lines["ε"] = f"{summary['eps']:g} leaves {left}"
     if "own_residual" in summary:
-        found["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
+        lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
     if summary["details"]:
-        found["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
-    return found
+        lines["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
+    return lines

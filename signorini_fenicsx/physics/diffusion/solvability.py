@@ -115,25 +115,25 @@ def _balance(spaces: Spaces, data: Data, of_cell: Indices, number: int) -> tuple
     """Loads of the components and their sizes; pairs of components with the fluxes that sites allow (collective)."""
     comm = spaces.mesh.comm
     loads, sizes = np.zeros(number + 1), np.zeros(number + 1)
-    given = data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
+    fluxes = data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
     behind = of_cell[cells_and_dofs(spaces.crouzeix_raviart, spaces.neumann_facets)[0]]
-    for of, load in ((of_cell, spaces.cell_measures * data.f_h.x.array[: len(of_cell)]), (behind, given)):
+    for of, load in ((of_cell, spaces.cell_measures * data.f_h.x.array[: len(of_cell)]), (behind, fluxes)):
         loads += np.bincount(of, load, number + 1)
         sizes += np.bincount(of, np.abs(load), number + 1)
     named, across = _sides(spaces, of_cell)
     ends = [spaces.facet_measure * (data.q_Sh + flux) for flux in data.laws.chains.extent()[2:]]
     size = (number + 1) ** 2
     low, high = (np.bincount(named * (number + 1) + across, end, size) for end in ends)
-    there = np.bincount(named * (number + 1) + across, minlength=size).astype(np.float64)
+    links = np.bincount(named * (number + 1) + across, minlength=size).astype(np.float64)
     if data.inside is not None:
         to_ground = of_cell * (number + 1)
         of_cells = [spaces.cell_measures * end for end in data.inside.chains.extent()[2:]]
         low, high = (
             ends + np.bincount(to_ground, more, size) for ends, more in zip((low, high), of_cells, strict=True)
         )
-        there += np.bincount(to_ground, minlength=size)
-    loads, sizes, low, high, there = (comm.allreduce(each) for each in (loads, sizes, low, high, there))
-    pairs = np.flatnonzero((there > 0) | np.isinf(high))
+        links += np.bincount(to_ground, minlength=size)
+    loads, sizes, low, high, links = (comm.allreduce(each) for each in (loads, sizes, low, high, links))
+    pairs = np.flatnonzero((links > 0) | np.isinf(high))
     places = np.column_stack(np.divmod(pairs, number + 1))
     apart = places[:, 0] != places[:, 1]
     return loads[1:], sizes[1:], places[apart], low[pairs][apart], high[pairs][apart]
@@ -155,9 +155,9 @@ def _worst(loads: Array, sizes: Array, pairs: Indices, low: Array, high: Array) 
     for fixed, sign in _ends(number):
         bounds = [(-1.0, 1.0)] * number + [(0.0, end) for end in most]
         bounds[fixed] = sign, sign
-        found = linprog(cost, A_eq=equal, b_eq=np.zeros(count), bounds=bounds)
-        if found.success and found.fun <= enough:
-            return np.asarray(sign * found.x[:number] > 0.5)
+        optimum = linprog(cost, A_eq=equal, b_eq=np.zeros(count), bounds=bounds)
+        if optimum.success and optimum.fun <= enough:
+            return np.asarray(sign * optimum.x[:number] > 0.5)
     return None
 
 

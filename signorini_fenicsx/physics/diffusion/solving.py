@@ -166,10 +166,10 @@ class DiffusionRun:
             bounds = {key: datum for key, datum in part.data.items() if any(datum is bound for bound in part.bounds)}
             facets = spaces.facets[part.rows]
             checked += [(part.key(key), datum, facets, NO_BOUND) for key, datum in bounds.items()]
-        found = [(name, *largest_jump(spaces, datum, facets), so) for name, datum, facets, so in checked]
+        jumps = [(name, *largest_jump(spaces, datum, facets), so) for name, datum, facets, so in checked]
         return [
             f"{in_problem(name)}: jumps by {jump:.3g} at ({', '.join(f'{x:.4g}' for x in place)}); {so}"
-            for name, jump, place, so in found
+            for name, jump, place, so in jumps
             if jump > 0
         ]
 

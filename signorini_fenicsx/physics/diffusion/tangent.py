@@ -45,8 +45,8 @@ class Tangent(FacetBackend):
             LinearSolveFailure: If the linear solver does not converge.
         """
         spaces, loads, space = self.spaces, self._loads, self.spaces.crouzeix_raviart
-        given, held = np.broadcast_to(conditions.value, self.sites), conditions.kind == Condition.ZERO_TRACE
-        trace, pulled = np.where(held, given, 0.0), np.where(held, 0.0, given)
+        values, held = np.broadcast_to(conditions.value, self.sites), conditions.kind == Condition.ZERO_TRACE
+        trace, pulled = np.where(held, values, 0.0), np.where(held, 0.0, values)
         dofs = cells_and_dofs(space, spaces.facets)[1]
         on_facets = np.zeros(len(loads.forces) + space.dofmap.index_map.num_ghosts)
         on_facets[dofs] = trace[self.facets]  # only the cell behind a facet of Γ_S has it
@@ -67,5 +67,5 @@ class Tangent(FacetBackend):
         """The change of −s = −∇·σ − f + cu in each cell."""
         c = 0.0 if self.data.c_h is None else self.data.c_h.x.array
         through = self.spaces.outflow * sigma[self.spaces.V.dofmap.list]
-        found: Array = -np.einsum("cf->c", through) / self.spaces.cell_measures - self._loads.source + c * u
-        return found
+        minus_s: Array = -np.einsum("cf->c", through) / self.spaces.cell_measures - self._loads.source + c * u
+        return minus_s

@@ -113,8 +113,8 @@ class FacetCoefficients:
             corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
         points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
         hats = np.column_stack([1 - points.sum(axis=1), points])
-        there = (hats @ corners)[:, :, 1:]
-        values = self.basis(there.reshape(-1, there.shape[2])).reshape(len(corners), len(points), -1)
+        places = (hats @ corners)[:, :, 1:]
+        values = self.basis(places.reshape(-1, places.shape[2])).reshape(len(corners), len(points), -1)
         return corners, np.linalg.inv(self.basis(points)) @ values
 
     @property
@@ -144,8 +144,8 @@ class FacetCoefficients:
         number_of = np.zeros(weights[-1] * (self.degree + 1), dtype=np.int64)
         number_of[steps @ weights] = np.arange(len(points))
         where = number_of[weights[self.facets.ranking] @ steps.T]  # the points in the order of the facet's vertices
-        found = np.take_along_axis(values, where.reshape(*where.shape, *[1] * (values.ndim - 2)), axis=1)
-        return np.einsum("kp,np...->nk...", np.linalg.inv(self.basis(points)), found)
+        at_points = np.take_along_axis(values, where.reshape(*where.shape, *[1] * (values.ndim - 2)), axis=1)
+        return np.einsum("kp,np...->nk...", np.linalg.inv(self.basis(points)), at_points)
 
 
 def facet_coefficients(split: SplitMesh, space: fem.FunctionSpace, facets: BoundaryFacets) -> FacetCoefficients:
@@ -177,14 +177,14 @@ class ContactCoefficients(FacetCoefficients):
 
     def openings(self, mesh: dolfinx.mesh.Mesh, data: ElasticData) -> Array:
         """The coefficients of g, less p at the references of the laws (collective)."""
-        found = self.of(mesh, data.gap)
+        openings = self.of(mesh, data.gap)
         for law in data.laws.of_parts:
             mine = np.flatnonzero(np.isin(self.rows, law.rows))
             part = FacetCoefficients(
                 self.facets.take(mine), self.rows[mine], self.cells[mine], self.nodes[mine], self.degree
             )
-            found[mine] -= part.of(mesh, law)
-        return found
+            openings[mine] -= part.of(mesh, law)
+        return openings
 
     def pairs(self, rows: Indices, places: Indices) -> tuple[Indices, Array]:
         """The two nodes whose values make the jump at some places of facets, and their signs, shape (places, 2) each.

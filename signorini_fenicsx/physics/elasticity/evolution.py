@@ -90,7 +90,7 @@ class ElasticSteps:
 
 def spread(spaces: ElasticSpaces, rows: Array | Indices) -> Array:
     """Rows of the facets with friction as rows of all of Γ_C, 0 where there is none."""
-    found = np.zeros((len(spaces.facets), *rows.shape[1:]))
+    on_contact = np.zeros((len(spaces.facets), *rows.shape[1:]))
     if len(rows):
-        found[spaces.rough_rows] = rows
-    return found
+        on_contact[spaces.rough_rows] = rows
+    return on_contact

@@ -97,26 +97,26 @@ class Linearised:
         u, stress = np.where(sizes > 0, sizes, 1.0)
         p, flux, normal = solution.outcome.iterate.p, solution.outcome.iterate.flux, len(self._spaces.sites)
         scales = np.full(backend.sites, u), np.full(backend.sites, stress)
-        found = backend.chains.beside(self._segment, p, flux, scales, tolerance)
+        direction = backend.chains.beside(self._segment, p, flux, scales, tolerance)
         if friction.slipping is not None:
             slip, shear = (np.linalg.norm(each[normal:].reshape(-1, 2), axis=1) for each in (p, flux))
             bound, sticks = friction.bound.ravel(), friction.sticks.ravel()
             near = np.where(sticks, bound - shear <= tolerance * stress, slip <= tolerance * u)
-            found[normal:] = np.repeat(near & (bound > 0), 2)
-        return found
+            direction[normal:] = np.repeat(near & (bound > 0), 2)
+        return direction
 
     def _points(self) -> Iterator[tuple[str, Seen]]:
         """The data that are seen by their values in the points of the quadrature (collective)."""
         mesh, rule = self._spaces.mesh, self._data.quadrature
         forces = enumerate(self._data.f.components)
-        given = {f"f.{r}": component.ufl for r, component in forces if component.pieces is None}
-        given |= {name: number for name, number, _ in self._data.material.moved()}
-        if given:
+        numbers = {f"f.{r}": component.ufl for r, component in forces if component.pieces is None}
+        numbers |= {name: number for name, number, _ in self._data.material.moved()}
+        if numbers:
             whole = basix.make_quadrature(mesh.basix_cell(), 0)[1].sum()  # the measure of the reference cell
             weights = np.tile(rule.weights, self._spaces.dim + 1) * whole / (self._spaces.dim + 1)
             element = basix.ufl.quadrature_element(mesh.basix_cell(), points=rule.points, weights=weights)
             space = fenicsx.function_space(mesh, element)
-            for name, number in given.items():
+            for name, number in numbers.items():
                 yield name, Seen(_in_points(number), space, space.dofmap.list.ravel(), self._weights.ravel())
 
     def places(self) -> Array:
@@ -184,10 +184,10 @@ class Linearised:
     @property
     def _given(self) -> Mask:
         """Mask of the owned unknowns that are given values of û."""
-        found = np.zeros(len(self._backend.system.load), dtype=bool)
-        found[self._data.fixed] = True
-        found[np.concatenate([self._spaces.sites, self._spaces.slip_sites])[self._held]] = True
-        return found
+        is_given = np.zeros(len(self._backend.system.load), dtype=bool)
+        is_given[self._data.fixed] = True
+        is_given[np.concatenate([self._spaces.sites, self._spaces.slip_sites])[self._held]] = True
+        return is_given
 
     def adjoint(self, J: Form, of_slip: Array | None = None) -> dict[str, Array]:
         """The derivatives of J by all that is seen, but for where the data stand in J itself (collective).
@@ -248,15 +248,15 @@ class Linearised:
             return {}
         spaces, rule = self._spaces, self._data.quadrature
         lam = self._at_points(adjoint)
-        found = {
+        derivatives = {
             name: -self._weights * np.einsum("nsqe,nsqe->nsq", by_number, lam)
             for name, by_number in self._changes_of_strain()
         }
         u = spaces.displacement(of_u)
         values = u.x.array.reshape(-1, spaces.dim)[u.function_space.dofmap.list]
         at_points = np.einsum("sqv,nvr->nsqr", rule.hats, values)
-        found |= {f"f.{r}": -self._weights * at_points[..., r] for r in range(spaces.dim)}
-        return {name: values.ravel() for name, values in found.items()}
+        derivatives |= {f"f.{r}": -self._weights * at_points[..., r] for r in range(spaces.dim)}
+        return {name: values.ravel() for name, values in derivatives.items()}
 
     def _changes_of_strain(self) -> Iterator[tuple[str, Array]]:
         """How the strain changes with each number of the material, shape (cells, d + 1, points, entries)."""
@@ -273,9 +273,9 @@ class Linearised:
 
     def _at_points(self, values: Array) -> Array:
         """The entries of a stress in the points, shape (cells, d + 1, points, entries), from its values at vertices."""
-        there = np.empty_like(values)
-        there[self._spaces.as_dolfinx(np.arange(len(values), dtype=np.int32))] = values
-        return np.einsum("qa,nsae->nsqe", self._data.quadrature.local, to_entries(there))
+        at_vertices = np.empty_like(values)
+        at_vertices[self._spaces.as_dolfinx(np.arange(len(values), dtype=np.int32))] = values
+        return np.einsum("qa,nsae->nsqe", self._data.quadrature.local, to_entries(at_vertices))
 
     @property
     def _pressure(self) -> Array:

@@ -119,11 +119,13 @@ class Material:
         """𝔸 in points, shape (cells, points, entries, entries) (collective)."""
         in_space = self._in_space(points)
         keep = self._kept
-        found = in_space[..., keep[:, None], keep]
+        in_plane = in_space[..., keep[:, None], keep]
         if self.in_strain:
             column = in_space[..., keep, BEYOND]
-            found = found - column[..., :, None] * column[..., None, :] / in_space[..., BEYOND, BEYOND, None, None]
-        return found
+            in_plane = (
+                in_plane - column[..., :, None] * column[..., None, :] / in_space[..., BEYOND, BEYOND, None, None]
+            )
+        return in_plane
 
     def strain(self, points: CellPoints) -> Array:
         """ε₀ in points, shape (cells, points, entries) (collective)."""
@@ -190,20 +192,20 @@ class Material:
         """𝔸 in space, shape (cells, points, 6, 6)."""
         E, nu = self.constants(points)
         shear = [datum.values(points) for datum in self.shear]
-        found = np.zeros((*points.shape, len(SPACE), len(SPACE)), dtype=np.result_type(E, nu, *shear))
+        compliance = np.zeros((*points.shape, len(SPACE), len(SPACE)), dtype=np.result_type(E, nu, *shear))
         for k, (i, j) in enumerate(SPACE):
             if i == j:
-                found[..., k, k] = 1 / E[..., i]
+                compliance[..., k, k] = 1 / E[..., i]
                 continue
-            found[..., i, j] = found[..., j, i] = -nu[..., k - 3] / E[..., i]
-            found[..., k, k] = (1 + nu[..., k - 3]) / E[..., i]
+            compliance[..., i, j] = compliance[..., j, i] = -nu[..., k - 3] / E[..., i]
+            compliance[..., k, k] = (1 + nu[..., k - 3]) / E[..., i]
             if shear:
                 G, free = shear[k - 3], shear[k - 3].real == 0
-                found[..., k, k] = np.where(free, found[..., k, k], 1 / np.where(free, 1.0, 2 * G))
+                compliance[..., k, k] = np.where(free, compliance[..., k, k], 1 / np.where(free, 1.0, 2 * G))
         if not self.axes:
-            return found
+            return compliance
         turn = self._turn(points)
-        return turn @ found @ turn.swapaxes(-1, -2)
+        return turn @ compliance @ turn.swapaxes(-1, -2)
 
     def constants(self, points: CellPoints) -> tuple[Array, Array]:
         """E₁, E₂, E₃ and ν₁₂, ν₁₃, ν₂₃ in points, the last axis (collective)."""
@@ -213,16 +215,16 @@ class Material:
     def directions(self, points: CellPoints) -> Array:
         """The axes in points as rows, orthogonal and of length 1, or NaN, shape (cells, points, 3, 3) (collective)."""
         components = [[component.values(points) for component in axis] for axis in self.axes]
-        given = np.zeros(
+        axes = np.zeros(
             (*points.shape, 2, 3), dtype=np.result_type(float, *(each for axis in components for each in axis))
         )
-        given[..., 1, 1] = 1.0
+        axes[..., 1, 1] = 1.0
         for k, axis in enumerate(components):
             for i, values in enumerate(axis):
-                given[..., k, i] = values
+                axes[..., k, i] = values
         if self.dim == 2:
-            given[..., 1, :] = np.stack([-given[..., 0, 1], given[..., 0, 0], 0 * given[..., 0, 0]], axis=-1)
-        first, second = given[..., 0, :], given[..., 1, :]
+            axes[..., 1, :] = np.stack([-axes[..., 0, 1], axes[..., 0, 0], 0 * axes[..., 0, 0]], axis=-1)
+        first, second = axes[..., 0, :], axes[..., 1, :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             first, second = first / _length(first), second / _length(second)
             second = second - (second * first).sum(axis=-1, keepdims=True) * first
@@ -348,12 +350,12 @@ def check_material(spaces: MeshSpaces, material: Material, blocks: Iterable[Cell
         InputError: If something is not finite, E ≤ 0, ν is not between −1 and ½, a shear modulus is negative, the
             energy is not positive, or something is no direction or no symmetric matrix.
     """
-    found: dict[str, tuple[float, float]] = {}
+    extremes: dict[str, tuple[float, float]] = {}
     for points in blocks:
         for key, values in material.looked_at(points):
-            (low, high), values = found.get(key, (np.inf, -np.inf)), np.nan_to_num(values, nan=-np.inf)
-            found[key] = min(low, float(values.min(initial=np.inf))), max(high, float(values.max(initial=-np.inf)))
-    ends = {key: extent(np.array(pair), spaces.mesh.comm) for key, pair in found.items()}
+            (low, high), values = extremes.get(key, (np.inf, -np.inf)), np.nan_to_num(values, nan=-np.inf)
+            extremes[key] = min(low, float(values.min(initial=np.inf))), max(high, float(values.max(initial=-np.inf)))
+    ends = {key: extent(np.array(pair), spaces.mesh.comm) for key, pair in extremes.items()}
     for key in ("young", "poisson", "shear", "energy", "axes"):
         if key in ends:
             _check_ends(key, *ends[key])

@@ -46,8 +46,8 @@ class Moments:
 
     def sensitivities(self, by: Array) -> Array:
         """The derivatives of something by the moments, from those by the numbers."""
-        found: Array = np.einsum("nka,nk->na", self.matrices, by[self.places])
-        return found.ravel()
+        derivatives: Array = np.einsum("nka,nk->na", self.matrices, by[self.places])
+        return derivatives.ravel()
 
 
 def on_boundary(
@@ -94,11 +94,11 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
     for index, (name, datum) in enumerate(data.g_N.items()):
         rows = np.flatnonzero(last == index)
         if isinstance(datum, PressureDatum):
-            given = [(datum.pressure, -np.einsum("narj,nr->nja", by_component[rows], facets.normals[rows]))]
+            loads = [(datum.pressure, -np.einsum("narj,nr->nja", by_component[rows], facets.normals[rows]))]
         else:
             each = enumerate(datum.components)
-            given = [(component, by_component[rows, :, r].transpose(0, 2, 1)) for r, component in each]
-        for r, (component, matrices) in enumerate(given):
+            loads = [(component, by_component[rows, :, r].transpose(0, 2, 1)) for r, component in each]
+        for r, (component, matrices) in enumerate(loads):
             for part, moments in _of_datum(spaces, component, facets.take(rows), places[rows], matrices):
                 yield "load", f"g_N.{name}.{r}.{part}", moments
 

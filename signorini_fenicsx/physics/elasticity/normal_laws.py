@@ -101,8 +101,8 @@ class Springs:
 
     def pressure(self, p: Array) -> Array:
         """The pressures under these means of the opening, 0 at vertices that are on no slope, shape (sites,)."""
-        found: Array = np.einsum("nij,nj->ni", self.stiffness, self.rest - p.reshape(self.rest.shape))
-        return found.ravel()
+        pressure: Array = np.einsum("nij,nj->ni", self.stiffness, self.rest - p.reshape(self.rest.shape))
+        return pressure.ravel()
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,8 @@ class NormalLaws:
         clipped = np.clip(pressure[:, None], low, high).reshape(facets, -1, self.shared.shape[1])
         with np.errstate(invalid="ignore"):  # segments behind the last one have infinite ends
             off = clipped.shape[1] * clipped - clipped.sum(axis=1, keepdims=True)
-            found = np.where(self.shared[:, None] > 0, self.shared[:, None] * off, 0.0)
-        return found.reshape(-1, self.shared.shape[1])
+            corrections = np.where(self.shared[:, None] > 0, self.shared[:, None] * off, 0.0)
+        return corrections.reshape(-1, self.shared.shape[1])
 
     def _ends(self) -> tuple[Array, Array]:
         """The least and the largest pressure of each segment, shape (sites, segments) each."""
@@ -257,8 +257,8 @@ def _graphs(facets: BoundaryFacets, points: FacetPoints, graph: Graph) -> tuple[
     reference = opening(graph.reference[0]), pressure(graph.reference[1])
     if len(corners) == 1 and graph.corners[0] is graph.reference:
         corners = [reference]
-    found = Graph(reference, corners, slope(graph.before), slope(graph.beyond))
-    return replace(chains_of(found, len(reference[0])), plain=False), *reference
+    graph_of_means = Graph(reference, corners, slope(graph.before), slope(graph.beyond))
+    return replace(chains_of(graph_of_means, len(reference[0])), plain=False), *reference
 
 
 def lines_by_data(
@@ -284,7 +284,7 @@ def lines_by_data(
     values = {name: datum.values(points).ravel() for name, datum in part.data.items()}
     hats = np.column_stack([1 - points.points.sum(axis=1), points.points])
     for name in names:
-        found = np.empty((len(part.rows), dim, dim))
+        changes = np.empty((len(part.rows), dim, dim))
         for vertex in range(dim):
             step = 1j * COMPLEX_STEP * hats[:, facets.ranking[:, vertex]].T.ravel()
             graph = part.law.graph(values | {name: values[name] + step})  # type: ignore[arg-type]
@@ -295,14 +295,14 @@ def lines_by_data(
             line = np.where(kind == Condition.ZERO_TRACE, of_opening, of_pressure) + conditions.value
             sprung = of_pressure + moved.springs(conditions).pressure(opening[sites] - of_opening)
             line = np.where(kind == Condition.ROBIN, sprung, line)
-            found[:, :, vertex] = line.imag.reshape(-1, dim) / COMPLEX_STEP
-        yield name, found
+            changes[:, :, vertex] = line.imag.reshape(-1, dim) / COMPLEX_STEP
+        yield name, changes
 
 
 def _moments(facets: BoundaryFacets, points: FacetPoints, values: Array | float) -> Array:
     """∫ value φ_i over facets, shape (facets, d)."""
-    there = np.broadcast_to(values, points.shape[0] * points.shape[1]).reshape(points.shape)
-    return facets.moments(there, points.points, points.weights)
+    at_points = np.broadcast_to(values, points.shape[0] * points.shape[1]).reshape(points.shape)
+    return facets.moments(at_points, points.points, points.weights)
 
 
 def _shared(chains: Chains, dim: int) -> Array:

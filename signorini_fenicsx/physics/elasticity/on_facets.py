@@ -127,7 +127,7 @@ def pulls_of(spaces: ElasticSpaces, given: Mapping[str, GivenVector | Given]) ->
     Raises:
         InputError: If a text cannot be read.
     """
-    found = []
+    pulls = []
     for name, each in given.items():
         facets, key = spaces.part(name), f"traction.{name}"
         datum: VectorDatum | PressureDatum
@@ -136,8 +136,8 @@ def pulls_of(spaces: ElasticSpaces, given: Mapping[str, GivenVector | Given]) ->
         else:
             pressure = datum_of(spaces, key, parsed(each, "xyz"[: spaces.dim], key))
             datum = PressureDatum(key, pressure, facets.normals)
-        found.append(Pull(facets, datum, facet_moments(spaces, key, datum, facets, f"on the part '{name}'")))
-    return tuple(found)
+        pulls.append(Pull(facets, datum, facet_moments(spaces, key, datum, facets, f"on the part '{name}'")))
+    return tuple(pulls)
 
 
 def add_pulls(spaces: ElasticSpaces, pulls: Sequence[Pull], tractions: Array) -> Array:

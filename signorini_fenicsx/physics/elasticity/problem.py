@@ -232,12 +232,12 @@ class Elasticity:
 
     def on(self, domain: Domain) -> tuple[ElasticBoundary, ElasticProblem]:
         """The problem on a domain, sorted by the kinds of its boundary (collective)."""
-        given = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
+        dirichlet = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
         loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
         springs = [condition for condition in self.conditions if isinstance(condition, Support)]
         meeting: list[Contact | Law] = [condition for condition in self.conditions if isinstance(condition, Contact)]
         meeting += [condition for condition in self.conditions if is_normal(condition)]
-        fixed = {part: each.components for each in given if each.components is not None for part in each.parts}
+        fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
         pulled = dict.fromkeys(part for each in [*loads, *springs] for part in each.parts)
         boundary = ElasticBoundary(
             contact=[part for each in meeting for part in each.parts],
@@ -245,7 +245,7 @@ class Elasticity:
             fixed=fixed,
             inner=[part for each in meeting for part in each.parts if other_side(part) in domain.parts],
         )
-        u_D = {part: nothing_for_0(each.value) for each in given for part in each.parts}
+        u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
         same = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("u_D", "conditions")}

@@ -62,16 +62,16 @@ def _of_part(solution: ElasticSolution, part: int) -> dict[str, Any]:
     area = solution.touching[rows].sum(axis=1) @ contact.measure / dim
     *center, force, area = comm.allreduce(np.array([*moments, weights.sum(), area])).tolist()
     peak = _largest(comm, pressure.ravel(), contact.vertices.reshape(-1, dim))
-    found = {"peak_pressure": peak, "area": area, "pressure_force": force}
+    numbers = {"peak_pressure": peak, "area": area, "pressure_force": force}
     if force > PRESSED * abs(peak["largest"]) * comm.allreduce(float(contact.measure.sum())):
-        found["center_of_pressure"] = [x / force for x in center]
+        numbers["center_of_pressure"] = [x / force for x in center]
     if dim == 2:
         x = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 1)))
         along = along_parts(spaces, np.full(len(rows), part), x)
         table = np.column_stack([along, contact.measure, pressure.mean(axis=1), contact.vertices.reshape(-1, 4)])
         gathered = gather_rows(comm, table)
-        found["width"] = comm.bcast(None if gathered is None else _width(gathered[np.lexsort(gathered.T[::-1])]))
-    return found
+        numbers["width"] = comm.bcast(None if gathered is None else _width(gathered[np.lexsort(gathered.T[::-1])]))
+    return numbers
 
 
 def _width(facets: Array) -> float:

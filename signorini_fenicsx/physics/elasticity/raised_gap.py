@@ -70,11 +70,11 @@ class RaisedGap(Datum):
 
     def _values(self, points: Points) -> Array:
         assert isinstance(points, FacetPoints)
-        found = np.array(self.gap.values(points))
+        gaps = np.array(self.gap.values(points))
         mine = np.flatnonzero(np.isin(points.facets, self.facets))
         rows = np.searchsorted(self.facets, points.facets[mine])
-        found[mine] += self.offsets[rows, None] + np.einsum("nqi,ni->nq", points.x[mine], self.slopes[rows])
-        return found
+        gaps[mine] += self.offsets[rows, None] + np.einsum("nqi,ni->nq", points.x[mine], self.slopes[rows])
+        return gaps
 
 
 def beyond_surfaces(spaces: ElasticSpaces, gap: Datum, surfaces: Mapping[str, str | Path]) -> Datum:

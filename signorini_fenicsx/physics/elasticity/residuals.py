@@ -93,8 +93,8 @@ def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float
     loads = np.append(data.tractions, data.pulled)
     largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, loads)])
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-    stiff, given, load = largest.tolist()
-    size = stiff * given * np.sqrt(volume) / volume ** (1 / len(data.f.components))
+    stiff, displacement, load = largest.tolist()
+    size = stiff * displacement * np.sqrt(volume) / volume ** (1 / len(data.f.components))
     at_rest = load == 0 and all(each.number == 0 for each in data.f.components) and norm <= LINEAR * size
     return size if at_rest else 0.0
 
@@ -109,26 +109,26 @@ def subcell_squares(stresses: Array) -> Array:
 
 def energy_squares(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
     """(𝔸σ, σ) of each owned cell, from values as in `SplitMesh.values` (collective)."""
-    found = np.empty(len(spaces.order))
+    squares = np.empty(len(spaces.order))
     for cells in blocks_of_cells(spaces):
         masses = data.masses(spaces, cells, Cells(spaces.vertices[cells]).measure)
-        here = to_entries(stresses[cells]).reshape(*masses.shape[:3], 1)
-        found[cells] = (here * (masses @ here)).sum(axis=(1, 2, 3))
-    return found
+        stress = to_entries(stresses[cells]).reshape(*masses.shape[:3], 1)
+        squares[cells] = (stress * (masses @ stress)).sum(axis=(1, 2, 3))
+    return squares
 
 
 def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
     """Moments of ∇·σ + f against the hats of the cells' vertices, over |T|, shape (cells, d + 1, d)."""
     dim = spaces.dim
-    found = np.empty((len(spaces.order), dim + 1, dim))
+    left = np.empty((len(spaces.order), dim + 1, dim))
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         volume = cells.measure / (dim + 1)
         divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], cells.hat_gradients)
         moments = np.einsum("vs,nsi->nvi", hats_in_subcells(dim), divergence)
         moments += data.moments_of_f(spaces, numbers, cells.measure)
-        found[numbers] = moments / (volume * (dim + 1))[:, None, None]
-    return found
+        left[numbers] = moments / (volume * (dim + 1))[:, None, None]
+    return left
 
 
 def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
@@ -180,11 +180,11 @@ def resultants(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> dic
 
     Each row has the forces and, after them, the moments.
     """
-    found = {}
+    forces = {}
     for name in spaces.domain.parts:
         part = spaces.part(name)
-        found[name] = spaces.mesh.comm.allreduce(_wrench(part.vertices, _pulls(spaces, stresses, part)))
-    return found | {"sum": balance(spaces, data, stresses)[0]}
+        forces[name] = spaces.mesh.comm.allreduce(_wrench(part.vertices, _pulls(spaces, stresses, part)))
+    return forces | {"sum": balance(spaces, data, stresses)[0]}
 
 
 def balance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[Array, float]:

@@ -121,12 +121,12 @@ HELD_BY = "neither the parts where u is given nor springs nor contact under thes
 def _motions(x: Array) -> Array:
     """Translations, then rotations about the origin."""
     dim = x.shape[-1]
-    found = [np.broadcast_to(axis, x.shape) for axis in np.eye(dim)]
+    motions = [np.broadcast_to(axis, x.shape) for axis in np.eye(dim)]
     if dim == 2:
-        found.append(np.stack([-x[..., 1], x[..., 0]], axis=-1))
+        motions.append(np.stack([-x[..., 1], x[..., 0]], axis=-1))
     else:
-        found += [np.cross(axis, x) for axis in np.eye(3)]
-    return np.stack(found, axis=-1)
+        motions += [np.cross(axis, x) for axis in np.eye(3)]
+    return np.stack(motions, axis=-1)
 
 
 def _at(normals: Array, dim: int) -> Array:

@@ -168,11 +168,11 @@ def _segment_names(solution: ElasticSolution) -> list[str]:
 
 def _labels(solution: ElasticSolution) -> npt.NDArray[np.int64]:
     """For each facet vertex the row of its segment in `_segment_names`."""
-    found, first = solution.segment.reshape(solution.touching.shape).astype(np.int64), len(Signorini.segments)
+    labels, first = solution.segment.reshape(solution.touching.shape).astype(np.int64), len(Signorini.segments)
     for law in solution.data.laws.of_parts:
-        found[law.rows] = law.law.named(found[law.rows]) + first
+        labels[law.rows] = law.law.named(labels[law.rows]) + first
         first += len(law.law.segments)
-    return found.ravel()
+    return labels.ravel()
 
 
 def _forward(contact: BoundaryFacets, along: Array) -> npt.NDArray[np.int64]:
@@ -300,9 +300,9 @@ def _pressed(about: Mapping[str, Any]) -> str:
 
 def _moved(about: Mapping[str, Any]) -> str:
     """The motion of a tool."""
-    found = [f"{length:.5g} along {axis}" for axis, length in about["displacement"].items()]
-    found += [f"the angle {angle:.5g} about {axis}" for axis, angle in about.get("rotation", {}).items()]
-    return " and ".join(found)
+    words = [f"{length:.5g} along {axis}" for axis, length in about["displacement"].items()]
+    words += [f"the angle {angle:.5g} about {axis}" for axis, angle in about.get("rotation", {}).items()]
+    return " and ".join(words)
 
 
 def _at(largest: Mapping[str, Any]) -> str:

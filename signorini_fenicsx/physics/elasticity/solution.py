@@ -393,8 +393,8 @@ class ElasticSolution(Solved):
 
     def _particular(self) -> dict[str, Any]:
         in_laws = np.isin(self.spaces.contact.facets, self._facets_with_laws())
-        given = self.data.lift[self.spaces.sites] - self.data.moved[: len(self.spaces.sites)]
-        means = given.reshape(self.touching.shape)  # of g, before tools move
+        gap = self.data.lift[self.spaces.sites] - self.data.moved[: len(self.spaces.sites)]
+        means = gap.reshape(self.touching.shape)  # of g, before tools move
         own = means[~in_laws].min(initial=np.inf)
         least = min(self.spaces.mesh.comm.allgather(float(own)))
         numbers = {"resultants": self.resultants(), "quantities": self.quantities()}

@@ -176,14 +176,14 @@ class ElasticSpaces(MeshSpaces):
         These are matrices from unknowns (a, k) to values (vertex, component), shape (facets, d², d²).
         """
         dual = (self.dim + 1) * np.eye(self.dim) - 1
-        found = [(self.contact, _frame_matrices(self.contact.normals, dual))]
-        found[0][1][self.rough_rows] = _frame_matrices(self.rough.normals, dual, dual)
-        found.append((self.across, found[0][1][self.inner.rows]))
+        frames = [(self.contact, _frame_matrices(self.contact.normals, dual))]
+        frames[0][1][self.rough_rows] = _frame_matrices(self.rough.normals, dual, dual)
+        frames.append((self.across, frames[0][1][self.inner.rows]))
         for name, components in self.boundary.fixed.items():
             if components == NORMAL:
                 part = self.part(name)
-                found.append((part, _frame_matrices(part.normals, np.eye(self.dim))))
-        return found
+                frames.append((part, _frame_matrices(part.normals, np.eye(self.dim))))
+        return frames
 
     def unknowns(self, facets: BoundaryFacets, k: int) -> npt.NDArray[np.int32]:
         """The unknowns (a, k) of facets, shape (facets, d)."""
@@ -193,11 +193,11 @@ class ElasticSpaces(MeshSpaces):
     @cached_property
     def fixed(self) -> list[tuple[BoundaryFacets, int, str]]:
         """Facets and the component k in which u is given, and what that is: a letter of "xyz", or "n"."""
-        found = [(self.dirichlet, k, AXES[k]) for k in range(self.dim)]
+        numbers = [(self.dirichlet, k, AXES[k]) for k in range(self.dim)]
         for name, components in self.boundary.fixed.items():
             part = self.part(name)
-            found += [(part, 0 if letter == NORMAL else AXES.index(letter), letter) for letter in components]
-        return found
+            numbers += [(part, 0 if letter == NORMAL else AXES.index(letter), letter) for letter in components]
+        return numbers
 
     @cached_property
     def sites(self) -> npt.NDArray[np.int32]:

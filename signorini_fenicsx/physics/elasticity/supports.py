@@ -47,8 +47,8 @@ class Supports:
         """∫ Kq·q' for the hats of each vertex and component of q and q', shape (facets, d², d²)."""
         dim = self.stiffness.shape[1]
         hats = (1 + np.eye(dim)) / (dim * (dim + 1))
-        found = np.einsum("n,ab,nij->naibj", self.facets.measure, hats, self.stiffness)
-        return np.asarray(found.reshape(-1, dim**2, dim**2))
+        masses = np.einsum("n,ab,nij->naibj", self.facets.measure, hats, self.stiffness)
+        return np.asarray(masses.reshape(-1, dim**2, dim**2))
 
     @property
     def share(self) -> Array:
@@ -80,7 +80,7 @@ def supports_of(spaces: ElasticSpaces, given: Mapping[str, GivenStiffness]) -> S
     Raises:
         InputError: If a part is not in Γ_N, or a stiffness is not numbers, symmetric, and of no negative eigenvalue.
     """
-    found = [np.zeros((0, spaces.dim, spaces.dim))]
+    supports = [np.zeros((0, spaces.dim, spaces.dim))]
     numbers = [np.zeros(0, dtype=np.int32)]
     for part, value in given.items():
         name = f"[problem] support.{part}"
@@ -88,8 +88,8 @@ def supports_of(spaces: ElasticSpaces, given: Mapping[str, GivenStiffness]) -> S
             raise InputError(f"{name}: a support is on a part in neumann")
         facets = spaces.part(part)
         numbers.append(facets.facets)
-        found.append(_stiffness(name, parsed(value, "xyz"[: spaces.dim], name), facets.normals))
-    all_numbers, stiffness = np.concatenate(numbers), np.concatenate(found)
+        supports.append(_stiffness(name, parsed(value, "xyz"[: spaces.dim], name), facets.normals))
+    all_numbers, stiffness = np.concatenate(numbers), np.concatenate(supports)
     order = np.argsort(all_numbers)
     return Supports(spaces.boundary_facets(all_numbers[order]), stiffness[order])
 

@@ -242,12 +242,12 @@ def gap_on_gamma_s(
         corners = part, q_S
     at = goal.at(spaces, points, weights, corners)
     v = trace.on_gamma_s(at.points)
-    found = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v), missed, area)
+    law_gap = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v), missed, area)
     pressure = None
     if part is not None:
-        excess = found.load.values[part.rows] + on.flux[part.rows, None] - q_S
+        excess = law_gap.load.values[part.rows] + on.flux[part.rows, None] - q_S
         pressure = Pressure(part.key("psi"), part.data["psi"], facets, excess.max(axis=1, initial=0.0))
-    return found.per_cell(number), [] if goal.keeps_flux else found.loads(spaces), pressure
+    return law_gap.per_cell(number), [] if goal.keeps_flux else law_gap.loads(spaces), pressure
 
 
 @dataclass(frozen=True)
@@ -282,15 +282,15 @@ def mismatches(own: Admissible, trace: Trace, flux: CellFlux | FluxOf) -> Array:
     spaces, kappa = own.solution.spaces, own.solution.data.kappa
     mesh, far = spaces.mesh, np.delete(owned_cells(spaces.mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    found = np.zeros(spaces.Q.dofmap.index_map.size_local)
+    squares = np.zeros(spaces.Q.dofmap.index_map.size_local)
     for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, degree_near(trace))):
         for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), max(degree, QUADRATIC))):
             slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
-            found[points.rows] = points.integrals(_flux_gap(slope, flux.at(points), kappa.values(points)))
+            squares[points.rows] = points.integrals(_flux_gap(slope, flux.at(points), kappa.values(points)))
     deviation, lowest = own.deviation, own.metric.kappa_min
     if not mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
-        return found
-    root = np.sqrt((1 + deviation / lowest) * np.maximum(found, 0.0))
+        return squares
+    root = np.sqrt((1 + deviation / lowest) * np.maximum(squares, 0.0))
     root += deviation * np.sqrt(flux.squares(1.0)) / lowest**1.5
     return np.asarray(root**2, dtype=np.float64)
 

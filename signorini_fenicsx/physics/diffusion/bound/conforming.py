@@ -210,14 +210,14 @@ def _given(space: fem.FunctionSpace, spaces: Spaces, u_D: Datum) -> npt.NDArray[
     on_dirichlet = fem.locate_dofs_topological(space, dim - 1, spaces.dirichlet_facets)
     if not spaces.inner.present or u_D.number is not None:
         return on_dirichlet
-    given = fem.Function(space)
-    given.x.array[on_dirichlet] = 1.0
+    is_given = fem.Function(space)
+    is_given.x.array[on_dirichlet] = 1.0
     nodes = facet_nodes(space, np.concatenate([spaces.facets[spaces.inner.rows], spaces.inner.facets]))
-    ends = given.x.array[nodes[:, :dim]][:, np.array(basix.topology(facet_type(dim))[1])]
-    given.x.array[nodes[:, dim:][(ends > 0).all(axis=2)]] = 1.0
-    given.x.scatter_reverse(la.InsertMode.add)
-    given.x.scatter_forward()
-    return np.flatnonzero(given.x.array)
+    ends = is_given.x.array[nodes[:, :dim]][:, np.array(basix.topology(facet_type(dim))[1])]
+    is_given.x.array[nodes[:, dim:][(ends > 0).all(axis=2)]] = 1.0
+    is_given.x.scatter_reverse(la.InsertMode.add)
+    is_given.x.scatter_forward()
+    return np.flatnonzero(is_given.x.array)
 
 
 def _without(ends: list[Array], where: Mask) -> list[Array]:
@@ -258,12 +258,12 @@ def _hindrance(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Sequen
     comm = v.function_space.mesh.comm
     low, high = (extreme_around(v.function_space, nodes, end, largest=end is ends[0]) for end in ends)
     rounding = 1e-12 * comm.allreduce(np.abs(v.x.array).max(initial=0.0), MPI.MAX)
-    given = v.x.array.copy()
-    given[fixed[1]] = 0.0
-    beyond = (low > given + rounding) | (given > high + rounding)
-    found = np.array([(low > high + rounding).any(), *(beyond[some].any() for some in fixed)])
-    comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
-    return next((words for words, here in zip(HINDRANCES, found, strict=True) if here), "")
+    v_given = v.x.array.copy()
+    v_given[fixed[1]] = 0.0
+    beyond = (low > v_given + rounding) | (v_given > high + rounding)
+    hindered = np.array([(low > high + rounding).any(), *(beyond[some].any() for some in fixed)])
+    comm.Allreduce(MPI.IN_PLACE, hindered, MPI.LOR)
+    return next((words for words, is_hindered in zip(HINDRANCES, hindered, strict=True) if is_hindered), "")
 
 
 def _coefficients(values: Array, facet: basix.CellType) -> Array:
@@ -292,23 +292,23 @@ def _with_exact_data(
     if data.u_D.number is None or trace.levels:
         changed.append(near_dirichlet)
     corners = facet_nodes(linear, spaces.facets)
-    known = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
+    used = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
         for sign, datum in zip((1.0, -1.0), _bounds(on, part), strict=True):
             if datum is None or (datum.number is not None and not changed):
                 continue
             rows = np.intersect1d(part.rows, spaces.outer_rows)  # inside, coefficients and levels are enough
             facets = spaces.facets[rows]
-            here = fem.Function(linear)
-            here.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
+            is_bounded = fem.Function(linear)
+            is_bounded.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
             lattice = facet_lattice(mesh, facets, SAMPLES)
             short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])
             fixed = np.isin(corners[rows], on_dirichlet).any(axis=1)
             lacking = np.where(fixed, *ROOM[::-1]) * np.maximum(short.max(axis=1, initial=0.0), 0.0)
             _move(trace, corners[rows], sign, lacking)
-            trace.bounds.append(Bound(datum, sign, here, depth(trace, datum, sign, here, spaces)))
-            changed.append(here)
-            known.append(datum)
+            trace.bounds.append(Bound(datum, sign, is_bounded, depth(trace, datum, sign, is_bounded, spaces)))
+            changed.append(is_bounded)
+            used.append(datum)
     altered = _cells_with(changed, linear)
     for ray in inside.rays:
         bound = ray.bound(linear)
@@ -317,7 +317,7 @@ def _with_exact_data(
         trace.bounds.append(bound)
         if not ray.is_quadratic or not ray.everywhere:
             changed.append(bound.near)
-            known.append(ray.datum)
+            used.append(ray.datum)
     if spaces.inner.present:
         if changed:
             _move_jumps(trace, on)
@@ -331,7 +331,7 @@ def _with_exact_data(
         touching=touching,
         altered=altered,
         hindrance=hindrance,
-        degree=quadrature_degree(*known),
+        degree=quadrature_degree(*used),
     )
 
 
@@ -377,12 +377,12 @@ def _bounds(on: OnGammaS, part: PartLaw) -> list[Datum | None]:
 
 def _levels(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> list[tuple[Datum, fem.Function, fem.Function]]:
     """The data b that hold u or its jump and are no numbers, their I_hb, and the χ of each (collective)."""
-    found = []
+    levels = []
     for datum, interpolant, held in (*_held_values(on, v, linear), *_held_jumps(on, v.function_space, linear)):
         near, quadratic = fem.Function(linear), fem.Function(v.function_space)
         near.x.array[:], quadratic.x.array[:] = held, interpolant
-        found.append((datum, quadratic, near))
-    return found
+        levels.append((datum, quadratic, near))
+    return levels
 
 
 def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array, Array]]:
@@ -418,6 +418,6 @@ def _held_jumps(
         bounds = [bound for bound in part.bounds if bound is not None]
         if len(bounds) == 1 and bounds[0].number is None:
             rows = np.intersect1d(part.rows, on.spaces.inner.rows)
-            here = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
+            is_held = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
             interpolant = coefficients(bounds[0], space, all_edges(space))
-            yield bounds[0], interpolant, np.where((here > 0) & jumps.jump, 1.0, 0.0)
+            yield bounds[0], interpolant, np.where((is_held > 0) & jumps.jump, 1.0, 0.0)

@@ -103,8 +103,8 @@ def _without_penalty(solution: Solution) -> tuple[fem.Function, fem.Function]:
         open_facets = solution.outcome.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
         with contextlib.suppress(LinearSolveFailure):
-            found = HybridBackend(solution.spaces, solution.data).solve(SiteConditions(kind))
-            return found.sigma, found.u
+            iterate = HybridBackend(solution.spaces, solution.data).solve(SiteConditions(kind))
+            return iterate.sigma, iterate.u
     return solution.sigma, solution.u
 
 

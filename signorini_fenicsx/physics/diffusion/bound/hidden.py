@@ -189,9 +189,9 @@ def _on_dirichlet(spaces: Spaces, trace: Trace, cells: Indices) -> Array:
     space, dim = trace.v.function_space, spaces.mesh.topology.dim
     fixed = fem.locate_dofs_topological(space, dim - 1, spaces.dirichlet_facets)
     nodes, ends = space.dofmap.list[cells], np.array(basix.topology(spaces.mesh.basix_cell())[1])
-    found = trace.v.x.array[nodes]  # coefficients of Bernstein
-    found[:, dim + 1 :] = (found[:, dim + 1 :] + found[:, ends].mean(axis=2)) / 2
-    return np.where(np.isin(nodes, fixed), found, np.nan)
+    coefficients = trace.v.x.array[nodes]  # coefficients of Bernstein
+    coefficients[:, dim + 1 :] = (coefficients[:, dim + 1 :] + coefficients[:, ends].mean(axis=2)) / 2
+    return np.where(np.isin(nodes, fixed), coefficients, np.nan)
 
 
 def _jumps(tree: Tree, vertices: Array, nodes: Array | None) -> Mask:
@@ -229,11 +229,11 @@ class Pressure:
         rough = ~(rho <= enough / 2) & (size > 0)
         p = quadratic_of(vertices, in_nodes(tree, vertices)).of(rough)
         weight = np.full(len(p.value), 1 / (enough**2 * max(comm.allreduce(np.count_nonzero(rough)), 1)))
-        found = means(tree, vertices[rough], p, resolution.spaces.frame, weight)
+        means_of_rough = means(tree, vertices[rough], p, resolution.spaces.frame, weight)
         arms = points.x[rough] - vertices[rough].mean(axis=1, keepdims=True)
         rest = self.datum.values(points)[rough] - p.at(arms)[:, :, 0]
         shown = np.sqrt(rest**2 @ points.weights / points.weights.sum())
-        rho[rough] = np.fmin(rho[rough], found.norm + shown)
+        rho[rough] = np.fmin(rho[rough], means_of_rough.norm + shown)
         missed = np.where(size > 0, size * rho, 0.0)
         resolution.record_missed(self.name, points.cells.astype(np.int64), missed)
         return points.per_cell(missed, number)

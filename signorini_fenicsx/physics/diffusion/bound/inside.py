@@ -117,8 +117,8 @@ class Ray:
 
     def coefficients(self, space: fem.FunctionSpace, edges: Edges) -> Array:
         """Bernstein coefficients of I_hψ, infinite in nodes off its cells (collective)."""
-        here = coefficients(self.datum, space, edges)
-        return here if self.everywhere else np.where(_around(space, self.cells), here, -self.sign * np.inf)
+        bound = coefficients(self.datum, space, edges)
+        return bound if self.everywhere else np.where(_around(space, self.cells), bound, -self.sign * np.inf)
 
     def bound(self, linear: fem.FunctionSpace) -> Bound:
         """The bound, as it is known to `conforming`, with the depth 0 (collective)."""
@@ -253,7 +253,7 @@ class Inside:
         if not self.parts:
             return np.zeros(len(self.s)), None
         number, dim, cell = len(self.s), mesh.topology.dim, mesh.basix_cell()
-        found, missed = np.zeros(number), np.zeros(number)
+        squares, missed = np.zeros(number), np.zeros(number)
         load = Projection(np.zeros((number, dim)), np.zeros(number))
         of_data = [datum for part in self.parts for datum in part.data.values()]
         degree = max(SQUARE, quadrature_degree(*of_data))
@@ -274,9 +274,9 @@ class Inside:
                     sides = np.sign(self.forces[own])
                     eta[pressed] = -(sides * self.largest[own])[pressed, None]
                     density = area(law, v.ravel(), -eta.ravel()).reshape(at.shape)
-                    found[own] = 2 * at.integrals(density)
+                    squares[own] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
-        return found, load
+        return squares, load
 
     def _groups(self) -> Iterator[tuple[list[int], Indices]]:
         """The cells that have the same laws: numbers of these, and the owned cells; alike on all ranks (collective).

@@ -143,10 +143,10 @@ def jumps_obey(trace: LawTrace, parts: Sequence[PartLaw], spaces: Spaces) -> boo
     the vertices are among the points. What is rounding in v is rounding in its jumps.
     """
     mesh = spaces.mesh
-    found = trace.on_gamma_s(spaces, facet_lattice(mesh, spaces.facets, SAMPLES))
+    jumps = trace.on_gamma_s(spaces, facet_lattice(mesh, spaces.facets, SAMPLES))
     short, size = 0.0, np.abs(trace.v.x.array).max(initial=0.0)
     for rows, sign, bound in bounds_of_jumps(parts, spaces):
-        short = max(short, float((sign * (bound - found[rows])).max(initial=0.0)))
+        short = max(short, float((sign * (bound - jumps[rows])).max(initial=0.0)))
         size = max(size, np.abs(bound).max(initial=0.0))
     worst, largest = (mesh.comm.allreduce(float(number), MPI.MAX) for number in (short, size))
     return bool(worst <= ROUNDING * largest)
