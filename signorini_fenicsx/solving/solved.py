@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
@@ -68,8 +68,25 @@ class PointValues(NamedTuple):
     sigma: Array
 
 
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Solved(ABC):
-    """A problem with the way it was solved and what came out; the fields are those of its subclasses."""
+    """A problem with the way it was solved and what came out; subclasses have types for these fields, and more.
+
+    Attributes:
+        name: Name of the results.
+        title: A longer name in words.
+        boundary: The parts of each kind of boundary.
+        problem: The data as given.
+        options: Algorithm, backend and their parameters.
+        spaces: The discrete spaces; `spaces.mesh` is the mesh.
+        outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
+        kkt: Residuals of the discrete problem.
+        source: What the problem was read from; None if it was given in Python.
+        step: Number of the step of a problem in time, from 1; None for others.
+        system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.
+        timings: Seconds per phase, the longest over all ranks.
+        peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
+    """
 
     name: str
     title: str
@@ -79,11 +96,11 @@ class Solved(ABC):
     spaces: Any
     outcome: Outcome
     kkt: Residuals
-    source: object
-    timings: dict[str, float]
-    peak_memory: int
+    source: object = None
     step: int | None = None
-    """Number of the step of a problem in time, from 1; None for others."""
+    system: Callable[[], Any] | None = field(default=None, compare=False)
+    timings: dict[str, float] = field(default_factory=dict)
+    peak_memory: int = 0
 
     WORD: ClassVar[str] = "Solution"
     lacks: ClassVar[Sequence[str]] = ()

@@ -11,7 +11,15 @@ def _read(boundary, problem, spaces, stored):
     u = fem.Function(spaces.Q, name="u")
     u.x.array[:] = stored.in_cells(spaces, "u")
     outcome, kkt = stored.outcome(*state(spaces, u)), residuals(problem, u)
-    return Rested(boundary, problem, stored.options, spaces, outcome, kkt, **stored.about)
+    return Rested(
+        boundary=boundary,
+        problem=problem,
+        options=stored.options,
+        spaces=spaces,
+        outcome=outcome,
+        kkt=kkt,
+        **stored.about,
+    )
 
 
 KEEPING = Keeping(

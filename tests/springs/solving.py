@@ -2,7 +2,7 @@
 # ruff: noqa: D102
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -61,21 +61,14 @@ class Distance:
     u_L2: float
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Rested(Solved):
     """A bed at rest."""
 
     boundary: Edges
     problem: Bed
-    options: Options
     spaces: MeshSpaces
-    outcome: Outcome
     kkt: Balance
-    name: str = "bed"
-    title: str = ""
-    source: object = None
-    timings: dict[str, float] = field(default_factory=dict)
-    peak_memory: int = 0
     order = 1
 
     @property
@@ -181,7 +174,15 @@ class Run:
         return outcome, residuals(self.problem, outcome.iterate.u)
 
     def solution(self, outcome: Outcome, kkt: Balance, **about: Any):
-        return Rested(self.boundary, self.problem, self.options, self.spaces, outcome, kkt, **about)
+        return Rested(
+            boundary=self.boundary,
+            problem=self.problem,
+            options=self.options,
+            spaces=self.spaces,
+            outcome=outcome,
+            kkt=kkt,
+            **about,
+        )
 
 
 def state(spaces: MeshSpaces, u: fem.Function):

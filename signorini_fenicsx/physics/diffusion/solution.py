@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -22,8 +22,6 @@ from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_state, hausdorff
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.part_laws import PartLaw
@@ -36,7 +34,6 @@ from signorini_fenicsx.physics.diffusion.differences import differences
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import InContact, Solved
 
 SAME = 1e-9
@@ -68,7 +65,7 @@ def flux_through(
     return spaces.integrate(weight * ufl.dot(sigma, spaces.n) * ds(1))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Solution(Solved):
     """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
 
@@ -109,21 +106,11 @@ class Solution(Solved):
         peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
     """
 
-    name: str
-    title: str
     boundary: Boundary
     problem: Problem
-    options: Options
     spaces: Spaces
     data: Data
     p: fem.Function
-    outcome: Outcome
-    kkt: Residuals
-    source: object = None
-    step: int | None = None
-    system: Callable[[], Any] | None = field(default=None, compare=False)
-    timings: dict[str, float] = field(default_factory=dict)
-    peak_memory: int = 0
     order = 1
     offers = (*Solved.offers, "cell_flux", "flux_through", "force", "free_boundary", "p")
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -14,7 +13,6 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import FacetSet, by_state, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
@@ -29,7 +27,6 @@ from signorini_fenicsx.physics.elasticity.quantities import quantities
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
 from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
-from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import InContact, Solved
 
 ERROR_DEGREE = 8
@@ -51,7 +48,7 @@ class ElasticSegments:
     bound: Array
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class ElasticSolution(Solved):
     """A discrete elastic solution and how it was found.
 
@@ -74,21 +71,12 @@ class ElasticSolution(Solved):
         peak_memory: Bytes that the processes have held at most so far, summed over ranks.
     """
 
-    name: str
-    title: str
     boundary: ElasticBoundary
     problem: ElasticProblem
-    options: Options
     spaces: ElasticSpaces
     data: ElasticData
-    outcome: Outcome
     kkt: ElasticKKT
     bound_changes: tuple[float, ...] = ()
-    step: int | None = None
-    source: object = None
-    system: Callable[[], Any] | None = field(default=None, compare=False)
-    timings: dict[str, float] = field(default_factory=dict)
-    peak_memory: int = 0
     lacks = ("--rigorous", "--html")
     order = 2
     _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
