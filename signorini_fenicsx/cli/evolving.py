@@ -60,23 +60,18 @@ class EvolutionReport(CaseReport):
             f"{row['iterations']:9d} {row['kkt']:9.1e}{bound} {row['seconds']:9.2f}"
         )
 
-    def finished(self, summary: Mapping[str, Any], quantities: Mapping[str, Quantity], *, certified: bool) -> None:
-        """Print the summary of all steps."""
+    def finished(
+        self, last: Solved, summary: Mapping[str, Any], quantities: Mapping[str, Quantity], *, certified: bool
+    ) -> None:
+        """Print the summary of all steps, and what there is to say of the last one."""
         about = summary["time"]
-        elastic = "physics" in summary
-        facets = f"{summary['contact_facets']} Γ_C" if elastic else f"{summary['signorini_facets']} Γ_S"
-        touching = (
-            f"{summary['touching_vertices']} facet vertices" if elastic else f"{summary['contact_facets']} facets"
-        )
+        facets = f"{last.spaces.Lambda.dofmap.index_map.size_global} {last.gamma} facets"
         lines = {
             "steps": f"{about['steps']} to t = {about['end']:g}, {summary['iterations']} linear problems",
-            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets} facets",
-            "contact": f"at the end {touching}, measure {summary['contact_measure']:.6g}",
-            "largest": named({name: each for name, each in about["largest"].items() if name not in TRUST}, ".3e"),
+            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets}",
+            "at most": named({name: each for name, each in about["largest"].items() if name not in TRUST}, ".3e"),
+            **{name: f"at the end {words}" for name, words in last.lines(summary).items()},
         }
-        if "obstacle" in summary:
-            found = summary["obstacle"]
-            lines["obstacle"] = f"at the end {found['contact_cells']} cells, measure {found['contact_measure']:.6g}"
         if "errors" in summary:
             lines["errors"] = f"at the end {named(summary['errors'], '.4e')}"
         if certified:
@@ -84,7 +79,7 @@ class EvolutionReport(CaseReport):
                 f"each bound is that of the distance {about['largest']['bound_is'] or OWN}, with the computed earlier "
                 "steps" + _reservation(about["largest"])
             )
-        lines |= {name: f"at the end {interval(found)}" for name, found in quantities.items()}
+        lines |= {name: f"at the end {interval(quantity)}" for name, quantity in quantities.items()}
         self.entries(lines)
 
 
@@ -128,7 +123,8 @@ def solve_in_time(
         write_evolution(folder.path, steps, last, quantities, plot=plot)
         folder.publish()
         steps.remove()
-        report.finished(on_root(comm, lambda: _read_summary(folder.target)), quantities, certified=certify_steps)
+        summary = on_root(comm, lambda: _read_summary(folder.target))
+        report.finished(last.solution, summary, quantities, certified=certify_steps)
         report.published(folder.target)
 
 

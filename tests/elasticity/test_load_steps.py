@@ -173,6 +173,7 @@ def test_case_file(folder: Path):
     done = signorini(folder, "solve", "push.toml", "--output", "out", "--certify-steps", "--plot")
     assert done.returncode == 0, done.stderr
     assert COMM.rank != 0 or "Tresca's problem with the last bound of the friction" in done.stdout
+    assert COMM.rank != 0 or "friction   at the end facet vertices: " in done.stdout
     with (folder / "out" / "steps.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["top_u_x"]) for row in rows] == pytest.approx([0.05, 0, -0.05, 0], abs=1e-3)
