@@ -1,7 +1,6 @@
 """README and docs: every command, key and name that they show exists."""
 
 import ast
-import dataclasses
 import inspect
 import re
 import shlex
@@ -15,9 +14,11 @@ from pydantic import BaseModel
 import signorini_fenicsx.api
 from signorini_fenicsx import extend
 from signorini_fenicsx.cases.case import Case
-from signorini_fenicsx.cases.elasticity import ElasticCase
+from signorini_fenicsx.cases.complaints import keys_of
+from signorini_fenicsx.cases.elasticity import ContactTexts, ElasticCase
+from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cli.app import app
-from signorini_fenicsx.contact.laws import LAWS
 
 PUBLIC = {"signorini_fenicsx": signorini_fenicsx, "signorini_fenicsx.extend": extend}
 ROOT = Path(__file__).parents[2]
@@ -53,7 +54,12 @@ def test_keys_of_case_files():
     """Each key that a page shows in a case file is one of a case, also those behind `# `."""
     models = [definition for model in (Case, ElasticCase) for definition in schemas(model)]
     known = {name for definition in models for name in definition.get("properties", {})}
-    known |= {field.name for law in LAWS.values() for field in dataclasses.fields(law)}
+    known |= {
+        key
+        for model in (LawTexts, ContactTexts, QuantityTexts)
+        for own in model.of_kind.values()
+        for key in keys_of(own)
+    }
     for page, text in blocks("toml"):
         if re.search(r"\[(problem|boundary|dam)\]", text):
             shown = set(re.findall(r"(?m)^(?:# )?(\w+) = ", text))

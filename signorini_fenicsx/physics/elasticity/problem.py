@@ -268,7 +268,7 @@ def of_meeting(meeting: Sequence[Contact | Law]) -> dict[str, Any]:
         "surface": {part: each.surface for each in touching if each.surface is not None for part in each.parts},
         "force": {part: each.force for each in touching if each.force for part in each.parts},
         "moment": {part: each.moment for each in touching if each.moment for part in each.parts},
-        "laws": [law for each in meeting if (law := _law_of(each)) is not None],
+        "laws": tuple(law for each in meeting if (law := _law_of(each)) is not None),
     }
 
 
