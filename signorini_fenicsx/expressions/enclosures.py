@@ -278,19 +278,6 @@ def ranges(
     number = len(vertices)
     low, high = (np.broadcast_to(end, number) for end in (low, high))
 
-    def bounds(parts: Parts, rho: Array) -> Array:
-        near = interpolated(tree, parts.vertices)
-        x = np.concatenate([parts.vertices, parts.vertices.mean(axis=1, keepdims=True)], axis=1)
-        x = x.mean(axis=1, keepdims=True) + INSIDE * (x - x.mean(axis=1, keepdims=True))
-        seen, coefficients = values(tree, _named(x)), bernstein(near, parts.vertices)
-        if p is not None:
-            seen = seen - _of_simplices(p, vertices, parts, x)[:, :, 0]
-            coefficients = bernstein(_less(near, p, vertices, parts), parts.vertices)
-        place = np.nan_to_num(seen, nan=np.inf).argmin(axis=1)
-        rows = np.arange(len(place))
-        lo, hi = coefficients.min(axis=1) - BESIDE * rho, coefficients.max(axis=1) + BESIDE * rho
-        return np.column_stack([lo, hi, seen[rows, place], seen.max(axis=1), x[rows, place]])
-
     def lacking(own: Indices, known: Array) -> Array:
         lo, hi, least, most = known[:, :4].T
         below = low[own] - lo - 2 * np.maximum(low[own] - least, 0.0)
@@ -298,20 +285,19 @@ def ranges(
         return np.asarray(np.maximum(below, above))
 
     everything = Parts(vertices, np.arange(number), np.ones(number))
-    known = bounds(everything, np.zeros(number))
+    known = _bounds(tree, p, vertices, everything, np.zeros(number))
     rho = distances(tree, vertices, frame, np.maximum(-lacking(everything.own, known), 0.0) / BESIDE, 2)
     known[:, 0] -= BESIDE * rho
     known[:, 1] += BESIDE * rho
     unclear = ~(lacking(everything.own, known) <= 0)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        found = bounds(Parts(parts.vertices, rows[parts.own], parts.share), remainder.distance(2))
+        of_all = Parts(parts.vertices, rows[parts.own], parts.share)
+        bounds = _bounds(tree, p, vertices, of_all, remainder.distance(2))
         if p is None:
-            found[:, 0], found[:, 1] = (
-                np.fmax(found[:, 0], remainder.value.lo),
-                np.fmin(found[:, 1], remainder.value.hi),
-            )
-        return found
+            bounds[:, 0] = np.fmax(bounds[:, 0], remainder.value.lo)
+            bounds[:, 1] = np.fmin(bounds[:, 1], remainder.value.hi)
+        return bounds
 
     def need(parts: Parts, known: Array) -> Array:
         size = lacking(rows[parts.own], known)
@@ -327,6 +313,26 @@ def ranges(
     order = np.argsort(-least, kind="stable")  # the least value of each simplex comes last
     known[own[order], 2], known[own[order], 4:] = least[order], of_parts[order, 4:]
     return Ranges(known[:, 0], known[:, 1], known[:, 2], known[:, 4:])
+
+
+def _bounds(tree: Tree, p: Quadratic | None, vertices: Array, parts: Parts, rho: Array) -> Array:
+    """What is known of d on parts where e is within ρ of a quadratic.
+
+    Returns:
+        Lower and upper bound, the least and the largest value in some points, and where the least is, shape
+        (parts, 4 + dim).
+    """
+    near = interpolated(tree, parts.vertices)
+    x = np.concatenate([parts.vertices, parts.vertices.mean(axis=1, keepdims=True)], axis=1)
+    x = x.mean(axis=1, keepdims=True) + INSIDE * (x - x.mean(axis=1, keepdims=True))
+    seen, coefficients = values(tree, _named(x)), bernstein(near, parts.vertices)
+    if p is not None:
+        seen = seen - _of_simplices(p, vertices, parts, x)[:, :, 0]
+        coefficients = bernstein(_less(near, p, vertices, parts), parts.vertices)
+    place = np.nan_to_num(seen, nan=np.inf).argmin(axis=1)
+    rows = np.arange(len(place))
+    lo, hi = coefficients.min(axis=1) - BESIDE * rho, coefficients.max(axis=1) + BESIDE * rho
+    return np.column_stack([lo, hi, seen[rows, place], seen.max(axis=1), x[rows, place]])
 
 
 def _less(near: Quadratic, p: Quadratic, vertices: Array, parts: Parts) -> Quadratic:
