@@ -156,8 +156,8 @@ def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.Arr
     values = []
     for function in functions:
         size = function.function_space.value_size
-        found = function.eval(frame.back(owners.dest_points), owners.dest_cells).reshape(-1, size)
-        answers = comm.alltoall([found[owners.dest_owner == rank] for rank in range(comm.size)])
+        of_owners = function.eval(frame.back(owners.dest_points), owners.dest_cells).reshape(-1, size)
+        answers = comm.alltoall([of_owners[owners.dest_owner == rank] for rank in range(comm.size)])
         value = np.full((len(wanted), size), np.nan)
         for place, answer in zip(places, answers, strict=True):
             value[place] = answer

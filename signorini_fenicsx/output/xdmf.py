@@ -58,9 +58,9 @@ class Xdmf:
         if not self._meshes:
             self._begin(fields)
         for name, of_file in fields.items():
-            found = [each for field in of_file for each in self._shown(name, field)]
+            shown = [each for field in of_file for each in self._shown(name, field)]
             times = self._times.setdefault(name, [])
-            times.append((t, self._attributes(f"{name}/{len(times)}", found)))
+            times.append((t, self._attributes(f"{name}/{len(times)}", shown)))
 
     def _begin(self, fields: Fields) -> None:
         """Write the meshes into a new file, also where an earlier result has left one."""

@@ -97,7 +97,7 @@ def evolve(
     before = Past(0, [], None if start is None else start.segments()) if past is None else past(steps)
     left, segments = [*before.left, steps.start()][:2], before.segments
     for step in range(before.step + 1, evolution.steps + 1):
-        found = solver.solve(
+        solved = solver.solve(
             (boundary, steps.problem(step)),
             options,
             start=segments if options.method.starts_from_sets else None,
@@ -107,7 +107,7 @@ def evolve(
             source=source,
             on_step=on_step,
         )
-        solution = replace(found, step=step)
+        solution = replace(solved, step=step)
         left, segments = [steps.left_by(solution), *left[:1]], solution.segments()
         yield Instant(step, evolution.time(step), solution, steps)
         if step % COLLECT == 0:

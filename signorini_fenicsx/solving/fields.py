@@ -48,18 +48,18 @@ class Field:
 
     def with_derived(self) -> list[Field]:
         """The field with what follows from it: the length of a vector, the von Mises and principal stresses."""
-        found = [self]
+        fields = [self]
         if self.order == 1:
-            found.append(Field(f"{self.name}_norm", np.linalg.norm(self.values, axis=-1)))
+            fields.append(Field(f"{self.name}_norm", np.linalg.norm(self.values, axis=-1)))
         if self.order == 2:
             principal = np.linalg.eigvalsh(self.values)[..., ::-1]
-            found.append(Field("von_mises", von_mises(self.values)))
-            found += [Field(f"principal_{k + 1}", principal[..., k]) for k in range(3)]
-        return found
+            fields.append(Field("von_mises", von_mises(self.values)))
+            fields += [Field(f"principal_{k + 1}", principal[..., k]) for k in range(3)]
+        return fields
 
 
 def von_mises(stresses: Array) -> Array:
     """Equivalent stress of matrices in space, shape (…, 3, 3)."""
     deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
-    found: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
-    return found
+    stress: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
+    return stress

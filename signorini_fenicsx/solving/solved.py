@@ -190,8 +190,8 @@ class Solved(ABC):
         values = []
         for function in (self.u, self.sigma):  # a stress lives on the mesh of the subcells
             domain = replace(self.spaces.domain, mesh=function.function_space.mesh)
-            (found,) = at_points([function], domain, points)
-            values.append(found.reshape(len(found), *function.ufl_shape))
+            (rows,) = at_points([function], domain, points)
+            values.append(rows.reshape(len(rows), *function.ufl_shape))
         return PointValues(*values)
 
     @collector_off()

@@ -221,7 +221,7 @@ def _rectangular(rows: list[Row], first: Sequence[str], last: Sequence[str]) -> 
         first: The columns that come first.
         last: Those that come last; others are between them, in order of first appearance.
     """
-    given = dict.fromkeys(key for row in rows for key in row)
-    between = [key for key in given if key not in first and key not in last]
+    keys = dict.fromkeys(key for row in rows for key in row)
+    between = [key for key in keys if key not in first and key not in last]
     columns = dict.fromkeys([*first, *between, *last])
     return [{key: row.get(key) for key in columns} for row in rows]

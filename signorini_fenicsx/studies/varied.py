@@ -33,8 +33,8 @@ def short(key: str, keys: Sequence[str]) -> str:
 def in_words(run: Run, keys: Sequence[str]) -> str:
     """The values of these keys in a run; without keys the name of its case."""
     values: Mapping[str, Any] = run.parameters
-    given = [f"{short(key, keys)} = {value_in_words(values[key])}" for key in keys if key in values]
-    return "  ".join(given) or run.case.name
+    words = [f"{short(key, keys)} = {value_in_words(values[key])}" for key in keys if key in values]
+    return "  ".join(words) or run.case.name
 
 
 def value_in_words(value: object) -> str:

@@ -142,8 +142,8 @@ class Scene:
         _, region = np.unique(groups, axis=0, return_inverse=True)
         both = np.column_stack([facets, np.tile(region.ravel(), len(corners))])
         different = np.unique(both, axis=0)[:, : self.dim]
-        found, times = np.unique(different, axis=0, return_counts=True)
-        return found[times == 2]
+        between, times = np.unique(different, axis=0, return_counts=True)
+        return between[times == 2]
 
 
 def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indices]:

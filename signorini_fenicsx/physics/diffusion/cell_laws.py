@@ -207,13 +207,13 @@ def _check_bounds(spaces: Spaces, part: PartLaw, what: str, facets: npt.NDArray[
     for bound, farthest, sign, side in zip(part.bounds, allowed[::-1], (1.0, -1.0), ("above", "below"), strict=True):
         if bound is None or farthest is None:
             continue
-        known, given = (datum.values(points).ravel() for datum in (bound, farthest))
-        excess = sign * (known - given)
+        limit, u = (datum.values(points).ravel() for datum in (bound, farthest))
+        excess = sign * (limit - u)
         worst: tuple[float, tuple[float, ...]] = (0.0, ())
         if len(excess) > 0:
             place = int(np.argmax(excess))
             worst = float(excess[place]), tuple(points.x.reshape(-1, mesh.geometry.dim)[place].tolist())
-        size = max(mesh.comm.allgather(float(np.abs(given).max(initial=0.0)) + float(np.abs(known).max(initial=0.0))))
+        size = max(mesh.comm.allgather(float(np.abs(u).max(initial=0.0)) + float(np.abs(limit).max(initial=0.0))))
         most, x = max(mesh.comm.allgather(worst))
         if most > ROUNDING * size:
             at = ", ".join(f"{coordinate:.4g}" for coordinate in x)

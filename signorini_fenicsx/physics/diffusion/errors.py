@@ -52,10 +52,10 @@ def exact_errors(
     traces = p.x.array[: len(spaces.facets), None]
     squares[4] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
-    found = dict(zip(("energy", "sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
+    by_name = dict(zip(("energy", "sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
     if data.memory is not None or data.inside is not None:
-        del found["div_sigma_L2"]
-    return found
+        del by_name["div_sigma_L2"]
+    return by_name
 
 
 def missed_contact(spaces: Spaces, laws: CellLaws, exact: Datum, contact: Mask) -> float:

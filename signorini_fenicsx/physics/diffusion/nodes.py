@@ -126,10 +126,10 @@ class Jumps:
             at: Mask of nodes of this rank.
             given: Nodes of this rank that keep their values.
         """
-        space, known, value = v.function_space, np.zeros(len(at)), v.x.array.copy()
-        known[given] = 1.0
-        somewhere = _over_places(space, self.pairs, known) > 0
-        value[somewhere & (known == 0)] = -np.inf
+        space, is_known, value = v.function_space, np.zeros(len(at)), v.x.array.copy()
+        is_known[given] = 1.0
+        somewhere = _over_places(space, self.pairs, is_known) > 0
+        value[somewhere & (is_known == 0)] = -np.inf
         is_joined = _over_places(space, self.pairs, at.astype(np.float64)) > 0
         v.x.array[is_joined] = _over_places(space, self.pairs, value)[is_joined]
 

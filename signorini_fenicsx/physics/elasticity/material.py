@@ -53,10 +53,10 @@ class Strain:
         if not self.datum.shape:
             values = values[..., None, None] * np.eye(dim)
         beyond = self.beyond.values(points) if dim == 2 else values[..., 2, 2]
-        found = np.zeros((*points.shape, 3, 3), dtype=np.result_type(values, beyond))
-        found[..., 2, 2] = beyond
-        found[..., :dim, :dim] = values
-        return to_entries(found)
+        matrix = np.zeros((*points.shape, 3, 3), dtype=np.result_type(values, beyond))
+        matrix[..., 2, 2] = beyond
+        matrix[..., :dim, :dim] = values
+        return to_entries(matrix)
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class _Moved:
     def values(self, points: CellPoints) -> Array:
         step = np.zeros(self.datum.shape)
         step[self.entry] = COMPLEX_STEP
-        found: Array = self.datum.values(points) + 1j * step
-        return found
+        moved: Array = self.datum.values(points) + 1j * step
+        return moved
 
 
 @dataclass(frozen=True)

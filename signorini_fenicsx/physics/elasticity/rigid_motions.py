@@ -198,10 +198,10 @@ class Bodies:
             free[-1][body] = kept
         of_bodies = np.concatenate(free, axis=2).reshape(self.number * size, -1)
         tools = len(loads_of(self.tools))
-        found = np.zeros((len(of_bodies) + tools, of_bodies.shape[1] + tools))
-        found[: len(of_bodies), : of_bodies.shape[1]] = of_bodies
-        found[len(of_bodies) :, of_bodies.shape[1] :] = np.eye(tools)
-        return found
+        rows = np.zeros((len(of_bodies) + tools, of_bodies.shape[1] + tools))
+        rows[: len(of_bodies), : of_bodies.shape[1]] = of_bodies
+        rows[len(of_bodies) :, of_bodies.shape[1] :] = np.eye(tools)
+        return rows
 
     def relative(self, directions: Array) -> Array:
         """The motions along directions at the vertices of the facets of Γ_C, shape (facets, d, all motions).
@@ -214,11 +214,11 @@ class Bodies:
         """
         spaces, rows = self.spaces, self.spaces.inner.rows
         along = np.einsum("nai,nair->nar", directions, self._moved(spaces.contact.vertices))
-        found = np.zeros((*along.shape[:2], self.number, along.shape[2]))
+        of_each = np.zeros((*along.shape[:2], self.number, along.shape[2]))
         each = np.arange(len(along))
-        found[each, :, self.of_cell[spaces.contact.cells]] = along
-        found[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
-        of_bodies = found.reshape(*along.shape[:2], self.number * along.shape[2])
+        of_each[each, :, self.of_cell[spaces.contact.cells]] = along
+        of_each[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
+        of_bodies = of_each.reshape(*along.shape[:2], self.number * along.shape[2])
         return np.concatenate([of_bodies, -moves_along(spaces, self.tools, directions)], axis=2)
 
     def work(self, data: ElasticData) -> tuple[Array, float]:
@@ -322,8 +322,8 @@ def _farthest(objective: Array, cuts: Array, still: Array) -> Array | None:
     equal = {"A_eq": np.hstack([still, -still]), "b_eq": np.zeros(len(still))} if len(still) else {}
     rows = np.hstack([cuts, -cuts])
     exact = {"primal_feasibility_tolerance": SLACK / 10}  # otherwise a cut may be violated again
-    found = linprog(both, A_ub=rows, b_ub=np.zeros(len(cuts)), bounds=(0, 1), options=exact, **equal)
-    return np.subtract(*np.split(found.x, 2)) if found.success else None
+    optimum = linprog(both, A_ub=rows, b_ub=np.zeros(len(cuts)), bounds=(0, 1), options=exact, **equal)
+    return np.subtract(*np.split(optimum.x, 2)) if optimum.success else None
 
 
 def _in_words(motion: Array, middle: Array, size: float) -> tuple[str, float]:

@@ -38,9 +38,9 @@ class SplitMesh:
     @cached_property
     def cells(self) -> Indices:
         """The cell of this mesh for each subcell of the domain, shape (cells, d + 1); −1 where it has none."""
-        found = np.full((self.size, self.mesh.geometry.dim + 1), -1)
-        found.ravel()[self.subcells] = np.arange(len(self.subcells))
-        return found
+        numbers = np.full((self.size, self.mesh.geometry.dim + 1), -1)
+        numbers.ravel()[self.subcells] = np.arange(len(self.subcells))
+        return numbers
 
     def part(self, cells: Indices) -> SplitMesh:
         """The subcells of some owned cells of the domain (collective)."""
@@ -69,10 +69,10 @@ class SplitMesh:
         """Values at the vertices, shape (cells, d + 1, d + 1, …), of a discontinuous linear function on it."""
         shape = function.function_space.value_shape
         by_node = function.x.array.reshape(-1, *shape)[function.function_space.dofmap.list]
-        found = np.empty_like(by_node)
-        found[self.subcells] = by_node
+        in_order = np.empty_like(by_node)
+        in_order[self.subcells] = by_node
         size = self.mesh.geometry.dim + 1
-        return found.reshape(-1, size, size, *shape)
+        return in_order.reshape(-1, size, size, *shape)
 
 
 def split_mesh(mesh: dolfinx.mesh.Mesh, order: Indices, vertices: Array) -> SplitMesh:

@@ -64,9 +64,9 @@ class Supports:
             stresses: Values of σ as in `SplitMesh.values`.
         """
         rows = np.searchsorted(spaces.neumann.facets, self.facets.facets)
-        given = linear_values(tractions[rows], self.facets.measure)
+        pulls = linear_values(tractions[rows], self.facets.measure)
         softness = np.linalg.pinv(self.stiffness, rcond=HELD, hermitian=True)
-        return np.einsum("nij,naj->nai", softness, given - spaces.tractions(self.facets, stresses))
+        return np.einsum("nij,naj->nai", softness, pulls - spaces.tractions(self.facets, stresses))
 
     def let_go(self, values: Array) -> Array:
         """Values on the facets, without their components that K holds."""

@@ -77,8 +77,8 @@ def eliminate(
     balance = -np.linalg.solve(cells.derivative, moments.transpose(0, 2, 1)).transpose(0, 2, 1).reshape(count, -1)
     of_free, of_rest = tractions[:, :, :free], tractions[:, :, free:]
     coupled = product[:, free:, :free]
-    given = functional[:, :free] - np.einsum("nmf,nm->nf", coupled, balance)
-    right = np.concatenate([of_free.transpose(0, 2, 1), given[:, :, None]], axis=2)
+    reduced = functional[:, :free] - np.einsum("nmf,nm->nf", coupled, balance)
+    right = np.concatenate([of_free.transpose(0, 2, 1), reduced[:, :, None]], axis=2)
     multipliers = np.linalg.solve(product[:, :free, :free], right)
     stress, stress_of_f = multipliers[:, :, :-1], multipliers[:, :, -1]
     matrix = of_free @ stress
@@ -167,9 +167,9 @@ class ElasticSystem:
             for facets, local, matrices in framed:
                 mine = np.flatnonzero(np.isin(facets, numbers))
                 _transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
-            found = eliminate(self.element, cells, tractions, product, of_f, numbers, functional)
-            _add_supports(found.matrix, data.supports, numbers)
-            yield found
+            eliminated = eliminate(self.element, cells, tractions, product, of_f, numbers, functional)
+            _add_supports(eliminated.matrix, data.supports, numbers)
+            yield eliminated
 
     def _unknowns(self, cells: npt.NDArray[np.int32]) -> Indices:
         """Unknowns of the facets of cells, shape (cells, (d + 1) d²)."""

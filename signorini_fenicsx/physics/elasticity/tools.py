@@ -53,21 +53,21 @@ class Tool:
     def motions(self, x: Array) -> Array:
         """The motions in points of shape (…, d): shape (…, d, motions)."""
         dim, beside = x.shape[-1], (x - self.middle) / self.size
-        found = [np.broadcast_to(np.eye(dim)[AXES.index(axis)], x.shape) for axis in self.along]
+        motions = [np.broadcast_to(np.eye(dim)[AXES.index(axis)], x.shape) for axis in self.along]
         if dim == 2:
-            found += [np.stack([-beside[..., 1], beside[..., 0]], axis=-1) for _ in self.about]
+            motions += [np.stack([-beside[..., 1], beside[..., 0]], axis=-1) for _ in self.about]
         else:
-            found += [np.cross(np.eye(3)[AXES.index(axis)], beside) for axis in self.about]
-        return np.stack(found, axis=-1)
+            motions += [np.cross(np.eye(3)[AXES.index(axis)], beside) for axis in self.about]
+        return np.stack(motions, axis=-1)
 
     def motion(self) -> dict[str, Any]:
         """The motion of the tool for summaries: lengths along axes, angles about axes through the middle."""
         lengths, angles = np.split(self.moved, [len(self.along)])
-        found: dict[str, Any] = {"displacement": dict(zip(self.along, lengths.tolist(), strict=True))}
+        motion: dict[str, Any] = {"displacement": dict(zip(self.along, lengths.tolist(), strict=True))}
         if self.about:
-            found["rotation"] = dict(zip(self.about, (angles / self.size).tolist(), strict=True))
-            found["middle"] = self.middle.tolist()
-        return found
+            motion["rotation"] = dict(zip(self.about, (angles / self.size).tolist(), strict=True))
+            motion["middle"] = self.middle.tolist()
+        return motion
 
 
 def tools_of(spaces: ElasticSpaces, problem: ElasticProblem) -> tuple[Tool, ...]:
@@ -111,9 +111,9 @@ def moves_along(spaces: ElasticSpaces, tools: Sequence[Tool], directions: Array)
     """
     columns = [np.zeros((*directions.shape[:2], 0))]
     for tool in tools:
-        there = _facets_of(spaces, tool)[:, None, None]
+        on_tool = _facets_of(spaces, tool)[:, None, None]
         moves = tool.motions(spaces.contact.vertices)
-        columns.append(np.where(there, np.einsum("nai,nair->nar", directions, moves), 0.0))
+        columns.append(np.where(on_tool, np.einsum("nai,nair->nar", directions, moves), 0.0))
     return np.concatenate(columns, axis=2)
 
 
@@ -167,15 +167,15 @@ def tools_at(tools: Sequence[Tool], moves: Array, *, anew: bool = False) -> tupl
 
 def unbalanced(spaces: ElasticSpaces, tools: Sequence[Tool], tractions: Array) -> list[tuple[Tool, Array]]:
     """What is left of the forces on each tool by the tractions at the vertices of Γ_C (collective)."""
-    found, dim = [], spaces.dim
+    left, dim = [], spaces.dim
     mass = (1 + np.eye(dim)) / (dim * (dim + 1))
     for tool in tools:
         rows = np.flatnonzero(_facets_of(spaces, tool))
         facets = spaces.contact.take(rows)
         pulls = np.einsum("ab,nbi,n->nai", mass, tractions[rows], facets.measure)
         done = np.einsum("nai,nair->r", pulls, tool.motions(facets.vertices))
-        found.append((tool, tool.load - spaces.mesh.comm.allreduce(done)))
-    return found
+        left.append((tool, tool.load - spaces.mesh.comm.allreduce(done)))
+    return left
 
 
 class Moving:

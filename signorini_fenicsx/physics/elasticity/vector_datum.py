@@ -128,7 +128,7 @@ def _rows(values: npt.ArrayLike, dim: int) -> Array:
     Raises:
         ValueError: If there is another number of rows.
     """
-    found = np.asarray(values)
-    if found.shape[:1] != (dim,):
-        raise ValueError(f"it must give {dim} rows, not an array of shape {found.shape}")
-    return found
+    rows = np.asarray(values)
+    if rows.shape[:1] != (dim,):
+        raise ValueError(f"it must give {dim} rows, not an array of shape {rows.shape}")
+    return rows

@@ -166,11 +166,11 @@ class _Missed:
         with np.errstate(invalid="ignore"):
             slope, place = gradient + decay * value, vertices.mean(axis=1)
         rough = ~(gradient <= limit / 2)
-        found = tilts(tree, vertices[rough], frame, weight[rough], self.degree)
-        of_value, of_slope = np.array([found.norm, found.tilt]) + found.seen
+        rough_tilts = tilts(tree, vertices[rough], frame, weight[rough], self.degree)
+        of_value, of_slope = np.array([rough_tilts.norm, rough_tilts.tilt]) + rough_tilts.seen
         slope[rough] = np.fmin(slope[rough], of_slope + decay[rough] * of_value)
         value[rough] = np.fmin(value[rough], of_value)
-        place[rough] = found.place
+        place[rough] = rough_tilts.place
         unknown = ~np.isfinite(slope + value) | _jumps(tree, vertices, nodes)
         resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
         slope[unknown], value[unknown] = 0.0, 0.0

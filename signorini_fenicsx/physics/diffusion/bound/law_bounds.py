@@ -75,23 +75,23 @@ class LawTrace:
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """The jet of the bound (collective)."""
         datum, interpolant = self.u_D
-        found = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
+        values = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
         kept = self._kept(points, gradient=gradient)
-        found = found + kept
+        values = values + kept
         if datum.number is None or self.levels:
             missed = datum.jet(points, gradient=gradient) - points.quadratic(interpolant, gradient=gradient)
-            found = found + cut_off(points.linear(self.near_dirichlet, gradient=gradient), missed - kept)
+            values = values + cut_off(points.linear(self.near_dirichlet, gradient=gradient), missed - kept)
         for bound in self.bounds:
-            found = bound.apply(points, found, gradient=gradient)
-        return found
+            values = bound.apply(points, values, gradient=gradient)
+        return values
 
     def on_gamma_s(self, spaces: Spaces, points: FacetPoints) -> Array:
         """Values of the bound in points of all facets of Γ_S; inside the domain its jump (collective)."""
-        found = self._on_facets(points)
+        values = self._on_facets(points)
         if spaces.inner.present:
             across, order = points.across(spaces.inner.rows, spaces.inner.facets)
-            found[spaces.inner.rows] -= np.take_along_axis(self._on_facets(across), order, axis=1)
-        return found
+            values[spaces.inner.rows] -= np.take_along_axis(self._on_facets(across), order, axis=1)
+        return values
 
     def _on_facets(self, points: FacetPoints) -> Array:
         if self.u_D[0].number is not None:
@@ -113,10 +113,10 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
     dofs = near.function_space.dofmap.list
     cells = np.flatnonzero(near.x.array[dofs].any(axis=1)).astype(np.int32)
     bound = datum.at_nodes(trace.v.function_space, quadratic_nodes(mesh.basix_cell())).x.array
-    there = trace.v.function_space.dofmap.list[cells]
+    nodes = trace.v.function_space.dofmap.list[cells]
     with np.errstate(invalid="ignore", over="ignore"):
-        over = (sign * bound[there]).max(axis=1, initial=-np.inf)
-        under = (sign * trace.v.x.array[there]).min(axis=1, initial=np.inf)
+        over = (sign * bound[nodes]).max(axis=1, initial=-np.inf)
+        under = (sign * trace.v.x.array[nodes]).min(axis=1, initial=np.inf)
         needed = float((over - under).max(initial=0.0))
         on_wall = facet_lattice(mesh, spaces.dirichlet_facets, SAMPLES)
         on_wall = on_wall.among(near.x.array[dofs].any(axis=1))

@@ -28,9 +28,9 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         parts = gap_parts(repaired, repaired, goal)
         of_repaired = summed(repaired, parts)
         all_edges(field.function_space).to_bernstein(field.x.array)
-        flux, given = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
-        squares = mismatches(own, given, flux)
-        seen = mismatches(replace(own, deviation=np.zeros_like(own.deviation)), given, flux)
+        flux, of_field = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
+        squares = mismatches(own, of_field, flux)
+        seen = mismatches(replace(own, deviation=np.zeros_like(own.deviation)), of_field, flux)
         moved = np.sqrt(mismatches(own, repaired.trace, FluxOf(field, kappa))) + parts.hidden
     repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
     return joined(solution, certificate, (squares, seen), own.size, repair, of_repaired)

@@ -120,5 +120,5 @@ class OnGammaS:
         barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
         first, second = np.array(basix.topology(facet_type(points.mesh.topology.dim))[1]).T
         basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
-        found: Array = points.scale[:, None] * ((density * points.weights) @ basis)
-        return found
+        loads: Array = points.scale[:, None] * ((density * points.weights) @ basis)
+        return loads

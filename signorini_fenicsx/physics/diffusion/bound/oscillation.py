@@ -132,9 +132,10 @@ def on_facets(
         return values, np.zeros(len(values))
     facet, weights = facet_type(points.mesh.topology.dim), points.weights / points.weights.sum()
     projection = projected(values - means[:, None], facet, OF_FLUX, points.points, points.weights)
-    known = [means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in (points.points, quadratic_nodes(facet))]
-    seen = Seen(quadratic_of(points.vertices, known[1]), *_moments(values - known[0], weights))
-    return known[0], resolution.on_facets(name, datum, seen, points, metric)
+    places = points.points, quadratic_nodes(facet)
+    in_points, in_nodes = (means[:, None] + at_points(projection, facet, OF_FLUX, x) for x in places)
+    seen = Seen(quadratic_of(points.vertices, in_nodes), *_moments(values - in_points, weights))
+    return in_points, resolution.on_facets(name, datum, seen, points, metric)
 
 
 def _moments(values: Array, weights: Array) -> tuple[Array, Array]:

@@ -142,5 +142,5 @@ def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: A
 
 
 def _values(p: Quadratic, points: CellPoints) -> Array:
-    found: Array = p.of(points.cells).at(points.arms)[:, :, 0]
-    return found
+    values: Array = p.of(points.cells).at(points.arms)[:, :, 0]
+    return values

@@ -281,13 +281,13 @@ class _Gap:
         """The matrix times values (collective)."""
         if self._matrix is None:
             return self._applied(self._image, values)
-        known, image = self._matrix.createVecs()
-        known.array_w[:] = values
-        self._matrix.mult(known, image)
-        found = image.array_r.copy()
-        for vector in (known, image):
+        vector_in, image = self._matrix.createVecs()
+        vector_in.array_w[:] = values
+        self._matrix.mult(vector_in, image)
+        product = image.array_r.copy()
+        for vector in (vector_in, image):
             vector.destroy()
-        return found
+        return product
 
     def _applied(self, image: fem.Form, values: Array) -> Array:
         """A form of `_given` and a test function for these values (collective)."""

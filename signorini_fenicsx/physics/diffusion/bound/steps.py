@@ -59,8 +59,8 @@ class Continuous:
     def __call__(self, points: CellPoints) -> Array:
         """Values of the datum in points."""
         product = points.barycentric.prod(axis=2)
-        found: Array = points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
-        return found
+        values: Array = points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
+        return values
 
 
 class StepBounds:
@@ -111,10 +111,10 @@ def _content(instant: Instant, u: InPoints, load: Projection | None) -> InPoints
 
     def content(points: CellPoints) -> Array:
         cells = points.cells
-        found = steps.capacity[cells, None] * u(points) + theta[cells, None]
+        stored = steps.capacity[cells, None] * u(points) + theta[cells, None]
         if load is not None and steps.storage:
             of_cells = Projection(load.coefficients[cells] * stores[cells, None], load.rest[cells])
-            found -= at_points(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
-        return found
+            stored -= at_points(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
+        return stored
 
     return content

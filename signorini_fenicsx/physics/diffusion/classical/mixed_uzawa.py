@@ -39,8 +39,8 @@ class _Response:
     def __init__(self, task: DiffusionTask, *, by_flux: bool):
         self._system = MixedBackend(task.spaces, task.data)
         self._by_flux = by_flux
-        given = Condition.NO_FLUX if by_flux else Condition.ZERO_TRACE
-        self._given = SiteConditions.everywhere(given, len(task.spaces.facets))
+        kind = Condition.NO_FLUX if by_flux else Condition.ZERO_TRACE
+        self._given = SiteConditions.everywhere(kind, len(task.spaces.facets))
         self.start = np.zeros(len(task.spaces.facets))
         self.gradient(self.start)
         self.scale = _scale(task.spaces, self.iterate)

@@ -77,10 +77,10 @@ class P1System:
         nodes = self.space.element.interpolation_points
         u_D, psi = (datum.at_nodes(self.space, nodes).x.array[: self._size] for datum in (data.u_D, data.psi))
         self._data, self._psi = data, self.at_signorini(psi[self.signorini])
-        known = self._psi.copy()
-        known[self.dirichlet] = u_D[self.dirichlet]
+        lift = self._psi.copy()
+        lift[self.dirichlet] = u_D[self.dirichlet]
         given_flux = trace_term(v, data.sigma_lift, spaces.n, spaces.ds_neumann + spaces.ds)
-        self.load = self._owned(load(data.f_h, v, ufl.dx) + given_flux) - self._product(self._stiffness, known)
+        self.load = self._owned(load(data.f_h, v, ufl.dx) + given_flux) - self._product(self._stiffness, lift)
         self.load[self.dirichlet] = u_D[self.dirichlet]
         self._above_bound = u_D[self.dirichlet] > psi[self.dirichlet]
         self._solver = direct_solver(self._system.matrix, "cholesky", "primal_")
