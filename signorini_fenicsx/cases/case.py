@@ -73,13 +73,13 @@ class CaseFile(Section):
     name: str = Field(default="case", exclude=True)
     title: str = ""
     geometry: Geometry
+    solve: Solve = Solve()
+    time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
+    quantity: Annotated[list[QuantityTexts], Field(default=[], exclude_if=lambda quantities: not quantities)]
     boundary: PartsInside
     law: Annotated[Sequence[KindSection], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: DataSection
     exact: DataSection
-    solve: Solve = Solve()
-    time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
-    quantity: Annotated[list[QuantityTexts], Field(default=[], exclude_if=lambda quantities: not quantities)]
     costs: ClassVar[Mapping[int, Cost]] = COSTS
     """What it costs to solve it, by dimension."""
     lacks: ClassVar[Sequence[str]] = ()
