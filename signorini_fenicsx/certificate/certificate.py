@@ -61,7 +61,8 @@ class Certificate:
         sigma_bound: √(2 gap + oscillation²) + remainder, for ‖σ − σ_h‖ alone.
         gap: ½‖κ∇v − y‖² and what the laws add to it, in elasticity ½‖ℂ(ε(v) − ε₀) − y‖².
         oscillation: osc, of loads in cells and on facets, and of their means that quadrature may have missed.
-        remainder: Bound of ‖y − σ_h‖, which comes from the linear solver or a penalty, including rounding.
+        remainder: Bound of ‖y − σ_h‖, which comes from the linear solver or a penalty, including rounding; in
+            elasticity also what quadrature may have missed of linear parts of loads.
         relative: bound/‖σ_h‖.
         guaranteed: Whether all data are enclosed and resolved.
         by_quadrature: The data that are not enclosed: those given in Python, and loads without Γ_D.

@@ -8,6 +8,7 @@ for ∇d. `taylor` gives ρ, on boxes and parts that `cutting` makes until the e
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -124,6 +125,59 @@ def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
     return Means(
         Interval(middle - radius, middle + radius), np.sqrt(square), _place(parts, share[:, 1], vertices), len(known)
     )
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Enclosures of the linear part of d = e − p on each of n simplices S; infinite where nothing is known.
+
+    Attributes:
+        linear: Upper bound of ‖Π₁d‖/|S|^½, with the projection Π₁ to the linear functions on S.
+        norm: Upper bound of the root mean square of d.
+    """
+
+    linear: Array
+    norm: Array
+
+
+def moments(
+    tree: Tree, vertices: Array, p: Array, basis: Callable[[Array], Array], frame: Frame, weight: Array
+) -> Moments:
+    """Enclose linear parts (collective): Σ weight·(what is unsure of `linear`)² ≤ 1 is aimed at, over all simplices.
+
+    On a part P of S the quadrature is exact for linear functions l times what is within ρ of e, so it has (d, l)_P but
+    for 2ρ|P|^½‖l‖_P.
+
+    Args:
+        tree: The expression.
+        vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
+        p: Coefficients of polynomials of a degree ≤ K, shape (n, coefficients).
+        basis: Gives these basis functions in points from their barycentric coordinates.
+        frame: The domain.
+        weight: Of each simplex.
+    """
+    number, corners = vertices.shape[:2]
+    slopes, centre = barycentric_gradients(vertices), vertices.mean(axis=1)
+
+    def look(parts: Parts, remainder: Remainder) -> Array:
+        x, rule = _points(parts.vertices)
+        hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.own, None], slopes[parts.own])
+        d = _values(tree, x) - np.einsum("nqa,na->nq", basis(hats), p[parts.own])
+        rho = 2 * remainder.distance()
+        return np.column_stack([rho**2, (np.sqrt(d**2 @ rule) + rho) ** 2, np.einsum("nq,q,nqv->nv", d, rule, hats)])
+
+    def need(parts: Parts, known: Array) -> Array:
+        wanted = weight[parts.own] * parts.share * known[:, 0]
+        return np.where(np.isnan(wanted), np.inf, wanted)
+
+    parts, known = in_parts(tree, vertices, frame, look, need)
+    share = parts.share[:, None] * known
+    share[np.isnan(share)] = np.inf
+    unsure, square, *of_hats = (np.bincount(parts.own, column, number) for column in share.T)
+    with np.errstate(invalid="ignore"):
+        squares = np.sum(np.square(of_hats), axis=0) - np.sum(of_hats, axis=0) ** 2 / (corners + 1)
+        linear = np.sqrt(np.maximum(corners * (corners + 1) * squares, 0.0)) + np.sqrt(unsure)
+    return Moments(np.where(np.isnan(linear), np.inf, linear), np.sqrt(square))
 
 
 @dataclass(frozen=True)

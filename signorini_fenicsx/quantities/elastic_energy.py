@@ -28,6 +28,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import UNBALANCED, gap_o
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -44,15 +45,18 @@ def energy(solution: ElasticSolution) -> Quantity:
     y = admissible_stress(solution)
     problem = BestDisplacement(spaces, data, y, spaces.split, QUADRATIC)
     v, past = problem.minimum()
-    mismatch, contact = gap_of_cells(solution, y, problem, v)
-    mismatch, oscillation = np.maximum(mismatch, 0.0), load_oscillation(spaces, data, y.stresses)
+    resolution = Resolution(spaces, data)
+    mismatch, contact = gap_of_cells(solution, y, problem, v, resolution)
+    mismatch = np.maximum(mismatch, 0.0)
+    oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
+    distance = y.distance + missed
     local = mismatch / 2 + contact + oscillation * (np.sqrt(mismatch) + oscillation / 2)
     sums = comm.allreduce(np.array([local.sum(), ((np.sqrt(mismatch) + oscillation) ** 2).sum()]))
     upper = _of_v(solution, problem, v)
     if past or not math.isfinite(y.distance):
         return Quantity(upper, -math.inf, math.inf, False, past or UNBALANCED)
-    lower = upper - max(float(sums[0]), 0.0) - y.distance * (math.sqrt(sums[1]) + y.distance / 2)
-    missing = not_in_the_spaces(data, enclosed=False)  # J(v) is by quadrature
+    lower = upper - max(float(sums[0]), 0.0) - distance * (math.sqrt(sums[1]) + distance / 2)
+    missing = not_in_the_spaces(resolution, enclosed=False)  # J(v) is by quadrature
     reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
     return Quantity((lower + upper) / 2, lower, upper, not missing, reason)
 

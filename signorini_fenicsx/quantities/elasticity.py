@@ -33,7 +33,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
-from signorini_fenicsx.physics.elasticity.bound.resolution import unresolved
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
@@ -186,15 +186,17 @@ class _Beside(Beside[_Side]):
         if of_v.past or not math.isfinite(y.distance):
             return Half(math.inf, of_v.past or UNBALANCED, np.zeros(len(self.spaces.order)))
         problem = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC)
-        mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, half=True)
-        oscillation = load_oscillation(solution.spaces, of_y.solution.data, y.stresses)
+        resolution = Resolution(self.spaces, of_y.solution.data)
+        mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, resolution, half=True)
+        oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
         squares = (np.sqrt(np.maximum(mismatch, 0.0)) + oscillation) ** 2
         total, at_sites = self.comm.allreduce(np.array([squares.sum(), contact.sum()])).tolist()
-        data = solution.data, of_y.solution.data
-        missing = sorted({name for each in data for name in not_in_the_spaces(each)})
+        both = Resolution(self.spaces, solution.data), resolution
+        missing = sorted({name for each in both for name in not_in_the_spaces(each)})
         reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
-        reason = reason or ("young or poisson is not resolved" if unresolved(self.spaces, solution.data)[0] else "")
-        value = (math.sqrt(total) + y.distance) ** 2 / 4 + max(at_sites, 0.0)
+        unresolved = resolution.unresolved()
+        reason = reason or (f"{unresolved[0][0]} is not resolved" if unresolved else "")
+        value = (math.sqrt(total) + y.distance + missed) ** 2 / 4 + max(at_sites, 0.0)
         return Half(value, reason, squares / 4 + np.maximum(contact, 0.0))
 
     def apart(self, one: _Side, other: _Side) -> float:

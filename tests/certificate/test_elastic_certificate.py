@@ -23,8 +23,8 @@ from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.bound.certify import gap_of_cells
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
-from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE
-from signorini_fenicsx.physics.elasticity.bound.resolution import unresolved
+from signorini_fenicsx.physics.elasticity.bound.korn import KORN, MOMENTS, TRACE
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -124,7 +124,8 @@ def test_what_quadrature_misses_of_the_gap(plane: str):
     spaces, y = solution.spaces, admissible_stress(solution)
     best = BestDisplacement(spaces, solution.data, y, spaces.split, 2)
     v, _ = best.minimum()
-    with_missed, _ = gap_of_cells(solution, y, best, v)
+    resolution = Resolution(spaces, solution.data)
+    with_missed, _ = gap_of_cells(solution, y, best, v, resolution)
     x = ufl.SpatialCoordinate(spaces.split.mesh)
     E, nu = ufl.exp(x[0] * x[1]), 0.1 + 0.2 * x[0] * x[1]
     e, identity = ufl.sym(ufl.grad(v)), ufl.Identity(2)
@@ -139,7 +140,7 @@ def test_what_quadrature_misses_of_the_gap(plane: str):
         found = fem.assemble_vector(fenicsx.form(form)).array
         return np.bincount(spaces.split.subcells // 3, found[: len(spaces.split.subcells)], len(with_missed))
 
-    assert unresolved(spaces, solution.data)[0] == ()
+    assert resolution.unresolved() == ()
     fine, rough = by_quadrature(30), by_quadrature(best.material.degree)
     assert (fine <= with_missed).all()
     assert (fine > rough).any()
@@ -165,6 +166,8 @@ def test_constants_of_korn():
     c_h, _ = korn_constant(3, 10)
     assert c_h == pytest.approx(0.3105, abs=1e-3)
     assert c_h < bound_of(c_h, np.sqrt(8) / 16, moment_error(3)) < KORN[3] + 1e-3
+    for dim, q in MOMENTS.items():
+        assert moment_error(dim) <= q < moment_error(dim) + 1e-3
     t_h, bound = trace_constant(2, 32)
     assert t_h < bound <= TRACE[2] < bound + 1e-3
     t_h, bound = trace_constant(3, 8)

@@ -111,6 +111,11 @@ class ElasticSpaces(MeshSpaces):
         """How far the vertices of parts are from surfaces in files, each of which is read once."""
         return {}
 
+    @cached_property
+    def constants_of_body(self) -> dict[int, float]:
+        """Constants of Korn of the body, see `bound/body.py`, each of which is found once."""
+        return {}
+
     @property
     def nodes(self) -> npt.NDArray[np.integer]:
         """The nodes at the vertices of the owned cells in this order, shape (cells, d + 1)."""

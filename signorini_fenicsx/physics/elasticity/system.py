@@ -166,7 +166,7 @@ class ElasticSystem:
             tractions = cells.tractions(self.element.tractions)
             for facets, local, matrices in framed:
                 mine = np.flatnonzero(np.isin(facets, numbers))
-                _transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
+                transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
             eliminated = eliminate(self.element, cells, tractions, product, of_f, numbers, functional)
             _add_supports(eliminated.matrix, data.supports, numbers)
             yield eliminated
@@ -289,7 +289,7 @@ def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.i
     np.add.at(matrices, (cells, rows[:, :, None], rows[:, None]), supports.masses[mine])
 
 
-def _transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:
+def transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:
     """Let tractions be those of the unknowns of a frame on some facets."""
     size = matrices.shape[1]
     rows = local[:, None] * size + np.arange(size)

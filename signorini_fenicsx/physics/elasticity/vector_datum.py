@@ -37,6 +37,16 @@ class PressureDatum:
         """The degree of the polynomial that it is known to be on each facet, or None."""
         return self.pressure.polynomial
 
+    @property
+    def scalars(self) -> tuple[Datum, ...]:
+        """p, whose square is that of the traction."""
+        return (self.pressure,)
+
+    @property
+    def directions(self) -> Array:
+        """The direction of p on each facet, shape (facets, 1, d)."""
+        return self.normals[:, None]
+
     def values(self, points: Points) -> Array:
         """Values, shape (facets, points, dim) (collective)."""
         return -self.pressure.values(points)[:, :, None] * self.normals[:, None]
@@ -63,6 +73,16 @@ class VectorDatum:
     def polynomial(self) -> int | None:
         """The degree of the polynomial that it is known to be, or None."""
         return largest_degree(self.components)
+
+    @property
+    def scalars(self) -> tuple[Datum, ...]:
+        """The components, the sum of whose squares is that of the vector."""
+        return self.components
+
+    @property
+    def directions(self) -> Array:
+        """The direction of each of them, everywhere the same, shape (1, d, d)."""
+        return np.eye(len(self.components))[None]
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, dim) (collective)."""

@@ -16,9 +16,10 @@ osc, as in `certify`, where osc² sums the squares over the cells, and
 
     |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
 
-The bound is guaranteed if f and g_N are polynomials that the quadrature integrates exactly, E and ν are numbers, one
-for each region perhaps, u_D and g are quadratic, and these are given as numbers or texts; otherwise it is said which
-are not. The remainder is what the linear solver leaves of the jumps of σ_h n.
+The bound is guaranteed if f and g_N are polynomials that the quadrature integrates exactly, or texts and what is given
+of u holds the body, see `hidden`; if E and ν are numbers or texts; if u_D and g are quadratic; and if all these are
+given as numbers or texts. Otherwise it is said which are not. The remainder is what the linear solver leaves of the
+jumps of σ_h n, and what may be missed of linear parts of loads.
 """
 
 from __future__ import annotations
@@ -34,11 +35,12 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
+from signorini_fenicsx.physics.elasticity.bound import hidden
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
-from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, is_enclosed, unresolved, with_missed
-from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData
+from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, Resolution, is_enclosed
+from signorini_fenicsx.physics.elasticity.data import MOST
 from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -68,27 +70,28 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
     y = admissible_stress(solution)
-    v, of_cells, past = _displacement(solution, y, spaces.split, degree=2)
+    resolution = Resolution(spaces, data)
+    v, of_cells, past = _displacement(solution, y, resolution, spaces.split, degree=2)
     with_most = _with_most(spaces, of_cells)
     if comm.allreduce(len(with_most)) > 0:
         part = spaces.split.part(with_most)
-        _, better, past_there = _displacement(solution, y, part, degree=HIGHER[spaces.dim], v=v)
+        _, better, past_there = _displacement(solution, y, resolution, part, degree=HIGHER[spaces.dim], v=v)
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
-    places, coarse = unresolved(spaces, data)
+    oscillation, missed = load_oscillation(resolution, y.stresses, of_cells)
     gap = Gap(
         squares=of_cells,
-        oscillation=load_oscillation(spaces, data, y.stresses),
-        remainder=y.distance,
+        oscillation=oscillation,
+        remainder=y.distance + missed,
         size=solution.norms()["energy"],
         v=v,
         hindrance=past,
         unbalanced=UNBALANCED,
         unbounded="the numbers of the data are too large for it",
-        by_quadrature=not_in_the_spaces(data),
-        account=lambda bound: places,
-        coarse=lambda: coarse,
+        by_quadrature=not_in_the_spaces(resolution),
+        account=lambda bound: resolution.unresolved(),
+        coarse=lambda: resolution.coarse,
     )
     certificate = replace(gap.certificate(spaces), lacking="not in the discrete spaces")
     by_pressure = data.friction.by_pressure
@@ -102,7 +105,12 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
 
 
 def _displacement(
-    solution: ElasticSolution, y: AdmissibleStress, split: SplitMesh, degree: int, v: fem.Function | None = None
+    solution: ElasticSolution,
+    y: AdmissibleStress,
+    resolution: Resolution,
+    split: SplitMesh,
+    degree: int,
+    v: fem.Function | None = None,
 ) -> tuple[fem.Function, Array, str]:
     """The best displacement on the split mesh or a part of it (collective).
 
@@ -112,12 +120,18 @@ def _displacement(
     spaces = solution.spaces
     problem = BestDisplacement(spaces, solution.data, y, split, degree, v)
     v, past = problem.minimum()
-    mismatch, on_contact = gap_of_cells(solution, y, problem, v)
+    mismatch, on_contact = gap_of_cells(solution, y, problem, v, resolution)
     return v, mismatch + 2 * on_contact, past
 
 
 def gap_of_cells(
-    solution: ElasticSolution, y: AdmissibleStress, problem: BestDisplacement, v: fem.Function, *, half: bool = False
+    solution: ElasticSolution,
+    y: AdmissibleStress,
+    problem: BestDisplacement,
+    v: fem.Function,
+    resolution: Resolution,
+    *,
+    half: bool = False,
 ) -> tuple[Array, Array]:
     """‖ℂε(v) − y‖², and the gap on Γ_C and supports, per owned cell; `half` as in `integrals` of laws (collective)."""
     spaces, split = solution.spaces, problem.split
@@ -125,7 +139,7 @@ def gap_of_cells(
     material = problem.material
     off = off_law(v, problem.sigma, material.compliance, material.eigenstrain)
     gaps = square(material.stiffness, off, weight, material.dx)
-    of_subcells = with_missed(problem, fem.assemble_vector(fenicsx.form(gaps)).array[: len(split.subcells)])
+    of_subcells = resolution.with_missed(problem, fem.assemble_vector(fenicsx.form(gaps)).array[: len(split.subcells)])
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells)
     np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
@@ -172,9 +186,11 @@ def _on_contact(
     return found
 
 
-def not_in_the_spaces(data: ElasticData, *, enclosed: bool = True) -> tuple[str, ...]:
-    """Data that are neither exact in the discrete problem nor, where this is enough, enclosed."""
-    loads = data.f, *data.g_N.values(), *(pull.datum for pull in data.pulls)
+def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True) -> tuple[str, ...]:
+    """Data that are neither exact in the discrete problem nor, where this is enough, enclosed (collective)."""
+    data = resolution.data
+    loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
+    loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and resolution.held)]
     found = [(each.name, each.polynomial, MOST // 2) for each in loads]
     found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
     names = [name for name, degree, most in found if degree is None or degree > most]

@@ -46,6 +46,8 @@ KORN = {2: 0.353, 3: 0.430}
 """Upper bounds of ĉ, from 32 cells along an edge in the plane and 16 in space."""
 TRACE = {2: 0.947, 3: 1.236}
 """Upper bounds of t̂, likewise."""
+MOMENTS = {2: 1.1181, 3: 1.4833}
+"""Upper bounds of q, which no affine map changes."""
 
 
 def regular_simplex(dim: int) -> Array:

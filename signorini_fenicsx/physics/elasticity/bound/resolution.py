@@ -17,7 +17,8 @@ in true norms and in those by a quadrature with positive weights. o_P is cubic, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -26,17 +27,17 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.certificate.certificate import Places, first_places
-from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.expressions import TREES, values
 from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
+from signorini_fenicsx.physics.elasticity.bound.body import has_constant
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.material import Material
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 DEGREE = 2
 """Degree of the polynomials: e − 𝔸_P y is then cubic for v of a degree up to 4, see `certify.HIGHER`."""
@@ -108,7 +109,7 @@ def _distances(
 
 @dataclass(frozen=True)
 class _Stiffness:
-    """What is known of the four coefficients on the subcells of a split mesh or a part of it, shape (4, subcells).
+    """What is known of the four coefficients on subcells, shape (4, subcells).
 
     Attributes:
         rho: ρ, infinite where none is known.
@@ -121,12 +122,18 @@ class _Stiffness:
     most: Array
 
     @classmethod
-    def of(cls, spaces: ElasticSpaces, material: Material, split: SplitMesh) -> Self:
-        """Enclose them."""
-        cells, vertices = split.subcells // (spaces.dim + 1), corners(split.mesh)
+    def of(cls, spaces: ElasticSpaces, material: Material) -> Self:
+        """Enclose them on the subcells of all owned cells."""
+        size = spaces.dim + 1
+        cells = np.repeat(np.arange(len(spaces.order)), size)
+        vertices = split_vertices(spaces.vertices).reshape(-1, size, spaces.dim)
         rho, middle = _distances(spaces, material, cells, vertices, DEGREE, ENOUGH)
         change, _ = _distances(spaces, material, cells, vertices, 0, ROUGHLY)
         return cls(rho, middle - 2 * change, middle + 2 * change)
+
+    def on(self, subcells: Indices) -> _Stiffness:
+        """What is known on some of the subcells, given by their numbers."""
+        return _Stiffness(self.rho[:, subcells], self.least[:, subcells], self.most[:, subcells])
 
     @property
     def resolved(self) -> npt.NDArray[np.bool_]:
@@ -139,35 +146,68 @@ def is_varying(material: Material) -> bool:
     return not material.uniform and is_enclosed(material)
 
 
-def with_missed(problem: BestDisplacement, squares: Array) -> Array:
-    """‖o‖²_ℂ at most, from ‖o‖²_Q, per subcell of the split mesh or the part of it (collective).
+@dataclass
+class Resolution:
+    """Encloses the data of one solution, and records where quadrature may miss too much of them.
 
-    It is ‖o‖²_Q itself where E and ν are numbers or are not enclosed, and where a coefficient is not resolved, which
-    `unresolved` tells.
+    Attributes:
+        spaces: The spaces.
+        data: The data.
+        coarse: Mask of the owned cells where data are not resolved.
     """
-    spaces, material, split = problem.spaces, problem.data.material, problem.split
-    if not is_varying(material):
-        return squares
-    known, y = _Stiffness.of(spaces, material, split), problem.sigma
-    weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
-    forms = (weight * form * ufl.dx for form in (ufl.inner(ufl.dev(y), ufl.dev(y)), ufl.tr(y) ** 2 / spaces.dim))
-    sizes = np.stack([fem.assemble_vector(fenicsx.form(form)).array[: len(squares)] for form in forms])
-    resolved = known.resolved
-    rho, least, most = (np.where(resolved, each, 1.0) for each in (known.rho, known.least, known.most))
-    s = np.sqrt((most[:2] * rho[2:] ** 2 * sizes).sum(axis=0))
-    eta = (rho[:2] / least[:2]).max(axis=0)
-    root = (np.sqrt(np.maximum(squares, 0.0)) + s) / np.sqrt(np.where(resolved, 1 - 2 * eta, 1.0)) + s
-    return np.where(resolved, root**2, squares)
 
+    spaces: ElasticSpaces
+    data: ElasticData
+    coarse: npt.NDArray[np.bool_] = field(init=False)
+    _noted: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
 
-def unresolved(spaces: ElasticSpaces, data: ElasticData) -> tuple[Places, npt.NDArray[np.bool_]]:
-    """Where E or ν are enclosed but not resolved: places, the same on all ranks, and the owned cells (collective)."""
-    coarse = np.zeros(len(spaces.order), dtype=bool)
-    if is_varying(data.material):
-        resolved = _Stiffness.of(spaces, data.material, spaces.split).resolved
-        coarse[spaces.split.subcells[~resolved] // (spaces.dim + 1)] = True
-    places = [("young or poisson", tuple(x)) for x in spaces.vertices[coarse].mean(axis=1).tolist()]
-    return first_places(places, spaces.mesh.comm), coarse
+    def __post_init__(self) -> None:
+        self.coarse = np.zeros(len(self.spaces.order), dtype=bool)
+        if self._stiffness is not None:
+            here = np.zeros(len(self.coarse), dtype=bool)
+            here[np.flatnonzero(~self._stiffness.resolved) // (self.spaces.dim + 1)] = True
+            self.note("young or poisson", here)
+
+    @cached_property
+    def _stiffness(self) -> _Stiffness | None:
+        """What is known of E and ν; None if they are numbers or are not enclosed."""
+        material = self.data.material
+        return _Stiffness.of(self.spaces, material) if is_varying(material) else None
+
+    @cached_property
+    def held(self) -> bool:
+        """Whether there is a constant of the body, so that loads are enclosed (collective when first used)."""
+        return has_constant(self.spaces)
+
+    def note(self, name: str, cells: npt.NDArray[np.bool_]) -> None:
+        """Record a mask of the owned cells where a datum is not resolved."""
+        self.coarse |= cells
+        self._noted += [(name, tuple(x)) for x in self.spaces.vertices[cells].mean(axis=1).tolist()]
+
+    def unresolved(self) -> Places:
+        """The data that are not resolved, each with a place, the same on all ranks (collective)."""
+        return first_places(self._noted, self.spaces.mesh.comm)
+
+    def with_missed(self, problem: BestDisplacement, squares: Array) -> Array:
+        """‖o‖²_ℂ at most, from ‖o‖²_Q, per subcell of the split mesh or the part of it (collective).
+
+        It is ‖o‖²_Q itself where E and ν are numbers or are not enclosed, and where a coefficient is not resolved.
+        """
+        if self._stiffness is None:
+            return squares
+        split, y = problem.split, problem.sigma
+        known = self._stiffness.on(split.subcells)
+        weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
+        forms = (
+            weight * form * ufl.dx for form in (ufl.inner(ufl.dev(y), ufl.dev(y)), ufl.tr(y) ** 2 / problem.spaces.dim)
+        )
+        sizes = np.stack([fem.assemble_vector(fenicsx.form(form)).array[: len(squares)] for form in forms])
+        resolved = known.resolved
+        rho, least, most = (np.where(resolved, each, 1.0) for each in (known.rho, known.least, known.most))
+        s = np.sqrt((most[:2] * rho[2:] ** 2 * sizes).sum(axis=0))
+        eta = (rho[:2] / least[:2]).max(axis=0)
+        root = (np.sqrt(np.maximum(squares, 0.0)) + s) / np.sqrt(np.where(resolved, 1 - 2 * eta, 1.0)) + s
+        return np.where(resolved, root**2, squares)
 
 
 def beyond(spaces: ElasticSpaces, data: ElasticData, cells: npt.NDArray[np.int32]) -> Array:

@@ -1,0 +1,275 @@
+"""What quadrature may miss of loads that are texts.
+
+Let p be the polynomial near a load g on a simplex, a subcell or a facet, that has the moments of g by the quadrature of
+the data: quadratic on subcells, cubic on facets. Its moments are those that σ_h balances, and `oscillation` counts it
+and ‖g − p‖_Q. With d = g − p, `expressions.enclosures` has bounds of ‖d‖ and of ‖Π₁d‖, Π₁ the projection to linear
+fields on the simplex. d − Π₁d is orthogonal to linear fields as what is counted is, so only ‖d‖ − ‖d‖_Q is missing
+there. Π₁d is a load that nothing balances: `body` bounds what all of them do together. If g is within ρ of a
+polynomial of degree K on the simplex S, then ‖d‖ ≤ ‖d‖_Q + 2ρ|S|^½ and ‖Π₁d‖ ≤ 2ρ|S|^½, as p has the moments by
+quadrature. Where this is too much S is cut, see `moments`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import partial
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.lattices import lagrange
+from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
+from signorini_fenicsx.expressions.enclosures import distances, moments
+from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
+from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, length_of_facets
+from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
+from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
+from signorini_fenicsx.physics.elasticity.data import DEGREE, MOST, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, Cells, SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
+from signorini_fenicsx.physics.elasticity.problem import NORMAL
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum
+
+MUCH = 0.5
+"""If what may be missed is more than this share of the bound, loads are not resolved."""
+SHARE = 0.03
+"""Enclosures stop where what may be missed is about this share of the bound."""
+ALONG = 1e-10
+"""A direction with less than this left is one in which u is given."""
+SMALLEST = 1e-100
+"""Tolerances are at least this."""
+
+
+def is_enclosed(datum: VectorDatum | PressureDatum) -> bool:
+    """Whether a load is known as texts, some of which are no polynomials that quadrature integrates exactly."""
+    known = all(scalar.pieces is not None for scalar in datum.scalars)
+    return known and (datum.polynomial is None or datum.polynomial > MOST // 2)
+
+
+def loads_of(spaces: ElasticSpaces, data: ElasticData) -> list[tuple[BoundaryFacets, VectorDatum | PressureDatum]]:
+    """All tractions, each with its facets."""
+    given = [(spaces.part(name) if name else spaces.neumann, datum) for name, datum in data.g_N.items()]
+    return [*given, *((pull.facets, pull.datum) for pull in data.pulls)]
+
+
+def fit(basis: Array, weights: Array) -> Array:
+    """The matrix from values in points to the coefficients of their best approximation, shape (basis, points)."""
+    weighted = weights[:, None] * basis
+    found: Array = np.linalg.solve(basis.T @ weighted, weighted.T)
+    return found
+
+
+@dataclass
+class _Enclosures:
+    """Enclosures of d of one load on simplices, which come in blocks.
+
+    Attributes:
+        spaces: The spaces.
+        datum: The load.
+        degree: That of p.
+        enough: Root mean square of a load that is small.
+        squares: Mean squares of d by quadrature, and bounds of those of d and of Π₁d, for each block (simplices, 3).
+        rough: By scalar and piece the numbers of simplices to be cut, their vertices, and p there.
+    """
+
+    spaces: ElasticSpaces
+    datum: VectorDatum | PressureDatum
+    degree: int
+    enough: float
+    squares: list[Array] = field(default_factory=list)
+    rough: dict[tuple[int, int], list[tuple[Indices, Array, Array]]] = field(default_factory=dict)
+
+    def trees(self, scalar: int) -> Iterator[tuple[int, Tree, Mask | None]]:
+        """The pieces of a scalar that quadrature does not integrate exactly, with masks of the cells where they are."""
+        for number, (tree, inside) in enumerate(self.datum.scalars[scalar].pieces or ()):
+            assert isinstance(tree, TREES)
+            degree = polynomial_degree(tree)
+            if degree is None or degree > OF_SERIES:
+                yield number, tree, inside
+
+    def add(self, cells: AnyIndices, vertices: Array, near: Array, seen: Array, acting: Mask | None = None) -> None:
+        """Look at simplices, and keep those that have to be cut.
+
+        Args:
+            cells: The owned cell of each.
+            vertices: Shape (n, k + 1, d).
+            near: p in the lattice, shape (n, points, scalars).
+            seen: The mean squares of d by quadrature, shape (n, scalars).
+            acting: Which scalars count, shape (n, scalars); None for all.
+        """
+        acting = np.ones(seen.shape, dtype=bool) if acting is None else acting
+        seen = np.where(acting, seen, 0.0)
+        limit = self.enough / math.sqrt(seen.shape[1])
+        begin = sum(map(len, self.squares))
+        bounds = np.stack([seen.sum(axis=1), seen.sum(axis=1), np.zeros(len(cells))], axis=1)
+        for scalar in range(seen.shape[1]):
+            for number, tree, inside in self.trees(scalar):
+                rows = np.flatnonzero(acting[:, scalar] if inside is None else acting[:, scalar] & inside[cells])
+                rho = 2 * distances(tree, vertices[rows], self.spaces.frame, np.full(len(rows), limit / 2))
+                fine = rho <= limit
+                root, rho, there = np.sqrt(seen[rows[fine], scalar]), rho[fine], rows[fine]
+                bounds[there, 1] += rho * (2 * root + rho)
+                bounds[there, 2] += rho**2
+                there = rows[~fine]
+                bounds[there, 1] -= seen[there, scalar]
+                kept = begin + there, vertices[there], near[there, :, scalar]
+                self.rough.setdefault((scalar, number), []).append(kept)
+        self.squares.append(bounds)
+
+    def roots(self) -> Array:
+        """Roots of the mean squares, after cuts, shape (3, simplices) (collective)."""
+        bounds, comm = np.concatenate(self.squares), self.spaces.mesh.comm
+        basis = partial(lagrange, degree=self.degree)
+        for scalar in range(len(self.datum.scalars)):
+            for number, tree, _ in self.trees(scalar):
+                rows, vertices, near = map(np.concatenate, zip(*self.rough[scalar, number], strict=True))
+                limit = self.enough / math.sqrt(len(self.datum.scalars))
+                weight = np.full(len(rows), 1 / (limit**2 * max(comm.allreduce(len(rows)), 1)))
+                cut = moments(tree, vertices, near, basis, self.spaces.frame, weight)
+                bounds[rows, 1] += cut.norm**2
+                bounds[rows, 2] += cut.linear**2
+        return np.sqrt(np.maximum(bounds, 0.0)).T
+
+
+@dataclass(frozen=True)
+class _Missed:
+    """What may be missed of one load, per owned cell.
+
+    Attributes:
+        name: Its name.
+        beyond: By how much (d, w) may be larger than what is counted, beside ‖ε(w)‖_T.
+        linear: ‖Π₁d‖² on the cell, or over l on its facets, see `body`.
+    """
+
+    name: str
+    beyond: Array
+    linear: Array
+
+
+def missed(resolution: Resolution, compliance: Array, counted: Array) -> tuple[Array, float]:
+    """What may be missed of all loads: more of the oscillation of the owned cells, and of the bound (collective).
+
+    If this is much beside what is counted, it is 0, and recorded that the loads are not resolved.
+
+    Args:
+        resolution: Of the data.
+        compliance: On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries).
+        counted: What each of these adds to the bound besides.
+    """
+    spaces, data, comm = resolution.spaces, resolution.data, resolution.spaces.mesh.comm
+    tractions = [(facets, datum) for facets, datum in loads_of(spaces, data) if is_enclosed(datum)]
+    if not (tractions or is_enclosed(data.f)) or not resolution.held:
+        return np.zeros_like(counted), 0.0
+    loaded = np.zeros((len(counted), spaces.dim + 1), dtype=bool)
+    for facets, _ in tractions:
+        loaded[facets.cells, facets.local] = True
+    of_body = constant_of_body(spaces, compliance, loaded)
+    if not math.isfinite(of_body):
+        resolution.held = False
+        return np.zeros_like(counted), 0.0
+    bound = math.sqrt(comm.allreduce(float((counted**2).sum())))
+    enough = max(SHARE * bound / of_body, SMALLEST)
+    of_each = [_of_force(spaces, data, enough / spaces.length ** (spaces.dim / 2))] if is_enclosed(data.f) else []
+    for facets, datum in tractions:
+        share = length_of_facets(spaces) / max(comm.allreduce(float(facets.measure.sum())), SMALLEST)
+        of_each.append(_of_traction(spaces, data, facets, datum, enough * math.sqrt(share)))
+    beyond = np.sqrt(np.linalg.eigvalsh(compliance)[:, -1]) * sum(each.beyond for each in of_each)
+    sums = comm.allreduce(np.array([(beyond**2).sum(), *(each.linear.sum() for each in of_each)]))
+    together = of_body * float(np.sqrt(sums[1:]).sum())  # several loads may be on one facet
+    if math.sqrt(sums[0]) + together <= MUCH * bound:
+        return beyond, together
+    of_loads = [np.nan_to_num(each.beyond**2 + of_body**2 * each.linear, nan=np.inf) for each in of_each]
+    most = comm.allreduce(max(each.max(initial=0.0) for each in of_loads), MPI.MAX)
+    for each, sizes in zip(of_each, of_loads, strict=True):
+        resolution.note(each.name, (sizes >= most / 4) & (sizes > 0))
+    return np.zeros_like(counted), 0.0
+
+
+def force_near(
+    spaces: ElasticSpaces, data: ElasticData, numbers: npt.NDArray[np.int32]
+) -> tuple[SplitQuadrature, Array, Array]:
+    """The quadratics near f on the subcells of some owned cells (collective).
+
+    Returns:
+        The quadrature; the quadratics in the lattices of the subcells, shape (cells, d + 1, points, d); and the mean
+        squares of what is left by this quadrature, shape (cells, d + 1, d).
+    """
+    dim, degree = spaces.dim, data.quadrature.degree
+    if not is_enclosed(data.f):
+        degree = max(degree, degree_of_square(data.f, degree), 2 * ON_FACETS)
+    rule = SplitQuadrature.of_degree(dim, degree)
+    points = CellPoints(spaces.mesh, numbers, rule.points, rule.weights)
+    values = data.f.values(points).reshape(len(numbers), dim + 1, len(rule.weights), dim)
+    basis = lagrange(rule.local, INSIDE)
+    near = np.einsum("nsqi,aq->nsai", values, fit(basis, rule.weights))
+    rest = values - np.einsum("qa,nsai->nsqi", basis, near)
+    return rule, near, np.einsum("q,nsqi->nsi", rule.weights, rest**2)
+
+
+def without_given(spaces: ElasticSpaces, part: BoundaryFacets, values: Array) -> Array:
+    """Tractions on a part without their components along which u is given there, shape (facets, points, d)."""
+    values = values.copy()
+    for fixed, k, letter in spaces.fixed[spaces.dim :]:
+        mine = np.flatnonzero(np.isin(part.facets, fixed.facets))
+        axes = np.broadcast_to(np.eye(spaces.dim)[k], (len(mine), spaces.dim))
+        axes = part.normals[mine] if letter == NORMAL else axes
+        values[mine] -= np.einsum("nqj,nj,ni->nqi", values[mine], axes, axes)
+    return values
+
+
+def traction_rule(data: ElasticData, dim: int, datum: VectorDatum | PressureDatum) -> tuple[Array, Array]:
+    """The hats in the points of a quadrature on facets for a traction, and its weights, whose sum is 1."""
+    if is_enclosed(datum):
+        points, weights = facet_rule(dim, DEGREE if datum.polynomial is None else datum.polynomial)
+    else:
+        least = max(data.quadrature.degree, 2 * ON_FACETS)
+        points, weights = basix.make_quadrature(SIMPLEX[dim - 1], max(degree_of_square(datum, least), least))
+    return points, weights / weights.sum()
+
+
+def degree_of_square(datum: VectorDatum | PressureDatum, otherwise: int) -> int:
+    """Degree of a quadrature that is exact for the square of a datum, if there is one."""
+    return otherwise if datum.polynomial is None else min(2 * datum.polynomial, MOST)
+
+
+def _of_force(spaces: ElasticSpaces, data: ElasticData, enough: float) -> _Missed:
+    """What may be missed of f (collective)."""
+    size, enclosures = spaces.dim + 1, _Enclosures(spaces, data.f, INSIDE, enough)
+    for numbers in blocks_of_cells(spaces):
+        _, near, seen = force_near(spaces, data, numbers)
+        vertices = split_vertices(corners(spaces.mesh, numbers)).reshape(-1, size, spaces.dim)
+        near, seen = (each.reshape(len(vertices), *each.shape[2:]) for each in (near, seen))
+        enclosures.add(np.repeat(numbers, size), vertices, near, seen)
+    squares = np.square(enclosures.roots()).reshape(3, -1, size).mean(axis=2)
+    seen, norm, linear = np.sqrt(squares * spaces.cell_measures)
+    constants = korn_constants(Cells(spaces.vertices).derivative)
+    return _Missed(data.f.name, constants * np.maximum(norm - seen, 0.0), linear**2)
+
+
+def _of_traction(
+    spaces: ElasticSpaces, data: ElasticData, facets: BoundaryFacets, datum: VectorDatum | PressureDatum, enough: float
+) -> _Missed:
+    """What may be missed of a traction on some facets (collective)."""
+    points, weights = traction_rule(data, spaces.dim, datum)
+    basis = lagrange(np.column_stack([1 - points.sum(axis=1), points]), ON_FACETS)
+    at = in_facets(spaces.mesh, facets.facets, points)
+    values = np.stack([scalar.values(at) for scalar in datum.scalars], axis=2)
+    near = np.einsum("nqi,aq->nai", values, fit(basis, weights))
+    enclosures = _Enclosures(spaces, datum, ON_FACETS, enough)
+    squares = np.einsum("q,nqi->ni", weights, (values - basis @ near) ** 2)
+    directions = np.broadcast_to(datum.directions, (*squares.shape, spaces.dim))
+    acting = np.linalg.norm(without_given(spaces, facets, directions), axis=2) > ALONG
+    enclosures.add(facets.cells, at.vertices, near, squares, acting)
+    seen, norm, linear = enclosures.roots() * np.sqrt(facets.measure)
+    constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
+    columns = constants * np.maximum(norm - seen, 0.0), linear**2 / length_of_facets(spaces)
+    return _Missed(datum.name, *(np.bincount(facets.cells, each, len(spaces.order)) for each in columns))
