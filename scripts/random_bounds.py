@@ -31,13 +31,14 @@ from random_problems import distort, random_case
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.discrete.datum import DEGREES
-from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
+from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.expressions import read, values
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.meshes.domain import Domain

@@ -23,11 +23,11 @@ from mpi4py import MPI
 from random_problems import Result, distance, distort, random_case, random_data, seeds_asked_for
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.contact.laws import Corners, Friction, Obstacle, Reaction, Regulator, Signorini, TwoSided, Wall
-from signorini_fenicsx.discrete.points import owned_cells
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution

@@ -2,7 +2,7 @@
 
 >>> import dolfinx.mesh, numpy as np, ufl
 >>> from mpi4py import MPI
->>> mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 8, 8, ghost_mode=dolfinx.mesh.GhostMode.none)
+>>> mesh = dolfinx.mesh.create_unit_square(MPI.COMM_WORLD, 8, 8)
 >>> x = ufl.SpatialCoordinate(mesh)
 >>> walls = {"bottom": lambda x: np.isclose(x[1], 0), "right": lambda x: np.isclose(x[0], 1)}
 >>> walls |= {"top": lambda x: np.isclose(x[1], 1), "left": lambda x: np.isclose(x[0], 0)}

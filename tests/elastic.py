@@ -4,7 +4,6 @@ import dolfinx.mesh
 import numpy as np
 import piqp
 import ufl
-from dolfinx.mesh import GhostMode
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
@@ -20,7 +19,7 @@ def box(comm: MPI.Comm, n: int, low: list[float], high: list[float]) -> Domain:
     size = np.array(high) - low
     cells = np.round(n * size / size.min()).astype(int).tolist()
     make = {2: dolfinx.mesh.create_rectangle, 3: dolfinx.mesh.create_box}[len(low)]
-    mesh = make(comm, [low, high], cells, ghost_mode=GhostMode.none)
+    mesh = make(comm, [low, high], cells)
     parts = {}
     for axis, name in enumerate("xyz"[: len(low)]):
         for end, place in enumerate((low[axis], high[axis])):

@@ -9,7 +9,8 @@ import math
 from ufl import as_vector, max_value
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
+from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 X0 = 0.413

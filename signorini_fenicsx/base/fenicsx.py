@@ -27,6 +27,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.compiling import patiently
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.local_options import JSON, unseen
+from signorini_fenicsx.base.owned import original_cells
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import COMPILING, doing
 
@@ -132,7 +133,7 @@ def bisected(
     fine, parents, facets = dolfinx.mesh.refine(
         mesh, edges, partitioner=None, option=dolfinx.mesh.RefinementOption.parent_cell_and_facet
     )
-    order = fine.topology.original_cell_index - fine.topology.index_map(dim).local_range[0]  # parents are not in it
+    order = original_cells(fine) - fine.topology.index_map(dim).local_range[0]  # parents are not in it
     return fine, parents[order], facets.reshape(-1, dim + 1)[order]
 
 

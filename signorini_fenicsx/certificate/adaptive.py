@@ -11,6 +11,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -160,7 +161,7 @@ def adapt[S: Solved](
             return solution, certificate
         shares = None if interval is None else interval.shares
         with doing("refining the mesh"):
-            marked = dorfler(certificate.indicator.x.array if shares is None else np.sqrt(shares), theta, comm)
+            marked = dorfler(owned_values(certificate.indicator) if shares is None else np.sqrt(shares), theta, comm)
             try:
                 domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
             except (InputError, NumericalFailure) as error:  # cells too small for their coordinates, or flat

@@ -24,6 +24,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 
 type Places = tuple[tuple[str, tuple[float, ...]], ...]
@@ -164,9 +165,9 @@ class Gap:
     def certificate(self, spaces: MeshSpaces) -> Certificate:
         """The bound that this gives (collective)."""
         comm, size, remainder = spaces.mesh.comm, self.size, self.remainder
-        indicator = fem.Function(spaces.Q, name="indicator")
         with np.errstate(invalid="ignore"):
-            indicator.x.array[:] = np.sqrt(np.maximum(self.squares + self.oscillation**2, 0.0))  # no ghost cells
+            of_cells = np.sqrt(np.maximum(self.squares + self.oscillation**2, 0.0))
+        indicator = function_of(spaces.Q, of_cells, "indicator")
         sums = np.array([self.squares.sum() / 2, (self.oscillation**2).sum()])
         gap, oscillation = comm.allreduce(sums).tolist()
         if_none = (

@@ -27,6 +27,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.solving.solved import Solved
@@ -133,8 +134,7 @@ def joined(
     bound = by_flux
     if of_repaired is not None and repaired is not None and repaired < by_flux:
         bound, trusted = repaired, of_repaired
-    indicator = fem.Function(spaces.Q, name="error_of_v")
-    indicator.x.array[:] = np.sqrt(most)  # no ghost cells
+    indicator = function_of(spaces.Q, np.sqrt(most), "error_of_v")
     reasons = (
         each.if_none or each.reservation or (each.of and f"it is the error{each.of}") for each in (certificate, trusted)
     )

@@ -7,15 +7,16 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs, extreme_around
 
 
 def bodies(spaces: MeshSpaces) -> Indices:
     """A number of its body for each owned cell, from 0 without gaps over all ranks (collective)."""
-    comm, space, cells = spaces.mesh.comm, spaces.crouzeix_raviart, len(spaces.cell_measures)
-    facets = space.dofmap.list[:cells]
-    piece = np.unique(joined(facets.max(initial=-1) + 1, facets)[facets[:, 0]], return_inverse=True)[1]
+    comm, space = spaces.mesh.comm, spaces.crouzeix_raviart
+    facets = cell_dofs(space)
+    piece = np.unique(joined(int(facets.max(initial=-1)) + 1, facets)[facets[:, 0]], return_inverse=True)[1]
     number = int(piece.max(initial=-1)) + 1
     body = (comm.scan(number) - number + piece).astype(np.float64)
     while True:  # pieces of several ranks that share a facet get the larger number

@@ -5,13 +5,13 @@ The entries of one kind, such as the first coordinates of all first vertices, ar
 """
 
 from collections.abc import Iterator
-from weakref import WeakKeyDictionary
 
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_nodes
 from signorini_fenicsx.base.small_matrices import inverses, squares_of
 
 type Entities = npt.NDArray[np.int32]
@@ -19,22 +19,9 @@ type Entities = npt.NDArray[np.int32]
 AT_ONCE = 8_192
 """Number of cells."""
 
-_NODES: WeakKeyDictionary[dolfinx.mesh.Mesh, Entities] = WeakKeyDictionary()
-
-
-def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Entities:
-    """Numbers of the vertices of the cells of this rank, shape (cells, dim + 1).
-
-    They are kept with the mesh: DOLFINx copies them all whenever it is asked, also for some cells at a time.
-    """
-    nodes = _NODES.get(mesh)
-    if nodes is None:
-        nodes = _NODES[mesh] = mesh.geometry.dofmaps[0]
-    return nodes
-
 
 def corners(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
-    """Vertices of cells of this rank, by default of all, shape (cells, dim + 1, dim)."""
+    """Vertices of owned cells, by default of all, shape (cells, dim + 1, dim)."""
     x, nodes, dim = mesh.geometry.x, cell_nodes(mesh)[cells], mesh.topology.dim
     corners_of_cells = np.empty((*nodes.shape, dim), order="F")
     for vertex, of_vertex in enumerate(nodes.T):
@@ -50,7 +37,7 @@ def facet_corners(mesh: dolfinx.mesh.Mesh, facets: Entities) -> Array:
 
 
 def arms(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
-    """Vertices of cells of this rank less their centroids, by default of all, shape (cells, dim + 1, dim)."""
+    """Vertices of owned cells less their centroids, by default of all, shape (cells, dim + 1, dim)."""
     vertices = corners(mesh, cells)
     vertices -= vertices[:, :1].copy(order="F")  # of coordinates that are far from 0 the mean would be rounded
     vertices -= np.einsum("cvi->ci", vertices)[:, None] / vertices.shape[1]
@@ -58,14 +45,14 @@ def arms(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Arra
 
 
 def hat_gradients(mesh: dolfinx.mesh.Mesh, cells: Entities | slice = slice(None)) -> Array:
-    """Gradients of the barycentric coordinates of cells of this rank, by default all, shape (cells, dim + 1, dim)."""
+    """Gradients of the barycentric coordinates of owned cells, by default all, shape (cells, dim + 1, dim)."""
     x = corners(mesh, cells)
     inverse = inverses((x[:, 1:] - x[:, :1]).transpose(0, 2, 1))
     return np.concatenate([-np.einsum("cvi->ci", inverse)[:, None], inverse], axis=1)
 
 
 def some_at_a_time(mesh: dolfinx.mesh.Mesh) -> Iterator[slice]:
-    """All cells of this rank, so many at a time that arrays of them stay in the cache of the processor."""
+    """All owned cells, so many at a time that arrays of them stay in the cache of the processor."""
     number = len(cell_nodes(mesh))
     return (slice(first, min(first + AT_ONCE, number)) for first in range(0, number, AT_ONCE))
 

@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_nodes, function_of, owned_values
 from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.sampling import curve_gap, of_unit_size, sampled
@@ -82,8 +83,8 @@ class Segments:
         segments = segments[: len(spaces.facets)]
         if self.cells is None:
             return segments
-        numbers, usual = fem.Function(self.spaces.Q), self._usual(self.cells)
-        numbers.x.array[:] = self.cells - usual  # no ghost cells
+        usual = self._usual(self.cells)
+        numbers = function_of(self.spaces.Q, self.cells - usual)
         near = self._near_others(self.cells != usual, spaces.mesh)
         return np.append(segments, self._sample(numbers, spaces.mesh, near) + usual)
 
@@ -97,7 +98,7 @@ class Segments:
         self, numbers: fem.Function, mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32] | None = None
     ) -> Indices:
         (sample,) = sampled([numbers], mesh, self.spaces.domain, degree=0, cells=cells)
-        return np.rint(sample.x.array).astype(np.int64)
+        return np.rint(owned_values(sample)).astype(np.int64)
 
     def _near_others(self, others: Mask, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
         """Owned cells of another mesh with their centroid in the box around all cells of a mask (collective).
@@ -105,12 +106,11 @@ class Segments:
         The search of cells takes longer than anything else in a prediction.
         """
         geometry, gap = self.spaces.mesh.geometry, curve_gap(self.spaces.domain)
-        corners = geometry.x[geometry.dofmaps[0][: len(others)][others]].reshape(-1, 3)
+        corners = geometry.x[self.spaces.nodes[others]].reshape(-1, 3)
         ends = np.stack([corners, -corners]).min(axis=1, initial=np.inf)
         mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MIN)
         low, high = ends[0] - gap, gap - ends[1]
-        owned = mesh.topology.index_map(mesh.topology.dim).size_local
-        centroids = mesh.geometry.x[mesh.geometry.dofmaps[0][:owned]].mean(axis=1)
+        centroids = mesh.geometry.x[cell_nodes(mesh)].mean(axis=1)
         return np.flatnonzero(np.all((low <= centroids) & (centroids <= high), axis=1)).astype(np.int32)
 
 

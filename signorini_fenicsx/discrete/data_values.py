@@ -8,17 +8,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.discrete.points import (
-    cell_quadrature,
-    facet_quadrature,
-    facet_type,
-    in_facets,
-    owned_cells,
-    quadratic_nodes,
-)
+from signorini_fenicsx.discrete.points import cell_quadrature, facet_quadrature, facet_type, in_facets, quadratic_nodes
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.enclosures import ranges, surely_above
 

@@ -25,9 +25,10 @@ from ufl.domain import extract_domains
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.of_points import interpolated
-from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, owned_cells
+from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells
 from signorini_fenicsx.expressions import TREES, Tree, exactly, polynomial_degree, to_ufl, values, values_and_gradient
 from signorini_fenicsx.expressions.given import Given, Rows, parsed
 
@@ -375,13 +376,14 @@ def regional_datum(spaces: MeshSpaces, key: str, given: Given | Mapping[str, Giv
         if name not in regions:
             regions_in_words = f"its regions are {', '.join(regions)}" if regions else "it has none"
             raise InputError(f"[problem] {key}: unknown region '{name}' of the mesh; {regions_in_words}")
-    number = spaces.Q.dofmap.index_map.size_local
+    number = len(spaces.cell_measures)
     parts, terms, values_given = [], [], np.zeros(number, dtype=np.int64)
     for name, value in given.items():
         inside = fem.Function(spaces.Q, name=name)
         inside.x.array[regions[name]] = 1.0
+        inside.x.scatter_forward()
         datum = datum_of(spaces, f"{key}.{name}", value, continuous=False, matrix=matrix)
-        parts.append((inside.x.array > 0, datum))
+        parts.append((owned_values(inside) > 0, datum))
         terms.append((inside, datum.ufl))
         values_given[regions[name]] += 1
     without, several = spaces.mesh.comm.allreduce(

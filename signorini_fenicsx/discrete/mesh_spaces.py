@@ -17,8 +17,9 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_nodes, function_of, number_of_cells, owned_cells
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.discrete.cell_shapes import cell_nodes, facet_corners
+from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.expressions.cutting import Frame
@@ -120,14 +121,14 @@ class MeshSpaces:
 
     @cached_property
     def cell_measures(self) -> Array:
-        """|T| of the owned cells; there are no ghosts."""
-        return assembled(fem.Constant(self.mesh, 1.0) * ufl.TestFunction(self.Q) * ufl.dx)
+        """|T| of the owned cells."""
+        measures = assembled(fem.Constant(self.mesh, 1.0) * ufl.TestFunction(self.Q) * ufl.dx)
+        return measures[: number_of_cells(self.mesh)]
 
     @cached_property
     def cell_diameters(self) -> Array:
         """The longest edge of each owned cell."""
-        dim = self.mesh.topology.dim
-        return self.mesh.h(dim, np.arange(self.mesh.topology.index_map(dim).size_local, dtype=np.int32))
+        return self.mesh.h(self.mesh.topology.dim, owned_cells(self.mesh))
 
     @cached_property
     def length(self) -> float:
@@ -153,10 +154,7 @@ class MeshSpaces:
     @collector_off()
     def multiplier(self, values: npt.NDArray, name: str = "p") -> fem.Function:
         """A function of Λ_h with these values per Γ_S facet, ghosts updated (collective)."""
-        function = fem.Function(self.Lambda, name=name)
-        function.x.array[: len(values)] = values
-        function.x.scatter_forward()
-        return function
+        return function_of(self.Lambda, values, name)
 
     @collector_off()
     def linear_multiplier(self, values: npt.NDArray, name: str = "values") -> fem.Function:

@@ -327,11 +327,6 @@ def facet_type(dim: int) -> basix.CellType:
     return basix.CellType.interval if dim == 2 else basix.CellType.triangle
 
 
-def owned_cells(mesh: dolfinx.mesh.Mesh) -> Entities:
-    """All owned cells."""
-    return np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-
-
 def in_cells(
     mesh: dolfinx.mesh.Mesh, cells: Entities, points: Array, weights: Array | None = None
 ) -> Iterator[CellPoints]:

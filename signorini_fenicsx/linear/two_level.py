@@ -5,6 +5,8 @@ import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
+from signorini_fenicsx.base.owned import cell_dofs
+
 
 class TwoLevel:
     """A PCMG with two levels. What conditions fix is left out of the interpolation.
@@ -92,8 +94,8 @@ def facet_vertices(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> np
         vertices: P1.
         facets: Crouzeix-Raviart functions on the same mesh.
     """
-    of_cell, rows = facets.dofmap.list, facets.dofmap.index_map
+    of_cell, rows = cell_dofs(facets), facets.dofmap.index_map
     of_facet = np.empty((rows.size_local + rows.num_ghosts, of_cell.shape[1] - 1), dtype=np.int32)
     for facet in range(of_cell.shape[1]):  # facet i of a cell lies opposite to its vertex i
-        of_facet[of_cell[:, facet]] = np.delete(vertices.dofmap.list, facet, axis=1)
+        of_facet[of_cell[:, facet]] = np.delete(cell_dofs(vertices), facet, axis=1)
     return of_facet[: rows.size_local]

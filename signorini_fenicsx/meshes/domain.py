@@ -9,7 +9,6 @@ import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
 from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
@@ -17,6 +16,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arguments import check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_cells, owned_cells
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.base.small_matrices import inverses
@@ -51,7 +51,7 @@ def other_side(name: str) -> str:
     return f"{name} (other side)"
 
 
-API = ("box", "cells", "facets", "h", "mesh", "name", "origin", "parts", "regions", "transferred")
+API = ("box", "cells", "facets", "h", "mesh", "name", "origin", "parts", "regions")
 """What a notebook offers of a domain."""
 
 
@@ -60,21 +60,20 @@ class Domain:
     """A distributed mesh with named boundary parts and regions.
 
     Attributes:
-        mesh: The mesh. It has no ghost cells, so a boundary facet is on one rank only, together with its cell.
+        mesh: The mesh. A facet of the boundary is owned by the rank that owns its cell.
         h: Largest cell diameter over all ranks.
         parts: Boundary parts, in the order of the shape or file. Along an inner part the mesh is cut, so it consists of
             facets of the boundary, and a second part, see `other_side`, of those that lie on them. The cells of both
             are on one rank.
-        facets: For each part its facets on this rank, ascending. Parts from a file may overlap, or not cover all
+        facets: For each part its owned facets, ascending. Parts from a file may overlap, or not cover all
             facets.
-        regions: For each region of a file its cells on this rank, ascending; none for named shapes.
+        regions: For each region of a file its owned cells, ascending; none for named shapes.
         curvature: The distance between two meshes of the domain with edges ≤ h is at most curvature·h².
         name: Name of the shape or the file.
         is_shape: Whether it is one of the named shapes.
         made: How the mesh was made, in words.
         coarser: The mesh of which this one is a uniform refinement, with all cells on the rank of their parents, if
             there is one.
-        given: The mesh that was given to `domain_of`, if this one is its copy without ghost cells.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -87,7 +86,6 @@ class Domain:
     is_shape: bool = False
     made: str = "given"
     coarser: "Domain | None" = None
-    given: dolfinx.mesh.Mesh | None = None
 
     def __post_init__(self) -> None:
         """Refuse a mesh far from 0 whose cells are too small for its coordinates (collective).
@@ -129,29 +127,6 @@ class Domain:
         found = self.coarser
         while found is not None and found.h < 0.75 * factor * self.h:
             found = found.coarser
-        return found
-
-    @collector_off()
-    def transferred(self, function: fem.Function) -> fem.Function:
-        """A function on the mesh that was given to `domain_of` from one on `mesh`, or the other way (collective).
-
-        It is the function itself where both are one mesh.
-
-        Raises:
-            InputError: If it is on neither of them, as an elastic stress is, which has a mesh of subcells.
-        """
-        mesh = function.function_space.mesh
-        if mesh is not self.mesh and (self.given is None or mesh is not self.given):
-            raise InputError(f"{function.name}: is on another mesh than {self.name}; take its values at points")
-        if self.given is None:
-            return function
-        cells = self.mesh.topology.original_cell_index - self.given.topology.index_map(mesh.topology.dim).local_range[0]
-        pair = np.arange(len(cells), dtype=np.int32), cells.astype(np.int32)  # of this mesh, of the given one
-        from_here = mesh is self.mesh
-        target, sources, targets = (self.given, *pair) if from_here else (self.mesh, *reversed(pair))
-        found = fem.Function(fenicsx.function_space(target, function.function_space.ufl_element()), name=function.name)
-        found.interpolate(function, cells0=sources, cells1=targets)
-        found.x.scatter_forward()
         return found
 
     @collector_off()
@@ -216,7 +191,7 @@ def rounding(mesh: dolfinx.mesh.Mesh) -> float:
     In a cell whose edges follow the axes this is the distance of neighbouring floats as a share of its heights.
     """
     if mesh not in _ROUNDING:
-        dim, x, cells = mesh.topology.dim, mesh.geometry.x, mesh.geometry.dofmaps[0]
+        dim, x, cells = mesh.topology.dim, mesh.geometry.x, cell_nodes(mesh)
         apart = np.spacing(np.abs(bounding_box(x, mesh.comm)).max(axis=0)[:dim])
         edges = x[cells[:, 1:], :dim] - x[cells[:, :1], :dim]
         with np.errstate(all="ignore"):  # a cell may have become flat
@@ -281,9 +256,7 @@ def _bring_together(comm: MPI.Comm, ranks: npt.NDArray[np.int32], pairs: Indices
 
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
     """Largest cell diameter (collective)."""
-    dim = mesh.topology.dim
-    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
-    return float(mesh.comm.allreduce(mesh.h(dim, cells).max(initial=0.0), MPI.MAX))
+    return float(mesh.comm.allreduce(mesh.h(mesh.topology.dim, owned_cells(mesh)).max(initial=0.0), MPI.MAX))
 
 
 def marked_domain(
@@ -300,10 +273,9 @@ def marked_domain(
     """Find the marked facets and cells on a mesh (collective)."""
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
-    size = mesh.topology.index_map(dim).size_local
     regions = {}
     if marks.regions:
-        inside = fetch_rows(mesh.comm, mesh.topology.original_cell_index[:size], marks.cells)
+        inside = fetch_rows(mesh.comm, original_cells(mesh), marks.cells)
         regions = {name: np.flatnonzero(inside[:, k]).astype(np.int32) for k, name in enumerate(marks.regions)}
     facets = found(mesh, marks.facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
     return Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape, made, coarser)
@@ -365,8 +337,7 @@ def cells_behind(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> npt.
 
 def membership(domain: Domain) -> Mask:
     """Mask of the owned cells in each region, shape (cells, regions)."""
-    size = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
-    table = np.zeros((size, len(domain.regions)), dtype=bool)
+    table = np.zeros((number_of_cells(domain.mesh), len(domain.regions)), dtype=bool)
     for column, cells in enumerate(domain.regions.values()):
         table[cells, column] = True
     return table

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.meshes.checks import FileMesh
@@ -53,9 +54,8 @@ def read_field(comm: MPI.Comm, path: str, name: str | None, *, vector: bool) -> 
     mesh = domain.mesh
     rows = fetch_rows(comm, mesh.geometry.input_global_indices, table)
     field = _linear(domain, vector=vector)
-    size = mesh.topology.index_map(mesh.topology.dim).size_local
     by_node = field.x.array.reshape(-1, rows.shape[1])
-    by_node[field.function_space.dofmap.list[:size]] = rows[mesh.geometry.dofmaps[0][:size]]
+    by_node[cell_dofs(field.function_space)] = rows[cell_nodes(mesh)]
     field.x.scatter_forward()
     return domain, field
 

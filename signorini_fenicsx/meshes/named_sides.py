@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_nodes
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.meshes.cut import Side, on_side
 from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_pairs, other_side
@@ -49,7 +50,7 @@ def _is_across(domain: Domain, part: str, side: Side, pair: Sequence[npt.NDArray
     mesh, dim, key = domain.mesh, domain.mesh.topology.dim, f"side of '{part}'"
     x, cells = mesh.geometry.x[:, :dim], np.stack([cells_behind(mesh, facets) for facets in pair], axis=1)
     corners = x[dolfinx.mesh.entities_to_geometry(mesh, dim - 1, pair[0])].reshape(-1, dim, dim)
-    middle = x[mesh.geometry.dofmaps[0][cells[:, 1]]].mean(axis=1)
+    middle = x[cell_nodes(mesh)[cells[:, 1]]].mean(axis=1)
     wrong, unclear, why = on_side(key, side, domain.regions, cells, corners, middle)
     number = mesh.comm.allreduce(int(np.count_nonzero(unclear)))
     if number > 0:

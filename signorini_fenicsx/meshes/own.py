@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from mpi4py import MPI
+from dolfinx import la
 
 from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_nodes, number_of_cells
 from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.cut import opened
@@ -19,8 +20,6 @@ from signorini_fenicsx.meshes.domain import (
     Domain,
     axis_part,
     bounding_box,
-    distribute,
-    found,
     largest_diameter,
     other_side,
 )
@@ -48,9 +47,7 @@ def domain_of(
     `domain.mesh`.
 
     Args:
-        mesh: Triangles or tetrahedra with straight edges. If it has ghost cells, as on several ranks by default, the
-            domain gets a new mesh: the same cells on the same ranks without the ghosts. Then UFL data must be written
-            on `domain.mesh`, and `domain.transferred` makes functions on one mesh from those on the other.
+        mesh: Triangles or tetrahedra with straight edges, with or without ghost cells.
         parts: Facets of the boundary, or inside, for each name of a part, with or without ghosts; the same names on all
             ranks.
         regions: Cells for each name of a region, for κ by region.
@@ -88,21 +85,14 @@ def domain_of(
 
         on_root(mesh.comm, open_them)
         return handed_out(mesh.comm, cut[0] if cut else None, name)
-    given = None
-    if mesh.comm.allreduce(topology.index_map(dim).num_ghosts > 0, MPI.LOR):
-        given = mesh
-        mesh, facets, cells = _without_ghosts(mesh, facets, cells)
-    else:
-        owned = topology.index_map(dim - 1).size_local  # ghost facets are owned by another rank
-        facets = {part: numbers[numbers < owned] for part, numbers in facets.items()}
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
     box = bounding_box(mesh.geometry.x, mesh.comm)
     curvature = OWN_CURVATURE / float((box[1] - box[0]).max())
-    return Domain(mesh, largest_diameter(mesh), labels, facets, cells, curvature, name, given=given)
+    return Domain(mesh, largest_diameter(mesh), labels, facets, cells, curvature, name)
 
 
 def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen, *, inside: bool = False) -> Entities:
-    """Chosen entities of this rank, ascending; a function chooses facets of the boundary if not `inside` (collective).
+    """Chosen owned entities, ascending; a function chooses facets of the boundary if not `inside` (collective).
 
     Raises:
         InputError: On all ranks, if one of them gets neither numbers of such entities nor a function.
@@ -113,7 +103,7 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen, *, in
             raise InputError(f"{key}: the function of points of shape (3, n) must return n truth values")
         everywhere = inside or dim == mesh.topology.dim
         locate = dolfinx.mesh.locate_entities if everywhere else dolfinx.mesh.locate_entities_boundary
-        return np.unique(locate(mesh, dim, chosen))
+        return _owned(mesh, dim, locate(mesh, dim, chosen))
     index_map = mesh.topology.index_map(dim)
     size = index_map.size_local + index_map.num_ghosts
     try:
@@ -131,7 +121,15 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen, *, in
     wrong = max(mesh.comm.allgather(wrong))
     if wrong:
         raise InputError(wrong)
-    return np.unique(numbers).astype(np.int32)
+    return _owned(mesh, dim, numbers)
+
+
+def _owned(mesh: dolfinx.mesh.Mesh, dim: int, numbers: Indices) -> Entities:
+    """The owned entities, ascending, that any rank lists (collective)."""
+    listed = la.vector(mesh.topology.index_map(dim), dtype=np.int8)
+    listed.array[numbers] = 1
+    listed.scatter_reverse(la.InsertMode.add)
+    return np.flatnonzero(listed.array[: listed.index_map.size_local]).astype(np.int32)
 
 
 def _gathered(
@@ -139,7 +137,7 @@ def _gathered(
 ) -> FileMesh | None:
     """The whole mesh on rank 0; None elsewhere (collective)."""
     dim, comm, nodes = mesh.topology.dim, mesh.comm, mesh.geometry.index_map()
-    size = mesh.topology.index_map(dim).size_local
+    size = number_of_cells(mesh)
 
     def numbers(local: Entities) -> Indices:
         return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
@@ -150,9 +148,9 @@ def _gathered(
     }
     inside = np.zeros((size, len(regions)), dtype=bool)
     for column, chosen in enumerate(regions.values()):
-        inside[chosen[chosen < size], column] = True
+        inside[chosen, column] = True
     points = gather_rows(comm, mesh.geometry.x[: nodes.size_local, :dim])
-    cells, rows = gather_rows(comm, numbers(mesh.geometry.dofmaps[0][:size])), gather_rows(comm, inside)
+    cells, rows = gather_rows(comm, numbers(cell_nodes(mesh))), gather_rows(comm, inside)
     found = {name: gather_rows(comm, np.sort(chosen, axis=1)) for name, chosen in facets.items()}
     if points is None or cells is None or rows is None:
         return None
@@ -162,31 +160,6 @@ def _gathered(
         parts={name: np.unique(chosen, axis=0) for name, chosen in found.items() if chosen is not None},
         regions={name: np.flatnonzero(rows[:, column]) for column, name in enumerate(regions)},
     )
-
-
-def _without_ghosts(
-    mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Entities], regions: Mapping[str, Entities]
-) -> tuple[dolfinx.mesh.Mesh, dict[str, Entities], dict[str, Entities]]:
-    """The mesh with the same cells on the same ranks but without ghosts, its parts and regions (collective)."""
-    dim, comm = mesh.topology.dim, mesh.comm
-    nodes, cell_map = mesh.geometry.index_map(), mesh.topology.index_map(dim)
-    size = cell_map.size_local
-
-    def global_nodes(local: Entities) -> Indices:
-        return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
-
-    cells, points = global_nodes(mesh.geometry.dofmaps[0][:size]), mesh.geometry.x[: nodes.size_local, :dim]
-    own = distribute(comm, points, cells, dim, stay=True)
-    own.topology.create_connectivity(dim - 1, dim)
-    marked = {
-        name: np.sort(global_nodes(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets)), axis=1).reshape(-1, dim)
-        for name, facets in parts.items()
-    }
-    every = np.arange(own.topology.index_map(dim - 1).size_local, dtype=np.int32)
-    number = np.empty(size, dtype=np.int32)
-    number[own.topology.original_cell_index - cell_map.local_range[0]] = np.arange(size)
-    inside = {name: np.sort(number[chosen[chosen < size]]) for name, chosen in regions.items()}
-    return own, found(own, marked, every), inside
 
 
 def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Entities) -> str:

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.owned import cell_nodes
 from signorini_fenicsx.base.small_matrices import determinants
 from signorini_fenicsx.meshes.domain import (
     Domain,
@@ -103,14 +104,14 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         membership(domain)[parent_cell],
         tuple(domain.regions),
     )
-    points, cell_nodes = fine.geometry.x[: nodes.size_local, :dim], vertices(fine.geometry.dofmaps[0], dim + 1)
+    points, children_of_cells = fine.geometry.x[: nodes.size_local, :dim], vertices(cell_nodes(fine), dim + 1)
     together = None
     if pairs:
         places = np.sort(fine.geometry.x[children], axis=1).sum(axis=1)
         sides = [np.flatnonzero(np.isin(boundary, facets)) for facets in (named, across)]
         together = np.stack([behind[rows[np.lexsort(places[rows].T)]] for rows in sides], axis=1).astype(np.int64)
         together += fine.topology.index_map(dim).local_range[0]
-    result = distribute(mesh.comm, points, cell_nodes, dim, together=together)
+    result = distribute(mesh.comm, points, children_of_cells, dim, together=together)
     return descendant(domain, result, marks, "refined where the error is")
 
 
@@ -195,13 +196,13 @@ def _bisected(
         mesh.geometry.x[:] = x
     parents, children = _affine(corners[parent_cell]), _affine(_corners(fine))
     barycentric = np.round(2 * np.linalg.solve(parents, children).transpose(0, 2, 1)) / 2
-    fine.geometry.x[fine.geometry.dofmaps[0], :dim] = barycentric @ _corners(mesh)[parent_cell]
+    fine.geometry.x[cell_nodes(fine), :dim] = barycentric @ _corners(mesh)[parent_cell]
     return fine, parent_cell, parent_facet
 
 
 def _corners(mesh: dolfinx.mesh.Mesh) -> Array:
-    """Vertices of the cells of this rank, shape (cells, dim + 1, dim)."""
-    return mesh.geometry.x[mesh.geometry.dofmaps[0], : mesh.topology.dim]
+    """Vertices of the owned cells, shape (cells, dim + 1, dim)."""
+    return mesh.geometry.x[cell_nodes(mesh), : mesh.topology.dim]
 
 
 def _affine(corners: Array) -> Array:
@@ -228,7 +229,7 @@ def _boundary_facets(
     cells, opposite = np.nonzero(parent_facet >= 0)
     parents = facets[parent_cell[cells], parent_facet[cells, opposite]]
     outside = np.isin(parents, dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    nodes = fine.geometry.dofmaps[0][cells[outside]]
+    nodes = cell_nodes(fine)[cells[outside]]
     others = nodes[np.arange(dim + 1) != opposite[outside, None]]
     return parents[outside], others.reshape(-1, dim), cells[outside]
 

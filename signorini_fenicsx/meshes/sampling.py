@@ -18,6 +18,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.meshes.domain import Domain
 
 QUADRATURE_DEGREE = 2
@@ -109,7 +110,7 @@ def sampled(
         cells: The owned cells of this mesh where they are wanted, 0 elsewhere; None for all.
     """
     if cells is None:
-        cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
+        cells = owned_cells(mesh)
     samples = []
     search = None  # the search of points is expensive, and the same for all functions
     for function in functions:

@@ -14,6 +14,7 @@ from dolfinx.common import IndexMap
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cell_nodes, number_of_cells
 from signorini_fenicsx.meshes.checks import diameters
 from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, membership
 from signorini_fenicsx.meshes.refinement import descendant
@@ -59,20 +60,20 @@ def refined_uniformly(domain: Domain) -> Domain:
     """
     mesh, comm = domain.mesh, domain.mesh.comm
     dim = mesh.topology.dim
-    size = mesh.topology.index_map(dim).size_local
+    size = number_of_cells(mesh)
     mesh.topology.create_entities(1)
     mesh.topology.create_connectivity(dim, 1)
     mesh.topology.create_connectivity(1, dim)
     nodes, edges = mesh.geometry.index_map(), mesh.topology.index_map(1)
     of_vertex, of_edge = _numbers(comm, nodes, edges)
-    edges_of_cell = mesh.topology.connectivity(dim, 1).array.reshape(size, len(EDGES[dim]))
-    numbers = np.hstack([of_vertex[mesh.geometry.dofmaps[0][:size]], of_edge[edges_of_cell]])
+    edges_of_cell = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(EDGES[dim]))[:size]
+    numbers = np.hstack([of_vertex[cell_nodes(mesh)], of_edge[edges_of_cell]])
 
     ends = dolfinx.mesh.entities_to_geometry(mesh, 1, np.arange(edges.size_local, dtype=np.int32))
     points = np.concatenate([mesh.geometry.x[: nodes.size_local], mesh.geometry.x[ends].mean(axis=1)])[:, :dim]
     children = numbers[:, _children(dim)]
     if dim == 3:
-        corners = mesh.geometry.x[mesh.geometry.dofmaps[0]]
+        corners = mesh.geometry.x[cell_nodes(mesh)]
         octahedron = numbers[np.arange(size)[:, None, None], OCTAHEDRON[_shortest_diagonal(corners)[0]]]
         children = np.concatenate([children, octahedron], axis=1)
     cells = children.reshape(-1, dim + 1)

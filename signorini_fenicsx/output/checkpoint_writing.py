@@ -17,6 +17,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.array_files import write_arrays
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.exchange import delete
+from signorini_fenicsx.base.owned import cell_nodes, original_cells
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import CaseFile
@@ -106,15 +107,14 @@ def _arrays(solution: Solved) -> Arrays:
     points = Order(comm, geometry.input_global_indices[: geometry.index_map().size_local])
     places = points.places(geometry.input_global_indices)
     keeping = keeping_of(solution.physics)
-    size = mesh.topology.index_map(dim).size_local
-    order = Order(comm, mesh.topology.original_cell_index[:size])
+    order = Order(comm, original_cells(mesh))
 
     def renumbered(vertices: Indices) -> Indices:
         return points.places(vertices.ravel()).reshape(-1, dim)
 
     arrays = {
         "points": points.sorted(geometry.x[: geometry.index_map().size_local, :dim]),
-        "cells": order.sorted(places[geometry.dofmaps[0][:size]]),
+        "cells": order.sorted(places[cell_nodes(mesh)]),
         **{key: order.sorted(rows) for key, rows in keeping.in_cells(solution).items()},
         **{f"facet_{key}": rows for key, rows in keeping.on_facets(solution).items()},
     }
@@ -122,7 +122,7 @@ def _arrays(solution: Solved) -> Arrays:
     for index, facets in enumerate(domain.facets.values()):
         arrays[f"part_{index}"] = renumbered(facet_vertices(mesh, facets))
     if spaces.inner.present:
-        inner, original = spaces.inner, mesh.topology.original_cell_index
+        inner, original = spaces.inner, original_cells(mesh)
         pairs = np.column_stack([spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
         arrays["together"] = order.places(original[pairs].ravel()).reshape(-1, 2)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})

@@ -141,7 +141,7 @@ class Vtx:
         elif nodes == 1 and not self._in_cells:
             spaces.set_linear(function, values)
         else:
-            rows = function.function_space.dofmap.list if nodes else slice(len(values))
+            rows = function.function_space.dofmap.list[: len(values)] if nodes else slice(len(values))
             function.x.array.reshape(-1, *shape)[rows] = values
             function.x.scatter_forward()
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable
@@ -128,7 +129,7 @@ def _fields(domain: Domain, drawn: Drawn, sample: Sample, indicator: fem.Functio
         "divergence": np.zeros(len(drawn.u)) if drawn.divergence is None else drawn.divergence,
         "contact": drawn.contact,
         "states": drawn.states,
-        "indicator": None if indicator is None else indicator.x.array,
+        "indicator": None if indicator is None else owned_values(indicator),
         "regions": membership(domain) if domain.regions else None,
     }
     of_sample: dict[str, Any] = {key: sample.in_cells(rows) for key, rows in of_cells.items() if rows is not None}

@@ -11,6 +11,7 @@ from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_nodes
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.meshes.domain import facet_vertices
 
@@ -30,7 +31,7 @@ class Sample:
     remain, one for each set of boxes. All facets of the boundary remain as they are. Nothing depends on the partition.
 
     Args:
-        mesh: The mesh, without ghost cells (collective).
+        mesh: The mesh (collective).
         facets: The facets of this rank whose vertices remain.
         most: The largest number of cells that are all taken; `MOST_CELLS` if None.
 
@@ -48,7 +49,7 @@ class Sample:
     def __init__(self, mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], most: int | None = None) -> None:
         geometry, topology = mesh.geometry, mesh.topology
         self._mesh, self._dim = mesh, topology.dim
-        self._dofs = geometry.dofmaps[0][: topology.index_map(self._dim).size_local]
+        self._dofs = cell_nodes(mesh)
         self._x = geometry.x[:, : self._dim]
         self.of = int(topology.index_map(self._dim).size_global)
         most = MOST_CELLS[self._dim] if most is None else most

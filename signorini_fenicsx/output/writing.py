@@ -14,6 +14,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.base.results import ResultsFolder
@@ -101,7 +102,7 @@ def write_solution(
         on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
         if fields:
             of_files, bounds = dict(solution.fields()), [each for each in (certificate, of_field) if each is not None]
-            indicators = [Field(each.indicator.name, each.indicator.x.array) for each in bounds]
+            indicators = [Field(each.indicator.name, owned_values(each.indicator)) for each in bounds]
             of_files[IN_CELLS] = [*of_files[IN_CELLS], *indicators]
             write_fields(folder, solution.spaces, [(None, of_files)], 1)
         summary = solution.summary()

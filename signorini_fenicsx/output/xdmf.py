@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from signorini_fenicsx.base.array_files import Header, add_to_hdf5
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_nodes
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import first_row
 from signorini_fenicsx.base.shipped import data_folder
-from signorini_fenicsx.discrete.cell_shapes import cell_nodes
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import Domain, membership
 from signorini_fenicsx.output.sample import MeansAround

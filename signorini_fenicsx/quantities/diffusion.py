@@ -9,9 +9,10 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.certificate.laws import half_gap
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.points import facet_quadrature, in_cells, owned_cells
+from signorini_fenicsx.discrete.points import facet_quadrature, in_cells
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace

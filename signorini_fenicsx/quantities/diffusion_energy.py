@@ -7,8 +7,9 @@ import math
 import basix
 import numpy as np
 
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
-from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature, facet_type, in_cells, in_facets, owned_cells
+from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature, facet_type, in_cells, in_facets
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, gap_parts, scaled
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING

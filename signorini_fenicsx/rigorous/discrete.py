@@ -12,6 +12,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, number_of_cells, original_cells
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
@@ -96,16 +97,15 @@ def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
     """
     spaces, mesh = solution.spaces, solution.spaces.mesh
     comm, dim = mesh.comm, mesh.topology.dim
-    cells = mesh.topology.index_map(dim).size_local
-    corners = mesh.geometry.dofmaps[0][:cells]
+    cells, corners = number_of_cells(mesh), cell_nodes(mesh)
     inside = membership(spaces.domain)
     columns = {
-        "order": mesh.topology.original_cell_index[:cells, None],
+        "order": original_cells(mesh)[:, None],
         "corners": mesh.geometry.input_global_indices[corners],
         "vertices": mesh.geometry.x[corners, :dim].reshape(cells, -1),
         "fluxes": _outward_fluxes(solution, cells),
         "kinds": _kinds(spaces)[mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[:cells]],
-        "v": v.x.array[v.function_space.dofmap.list[:cells]],
+        "v": v.x.array[cell_dofs(v.function_space)],
         "inside": inside[:cells],
     }
     rows = {name: gather_rows(comm, column) for name, column in columns.items()}
@@ -168,7 +168,7 @@ def _outward_fluxes(solution: Solution, cells: int) -> Array:
     spaces, sigma = solution.spaces, solution.sigma
     form = fenicsx.form(ufl.div(ufl.TrialFunction(spaces.V)) * ufl.TestFunction(spaces.Q) * ufl.dx)
     of_basis = fem.assemble_matrix(form).to_scipy().tocsr()  # ∫_T ∇·φ: the flux of a basis function out of a cell
-    dofs = spaces.V.dofmap.list[:cells]
+    dofs = cell_dofs(spaces.V)
     flux = np.asarray(of_basis[np.arange(cells)[:, None], dofs].todense())
     size = spaces.mesh.comm.bcast(float(np.abs(flux).flat[0]) if flux.size else 0.0)
     return np.sign(flux) * (size * sigma.x.array[dofs])

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.base.owned import original_cells
 from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import SiteConditions
@@ -46,7 +47,7 @@ class Stored:
 
     def in_cells(self, spaces: MeshSpaces, key: str) -> npt.NDArray:
         """An array for the cells of this rank (collective)."""
-        return fetch_rows(spaces.mesh.comm, spaces.mesh.topology.original_cell_index, self.arrays[key])
+        return fetch_rows(spaces.mesh.comm, original_cells(spaces.mesh), self.arrays[key])
 
     def on_facets(self, comm: MPI.Comm, *keys: str) -> list[npt.NDArray]:
         """Arrays for the facets of Γ_S of this rank (collective)."""

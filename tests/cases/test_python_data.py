@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import GhostMode, create_unit_square
+from dolfinx.mesh import create_unit_square
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
@@ -19,7 +19,7 @@ COMM = MPI.COMM_WORLD
 
 
 def unit_square() -> tuple[dolfinx.mesh.Mesh, Domain]:
-    mesh = create_unit_square(COMM, 4, 4, ghost_mode=GhostMode.none)
+    mesh = create_unit_square(COMM, 4, 4)
     return mesh, domain_of(mesh, {"bottom": lambda x: np.isclose(x[1], 0)})
 
 
@@ -73,7 +73,7 @@ def test_functions_are_asked_in_the_mesh_alone():
             raise ValueError("outside")
         return x[0] > 1.5
 
-    mesh = dolfinx.mesh.create_rectangle(COMM, [[1.0, 1.0], [2.0, 2.0]], [2, 2], ghost_mode=GhostMode.none)
+    mesh = dolfinx.mesh.create_rectangle(COMM, [[1.0, 1.0], [2.0, 2.0]], [2, 2])
     domain = domain_of(mesh, {"bottom": lambda x: np.isclose(x[1], 1)})
     assert solve(domain, (Boundary(["bottom"]), Problem(f=table))).converged
 

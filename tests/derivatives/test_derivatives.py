@@ -88,7 +88,7 @@ def in_the_domain(comm: MPI.Comm) -> Controlled:
 
 def across(comm: MPI.Comm) -> Controlled:
     """Friction between two bodies."""
-    mesh = dolfinx.mesh.create_unit_square(comm, 6, 6, ghost_mode=dolfinx.mesh.GhostMode.none)
+    mesh = dolfinx.mesh.create_unit_square(comm, 6, 6)
     sides = {"fault": lambda x: np.isclose(x[1], 0.5), "sides": lambda x: np.isclose(x[0] * (1 - x[0]), 0)}
     domain = domain_of(mesh, sides, inner=["fault"])
     x = ufl.SpatialCoordinate(domain.mesh)

@@ -9,13 +9,14 @@ from dolfinx import fem
 from dolfinx.mesh import create_unit_cube, create_unit_square
 from mpi4py import MPI
 
+from signorini_fenicsx.base.owned import cell_nodes, owned_cells
 from signorini_fenicsx.base.small_matrices import determinants, inverses
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.discrete.cell_shapes import cell_nodes, corners
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.mesh_spaces import assembled
-from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
+from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.bound.relaxation import _Gap
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal

@@ -11,13 +11,14 @@ from made_cases import make_case
 from mpi4py import MPI
 
 from signorini_fenicsx.base.fenicsx import LOADED
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
 from signorini_fenicsx.discrete import points
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.points import Points, cell_quadrature, facet_quadrature, owned_cells
+from signorini_fenicsx.discrete.points import Points, cell_quadrature, facet_quadrature
 from signorini_fenicsx.expressions.reader import read
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.problem import Problem

@@ -82,7 +82,7 @@ def test_two_loads_on_a_part():
 
 def test_parts_that_overlap():
     """A facet in two parts has no two conditions: u given on one of them was passed over."""
-    mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4, ghost_mode=dolfinx.mesh.GhostMode.none)
+    mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
     parts = {"low": lambda x: np.isclose(x[1], 0), "some": lambda x: np.isclose(x[1] * (1 - x[0]), 0)}
     domain = domain_of(mesh, parts)
     message = "parts 'low' and 'some' have 4 facets in common"

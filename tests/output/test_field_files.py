@@ -92,7 +92,7 @@ def test_a_uniform_state_of_a_body(folder: Path):
 @pytest.mark.parallel(3)
 def test_a_constant_flux_with_regions(folder: Path):
     """A potential u = x is a constant per cell with its exact flux; parts and regions are where they are."""
-    mesh = dolfinx.mesh.create_unit_square(COMM, 6, 6, ghost_mode=dolfinx.mesh.GhostMode.none)
+    mesh = dolfinx.mesh.create_unit_square(COMM, 6, 6)
     sides = {"left": (0, 0), "right": (0, 1), "bottom": (1, 0), "top": (1, 1)}
     parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in sides.items()}
     regions = {"lower": lambda x: x[1] < 0.5 + 1e-9, "upper": lambda x: x[1] > 0.5 - 1e-9}

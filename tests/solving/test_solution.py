@@ -28,7 +28,7 @@ WALLS = {
 
 def solved(f: str = "40*(x - 0.6)", n: int = 8, **data: object) -> Solution:
     """On a square with Γ_S below and Γ_N on the right."""
-    square = mesh.create_unit_square(COMM, n, n, ghost_mode=mesh.GhostMode.none)
+    square = mesh.create_unit_square(COMM, n, n)
     boundary = Boundary(["bottom"], ["right"])
     return solve(domain_of(square, WALLS), (boundary, Problem(f=f, psi="0.1*x - 0.05", **data)))
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import CellType, GhostMode, create_unit_square
+from dolfinx.mesh import CellType, create_unit_square
 from mpi4py import MPI
 
 from signorini_fenicsx import api
@@ -55,7 +55,7 @@ WALLS: Mapping[str, Callable[[npt.NDArray], npt.NDArray]] = {
 
 def square(n: int = 8, **options: object) -> tuple[dolfinx.mesh.Mesh, dict[str, npt.NDArray[np.int32]]]:
     """A mesh and its parts."""
-    mesh = create_unit_square(COMM, n, n, **({"ghost_mode": GhostMode.none} | options))
+    mesh = create_unit_square(COMM, n, n, **options)
     mesh.topology.create_connectivity(1, 2)
     return mesh, {name: dolfinx.mesh.locate_entities(mesh, 1, where) for name, where in WALLS.items()}
 
@@ -103,35 +103,23 @@ def test_kinds_of_data(folder: Path):
 
 
 @pytest.mark.parallel(3)
-def test_functions_of_points_choose_parts_and_ghosts_do_not_matter():
-    """Functions go from the mesh with ghosts to that without and back, because the ranks own the same cells."""
+def test_functions_of_points_choose_parts():
+    """Parts and regions by functions of points are those by numbers, with ghosts or with those of other ranks alone."""
     mesh, parts = square()
     walls = {name: WALLS[name] for name in ("bottom", "right")}
     regions = {"west": lambda x: x[0] < 0.5 + 1e-9, "east": lambda x: x[0] > 0.5 - 1e-9}
-    boundary, problem = Boundary(["bottom"], ["right"]), Problem(f="40*(x - 0.6)", kappa={"west": 1, "east": 3})
-    domain = domain_of(mesh, walls, regions)
+    cells = {name: dolfinx.mesh.locate_entities(mesh, 2, where) for name, where in regions.items()}
+    owned = mesh.topology.index_map(1).size_local
+    one, other = domain_of(mesh, parts, cells), domain_of(mesh, walls, regions)
     for name in walls:
-        np.testing.assert_array_equal(domain.facets[name], parts[name])
-    expected = solve(domain, (boundary, problem))
-    ghosted = create_unit_square(COMM, 8, 8)
-    ghosted.topology.create_connectivity(1, 2)
-    tags = {name: dolfinx.mesh.locate_entities_boundary(ghosted, 1, where) for name, where in walls.items()}
-    cells = {name: dolfinx.mesh.locate_entities(ghosted, 2, where) for name, where in regions.items()}
-    for given in (domain_of(ghosted, tags, cells), domain_of(ghosted, walls, regions)):
-        solution = solve(given, (boundary, problem))
-        assert (given.mesh is ghosted) == (COMM.size == 1)
-        assert solution.norms() == pytest.approx(expected.norms(), rel=1e-10)
-        assert solution.contact == pytest.approx(expected.contact)
-        certify(solution)
-    sigma, u = (given.transferred(function) for function in (solution.sigma, solution.u))
-    assert sigma.function_space.mesh is u.function_space.mesh is ghosted
-    np.testing.assert_array_equal(given.transferred(u).x.array, solution.u.x.array)
-    with pytest.raises(InputError, match="is on another mesh"):
-        given.transferred(expected.u)
-    square_of_norm = COMM.allreduce(fem.assemble_scalar(fem.form(ufl.inner(sigma, sigma) * ufl.dx)))
-    assert np.sqrt(square_of_norm) == pytest.approx(solution.norms()["sigma_L2"], rel=1e-10)
-    jump = ufl.jump(sigma, ufl.FacetNormal(ghosted))  # σ·n is the same from both sides
-    assert COMM.allreduce(fem.assemble_scalar(fem.form(jump**2 * ufl.dS))) < 1e-20
+        np.testing.assert_array_equal(one.facets[name], other.facets[name])
+        np.testing.assert_array_equal(one.facets[name], parts[name][parts[name] < owned])
+    for name in regions:
+        np.testing.assert_array_equal(one.regions[name], other.regions[name])
+    ghosts = domain_of(mesh, {"middle": parts["middle"][parts["middle"] >= owned]})
+    shared = COMM.allreduce(len(ghosts.facets["middle"]))
+    assert 0 < shared <= COMM.allreduce(len(one.facets["middle"])) == 8
+    assert all(number < owned for number in ghosts.facets["middle"])
 
 
 class Counting(FacetBackend):
@@ -313,10 +301,9 @@ def test_refusals():
     quads, parts = square(cell_type=CellType.quadrilateral)
     with pytest.raises(InputError, match="must consist of triangles or tetrahedra"):
         domain_of(quads, parts)
-    ghosted, parts = square(ghost_mode=GhostMode.shared_facet)
-    if COMM.size > 1:
-        with pytest.raises(InputError, match=r"f: is UFL on another mesh; write it on `domain.mesh`"):
-            solve(domain_of(ghosted, parts), (bottom, Problem(f=ufl.SpatialCoordinate(ghosted)[0])))
+    other, _ = square()
+    with pytest.raises(InputError, match=r"f: is UFL on another mesh; write it on `domain.mesh`"):
+        solve(domain, (bottom, Problem(f=ufl.SpatialCoordinate(other)[0])))
     for chosen, message in [
         ("bottom", r"parts\['low'\]: must be an array of facet numbers, integers, or a function of points"),
         ([0.5, 1.0], "must be an array of facet numbers"),

@@ -8,7 +8,7 @@ from typing import Any
 import dolfinx.mesh
 import numpy as np
 import pytest
-from dolfinx.mesh import GhostMode, create_unit_square
+from dolfinx.mesh import create_unit_square
 from mpi4py import MPI
 
 import signorini_fenicsx
@@ -40,7 +40,7 @@ class Names(dict[str, Any]):
 @pytest.fixture(scope="module")
 def names() -> Names:
     """Names with the unit square, a scalar and an elastic solution on it."""
-    mesh = create_unit_square(MPI.COMM_WORLD, 6, 6, ghost_mode=GhostMode.none)
+    mesh = create_unit_square(MPI.COMM_WORLD, 6, 6)
     found = Names(extend=extend)
     found["domain"] = signorini_fenicsx.domain_of(
         mesh,

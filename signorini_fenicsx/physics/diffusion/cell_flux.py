@@ -19,6 +19,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
 from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.points import Points
@@ -45,7 +46,7 @@ class CellFlux:
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
         """The flux on cells of a function with up-to-date ghost values (collective)."""
-        mesh, dofs = spaces.mesh, spaces.V.dofmap.list
+        mesh, dofs = spaces.mesh, cell_dofs(spaces.V)
         outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
         dim, cells = mesh.topology.dim, len(dofs)
         centroid, slope = np.empty((cells, dim), order="F"), np.empty(cells)
@@ -62,7 +63,7 @@ class CellFlux:
         mesh, sigma = spaces.mesh, fem.Function(spaces.V, name="sigma")
         on_facets = self.centroid[:, None] - self.slope[:, None, None] * arms(mesh) / dim
         through = -dim * spaces.cell_measures[:, None] * np.einsum("cvi,cvi->cv", hat_gradients(mesh), on_facets)
-        sigma.x.array[spaces.V.dofmap.list] = through / spaces.outflow
+        sigma.x.array[cell_dofs(spaces.V)] = through / spaces.outflow
         sigma.x.scatter_forward()
         return sigma
 
@@ -136,6 +137,6 @@ def joined(spaces: Spaces, of_cells: Array) -> Array:
     Collective.
     """
     total = fem.Function(spaces.V)
-    total.x.array[:] = np.bincount(spaces.V.dofmap.list.ravel(), of_cells.ravel(), len(total.x.array))
+    total.x.array[:] = np.bincount(cell_dofs(spaces.V).ravel(), of_cells.ravel(), len(total.x.array))
     total.x.scatter_reverse(la.InsertMode.add)
     return np.asarray(total.x.array, dtype=np.float64)

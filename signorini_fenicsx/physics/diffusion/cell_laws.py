@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -24,7 +25,7 @@ from signorini_fenicsx.contact.laws import Obstacle, Reaction, Storage
 from signorini_fenicsx.discrete.data_values import in_problem
 from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.part_laws import SHORT, PartLaw, chains_of, checked, data_of_law, means_of
-from signorini_fenicsx.discrete.points import facet_type, in_facets, owned_cells, quadratic_nodes
+from signorini_fenicsx.discrete.points import facet_type, in_facets, quadratic_nodes
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import Given, combined, parsed
 from signorini_fenicsx.physics.diffusion.problem import Problem

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values, set_owned
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.discrete.bodies import spread
 from signorini_fenicsx.discrete.data_values import (
@@ -27,7 +28,7 @@ from signorini_fenicsx.discrete.data_values import (
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
-from signorini_fenicsx.discrete.points import cell_quadrature, owned_cells
+from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.given import Given, Rows
@@ -135,6 +136,11 @@ class Data:
         f_h.x.array[:] += memory.x.array
         return replace(self, f_h=f_h, memory=memory)
 
+    @property
+    def means_of_f(self) -> Array:
+        """The mean of f on each owned cell: f_h without `memory`."""
+        return owned_values(self.f_h) - (0.0 if self.memory is None else owned_values(self.memory))
+
     def source(self, u: fem.Function) -> fem.Function:
         """f_h − c_h u for u in P0, which is −∇·σ_h; f_h itself where c = 0."""
         if self.c_h is None:
@@ -148,7 +154,7 @@ class Data:
         identity = np.eye(spaces.mesh.geometry.dim)
         if self.kappa.number is not None:
             return self.kappa.number * identity[None]
-        entries = self.kappa_h.x.array.reshape(-1, *(self.kappa.shape or (1, 1)))
+        entries = owned_values(self.kappa_h).reshape(-1, *(self.kappa.shape or (1, 1)))
         return entries if self.kappa.shape else entries * identity
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
@@ -225,7 +231,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
         total(
             np.concatenate(
                 [
-                    spaces.cell_measures * (f_h.x.array + in_cell),
+                    spaces.cell_measures * (owned_values(f_h) + in_cell),
                     given_flux,
                     (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows],
                 ]
@@ -262,7 +268,7 @@ def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Fu
         )
     else:
         means = cell_means(spaces, f)
-    f_h.x.array[:] = means
+    set_owned(f_h, means)
     check_means("f", "in the domain", means, spaces)
     return f, f_h
 
@@ -312,9 +318,9 @@ def _trees(problem: Problem) -> dict[str, Tree | Rows]:
 def _mean_eigenvalues(spaces: Spaces, kappa: Datum, kappa_h: fem.Function | fem.Constant) -> Array:
     """Mean eigenvalue of κ_h on each owned cell."""
     if kappa.number is not None:
-        return np.full(spaces.Q.dofmap.index_map.size_local, kappa.number)
+        return np.full(len(spaces.cell_measures), kappa.number)
     shape = kappa.shape or (1, 1)
-    return np.trace(kappa_h.x.array.reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
+    return np.trace(owned_values(kappa_h).reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
 
 
 def _conductivity(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | fem.Constant, float]:
@@ -346,9 +352,7 @@ def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.
         raise InputError(f"[problem] kappa: must be positive; {what} {smallest:.3g}{_near(place)}")
     if kappa.number is not None:
         return fem.Constant(spaces.mesh, kappa.number)
-    kappa_h = fem.Function(spaces.Q_matrix if kappa.shape else spaces.Q, name="kappa_h")
-    kappa_h.x.array[:] = means.ravel()  # no ghost cells
-    return kappa_h
+    return function_of(spaces.Q_matrix if kappa.shape else spaces.Q, means.ravel(), "kappa_h")
 
 
 def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | None]:
@@ -357,8 +361,8 @@ def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | N
     if c.number == 0:
         return c, None
     comm = spaces.mesh.comm
-    c_h = fem.Function(spaces.Q, name="c_h")
-    c_h.x.array[:] = means = cell_means(spaces, c)  # no ghost cells
+    means = cell_means(spaces, c)
+    c_h = function_of(spaces.Q, means, "c_h")
     check_means("c", "in the domain", means, spaces)
     rounding = ROUNDING * comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
     least, place = least_value(spaces, c, np.full(len(means), -rounding))

@@ -7,6 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -17,7 +18,6 @@ from signorini_fenicsx.discrete.points import (
     beside,
     cell_quadrature,
     facet_quadrature,
-    owned_cells,
 )
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws

@@ -20,6 +20,7 @@ from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import EVERYWHERE, VERTICAL
 from signorini_fenicsx.contact.laws import Corners, Storage
@@ -93,9 +94,7 @@ class DiffusionSteps:
         return self._content(u, least)
 
     def _content(self, u: Array, theta: Array) -> fem.Function:
-        content = fem.Function(self.spaces.Q, name="content")
-        content.x.array[:] = self.capacity * u + theta
-        return content
+        return function_of(self.spaces.Q, self.capacity * u + theta, "content")
 
     def problem(self, step: int) -> Problem:
         """The problem of a step, without what it takes from those before.
@@ -115,7 +114,7 @@ class DiffusionSteps:
 
     def left_by(self, solution: Solution) -> fem.Function:
         """The content w = Cu + θ in P0 (collective)."""
-        return self._content(solution.u.x.array, self.theta(solution))
+        return self._content(owned_values(solution.u), self.theta(solution))
 
     def theta(self, solution: Solution) -> Array:
         """The θ that the balance of a step has selected, per owned cell; 0 where there is no storage (collective).
@@ -125,8 +124,8 @@ class DiffusionSteps:
         content, laws, step = np.zeros(len(self.capacity)), solution.data.inside, solution.step
         if not self.storage or laws is None or step is None:
             return content
-        u, a = solution.u.x.array, self.rate(step)
-        s = solution.cell_flux.divergence + solution.data.source(solution.u).x.array
+        u, a = owned_values(solution.u), self.rate(step)
+        s = solution.cell_flux.divergence + owned_values(solution.data.source(solution.u))
         numbers = [i for i, _ in _storages(self._problem)]
         for number, (part, own) in zip(numbers, self.storage, strict=True):
             others, rows = s.copy(), part.rows
@@ -143,7 +142,7 @@ class DiffusionSteps:
         """The integral of the content, where there is storage (collective)."""
         if not self.storage:
             return {}
-        local = float(self.spaces.cell_measures @ self.left_by(solution).x.array)
+        local = float(self.spaces.cell_measures @ owned_values(self.left_by(solution)))
         return {"content": self.spaces.mesh.comm.allreduce(local)}
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
@@ -151,7 +150,7 @@ class DiffusionSteps:
         on = solution.segments()
         cells = {} if on.cells is None else {"own": on.cells}
         theta = {"theta": self.theta(solution)} if self.storage else {}
-        return {"u": solution.u.x.array, **cells, **theta, "facet_own": on.segment}
+        return {"u": owned_values(solution.u), **cells, **theta, "facet_own": on.segment}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
@@ -294,8 +293,7 @@ def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
         InputError: If a centroid is not in its mesh.
     """
     centroids = corners(spaces.mesh).mean(axis=1)
-    u = fem.Function(spaces.Q, name="u")
-    u.x.array[:] = solution.at(centroids).u
+    u = function_of(spaces.Q, solution.at(centroids).u, "u")
     outside = spaces.mesh.comm.allreduce(int(np.count_nonzero(np.isnan(u.x.array))))
     if outside > 0:
         raise InputError(

@@ -13,6 +13,7 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -127,7 +128,7 @@ class FacetSystem:
         Collective.
         """
         data, spaces = self._data, self.spaces
-        y, dofs = self.sources.b.x.array, self.space.dofmap.list
+        y, dofs = owned_values(self.sources.b), cell_dofs(self.space)
         load = fem.Function(self.space).x
         per_facet = np.repeat(y * spaces.cell_measures / dofs.shape[1], dofs.shape[1])
         load.array[:] = np.bincount(dofs.ravel(), per_facet, len(load.array))
@@ -165,7 +166,7 @@ class FacetSystem:
 
     def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
         """The owned unknowns of some sites."""
-        of_cells = self.space.dofmap.list[np.flatnonzero(sites[self._facets.stop :])].ravel()
+        of_cells = cell_dofs(self.space)[np.flatnonzero(sites[self._facets.stop :])].ravel()
         own = of_cells[of_cells < self.space.dofmap.index_map.size_local]
         return np.union1d(self.trace_dofs[sites[self._facets]], own).astype(np.int32)
 
@@ -230,12 +231,11 @@ class FacetSystem:
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
         spaces = self.spaces
-        sigma, u = fem.Function(spaces.V, name="sigma"), fem.Function(spaces.Q, name="u")
-        u_cr = self._with_lift(self.x)
+        sigma, u_cr = fem.Function(spaces.V, name="sigma"), self._with_lift(self.x)
         through = assembled(spaces.kept(_outflow, self._data.kappa_h, self.sources.at(u_cr), u_cr))
-        sigma.x.array[spaces.V.dofmap.list] = through[spaces.broken_crouzeix_raviart.dofmap.list] / spaces.outflow
+        sigma.x.array[cell_dofs(spaces.V)] = through[cell_dofs(spaces.broken_crouzeix_raviart)] / spaces.outflow
         sigma.x.scatter_forward()
-        u.x.array[:] = self.sources.values(u_cr)[0]
+        of_cells = self.sources.values(u_cr)[0]
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
         p, flux = self._pairs(self.x, flux, conditions)
         on_facets = (flux[self._facets] + self._data.q_Sh) * spaces.facet_measure
@@ -247,7 +247,8 @@ class FacetSystem:
         if self._data.inside is not None:
             cells = conditions.take(slice(self._facets.stop, None))
             held, value = cells.kind == Condition.ZERO_TRACE, self._data.inside.as_linear(cells)[1]
-            u.x.array[held] = value[held]
+            of_cells[held] = value[held]
+        u = function_of(spaces.Q, of_cells, "u")
         return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u, cells=cells)
 
     def respond(
@@ -266,7 +267,7 @@ class FacetSystem:
         Returns:
             σ and u, and û of each facet that is owned, on inner ones of Γ_S its jump.
         """
-        dofs, owned, jumps = self.space.dofmap.list, len(loads.forces), loads.jumps
+        dofs, owned, jumps = cell_dofs(self.space), len(loads.forces), loads.jumps
         through, _ = self._through(jumps, loads)
         sums = fem.Function(self.space).x
         sums.array[:] = np.bincount(dofs.ravel(), -through.ravel(), len(sums.array))
@@ -281,9 +282,9 @@ class FacetSystem:
         u_cr.x.array[:owned] = trace
         u_cr.x.array[self._named] += trace[self._across]
         u_cr.x.scatter_forward()
-        sigma, u = fem.Function(self.spaces.V, name="sigma"), fem.Function(self.spaces.Q, name="u")
-        through, u.x.array[:] = self._through(jumps + u_cr.x.array[dofs], loads)
-        sigma.x.array[self.spaces.V.dofmap.list] = through / self.spaces.outflow
+        through, of_cells = self._through(jumps + u_cr.x.array[dofs], loads)
+        sigma, u = fem.Function(self.spaces.V, name="sigma"), function_of(self.spaces.Q, of_cells, "u")
+        sigma.x.array[cell_dofs(self.spaces.V)] = through / self.spaces.outflow
         sigma.x.scatter_forward()
         self.spaces.carry_across(sigma)
         for vector in (b, x):
@@ -292,13 +293,14 @@ class FacetSystem:
 
     def _through(self, values: Array, loads: Loads) -> tuple[Array, Array]:
         """∫σ·n out of each cell through each facet, and u_T, from u on the facets of each cell (collective)."""
-        s = np.zeros(len(values)) if self.sources.s is None else self.sources.s.x.array
+        s = np.zeros(len(values)) if self.sources.s is None else owned_values(self.sources.s)
         moments, means = self.sources.moments, np.einsum("cf->c", values) / values.shape[1]
-        y, broken = fem.Function(self.spaces.Q), fem.Function(self.spaces.broken_crouzeix_raviart)
-        y.x.array[:] = (1 - s * moments) * loads.source + s * (loads.held - means)
-        broken.x.array[broken.function_space.dofmap.list] = values
+        source = (1 - s * moments) * loads.source + s * (loads.held - means)
+        y, broken = function_of(self.spaces.Q, source), fem.Function(self.spaces.broken_crouzeix_raviart)
+        dofs = cell_dofs(broken.function_space)
+        broken.x.array[dofs] = values
         through = assembled(self.spaces.kept(_outflow, self._data.kappa_h, y, broken))
-        return through[broken.function_space.dofmap.list], means + moments * y.x.array
+        return through[dofs], means + moments * source
 
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """Trace and flux per site as `recover` gives them, for an x that need not be a solution (collective).
@@ -321,9 +323,9 @@ class FacetSystem:
         if data.inside is not None:
             u, source = self.sources.values(self._with_lift(x))
             trace = np.append(trace, u - data.inside.means)
-            force = source - data.f_h.x.array
+            force = source - owned_values(data.f_h)
             if data.c_h is not None:
-                force += data.c_h.x.array * u
+                force += owned_values(data.c_h) * u
             flux = np.append(flux, force)
         return conditions.clean(trace, flux, data.conductance)
 

@@ -13,6 +13,7 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import cell_nodes, owned_values
 from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
@@ -87,6 +88,7 @@ class FacetBackend(ABC):
         change = fem.Function(spaces.V)
         added = -iterate.flux * spaces.facet_measure / spaces.basis_flux
         change.x.array[spaces.flux_dofs[where]] = added[where]
+        change.x.scatter_forward()
         sigma = iterate.sigma.copy()
         sigma.x.array[:] += change.x.array
         moved = assembled(spaces.kept(_trace_of_flux, self.data.kappa_h, change))
@@ -107,7 +109,7 @@ class FacetBackend(ABC):
         root, of_facets = roots[spaces.cells], iterate.p[self.facets]
         through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
         flux = through * np.abs(spaces.basis_flux) / spaces.facet_measure
-        u, p = np.abs(iterate.u.x.array), np.abs(of_facets)
+        u, p = np.abs(owned_values(iterate.u)), np.abs(of_facets)
         terms = (np.append(u, p), np.append(roots * u, root * p), flux, flux / root)
         largest = np.array([values.max(initial=0.0) for values in terms])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
@@ -123,7 +125,7 @@ class FacetBackend(ABC):
         corners = np.empty((len(dofmap), gamma.geometry.dofmaps[0].shape[1], 3))
         corners[dofmap] = gamma.geometry.x[gamma.geometry.dofmaps[0]]
         mesh = self.spaces.mesh
-        cells = mesh.geometry.x[mesh.geometry.dofmaps[0][: self.sites - len(self.spaces.facets)]]
+        cells = mesh.geometry.x[cell_nodes(mesh)[: self.sites - len(self.spaces.facets)]]
         sums = [np.sort(x, axis=1).sum(axis=1) for x in (corners[self.facets], cells)]  # the same bits on any rank
         return np.vstack([np.insert(rows, 0, kind, axis=1) for kind, rows in enumerate(sums)])
 

@@ -4,8 +4,8 @@ RT0 is stored as the values σ(x_T) and ∇·σ of each cell, σ(x) = σ(x_T) + 
 """
 
 import numpy as np
-from dolfinx import fem
 
+from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, Dirichlet, Neumann
@@ -35,14 +35,14 @@ LAYOUT: Layout = {
 
 def _in_cells(solution: Solution) -> Arrays:
     memory, flux = solution.data.memory, solution.cell_flux
-    rows = {"u": solution.u.x.array, "sigma": flux.centroid, "divergence": flux.divergence}
-    return rows | ({} if memory is None else {"memory": memory.x.array})
+    rows = {"u": owned_values(solution.u), "sigma": flux.centroid, "divergence": flux.divergence}
+    return rows | ({} if memory is None else {"memory": owned_values(memory)})
 
 
 def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     options, mesh = stored.options, spaces.mesh
-    u = fem.Function(spaces.Q, name="u")
-    centroid, divergence, u.x.array[:] = (stored.in_cells(spaces, key) for key in ("sigma", "divergence", "u"))
+    centroid, divergence, means = (stored.in_cells(spaces, key) for key in ("sigma", "divergence", "u"))
+    u = function_of(spaces.Q, means, "u")
     sigma = CellFlux(spaces, centroid, divergence / mesh.geometry.dim).function()
     flux, trace, condition = stored.on_facets(mesh.comm, "flux", "p", "condition")
     sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
@@ -50,9 +50,7 @@ def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) 
     p = spaces.multiplier(trace)
     data = project_data(spaces, problem)
     if stored.step is not None:
-        memory = fem.Function(spaces.Q, name="memory")
-        memory.x.array[:] = stored.in_cells(spaces, "memory")
-        data = data.after(memory)
+        data = data.after(function_of(spaces.Q, stored.in_cells(spaces, "memory"), "memory"))
     trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
     conditions = law.conditions(law.nearest(condition.astype(np.int8), trace, flux))

@@ -28,6 +28,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
@@ -93,8 +94,8 @@ class Linearised:
         iterate = self._solution.outcome.iterate
         p, flux = iterate.p, iterate.flux
         if self._data.inside is not None:
-            p = np.append(p, self._solution.u.x.array - self._data.inside.means)
-            flux = np.append(flux, self._solution.force().x.array)
+            p = np.append(p, owned_values(self._solution.u) - self._data.inside.means)
+            flux = np.append(flux, owned_values(self._solution.force()))
         of_p, of_flux = (np.where(scale > 0, scale, 1.0) for scale in self._backend.scales(iterate))
         return self._law.beside(self._segment, p, flux, (of_p, of_flux), tolerance)
 
@@ -112,7 +113,7 @@ class Linearised:
     def _moved_lines(self, changes: Mapping[str, Array], step: Indices) -> tuple[Array, Array]:
         """The slopes of lines, and how their values change at the present p (collective)."""
         facets = len(self._spaces.facets)
-        p, u = self._solution.p.x.array[:facets], self._solution.u.x.array
+        p, u = self._solution.p.x.array[:facets], owned_values(self._solution.u)
         slopes = np.take_along_axis(self._law.slope, (self._segment + step)[:, None], axis=1)[:, 0]
         values = np.zeros(len(self._segment))
         for line in self._lines(step):
@@ -157,13 +158,13 @@ class Linearised:
 
     def _loads(self, changes: Mapping[str, Array]) -> Loads:
         """The right side of the change, without what the laws add (collective)."""
-        spaces, data, u = self._spaces, self._data, self._solution.u.x.array
+        spaces, data, u = self._spaces, self._data, owned_values(self._solution.u)
         flux, traces = fem.Function(spaces.V), fem.Function(spaces.crouzeix_raviart)
         space = traces.function_space
         forces = np.zeros(space.dofmap.index_map.size_local)
         if "kappa" in changes:
             kappa = data.kappa_h.copy()
-            kappa.x.array[:] = changes["kappa"]
+            set_owned(kappa, changes["kappa"])
             flux.x.array[:] = -assembled(spaces.kept(_with_kappa, data.kappa_h, self._solution.sigma, kappa))
             flux.x.scatter_forward()
         if "u_D" in changes:
@@ -171,7 +172,7 @@ class Linearised:
         if "g_N" in changes:
             forces[cells_and_dofs(space, spaces.neumann_facets)[1]] = changes["g_N"] * spaces.neumann_measure
         source = changes.get("f", 0.0) - changes.get("c", 0.0) * u
-        jumps = self._jumps(flux) + traces.x.array[space.dofmap.list]
+        jumps = self._jumps(flux) + traces.x.array[cell_dofs(space)]
         return Loads(jumps, source + np.zeros_like(u), np.zeros_like(u), forces)
 
     def adjoint(self, J: Form, more: tuple[Array, Array] | None = None) -> dict[str, Array]:
@@ -181,7 +182,7 @@ class Linearised:
             J: What is differentiated,
             more: and something whose derivatives by u and by the s of laws in Ω of each cell these are.
         """
-        spaces, data, u = self._spaces, self._data, self._solution.u.x.array
+        spaces, data, u = self._spaces, self._data, owned_values(self._solution.u)
         p = self._solution.p.x.array[: len(spaces.facets)]
         flux, by_u, by_p = (
             derivative_by(function, J, spaces.entity_maps)
@@ -190,7 +191,7 @@ class Linearised:
         on_gamma, on_neumann = (
             cells_and_dofs(spaces.crouzeix_raviart, facets)[1] for facets in (spaces.facets, spaces.neumann_facets)
         )
-        on_p, on_u = by_p.x.array[: len(p)], by_u.x.array.copy()
+        on_p, on_u = by_p.x.array[: len(p)], owned_values(by_u).copy()
         of_s = np.zeros_like(u)  # in held cells, where s = ∇·σ + f − cu
         if more is not None:
             on_u += more[0]
@@ -204,12 +205,12 @@ class Linearised:
         jumps = self._jumps(flux) + (of_s / volumes)[:, None]
         loads = Loads(jumps, -on_u / volumes, none, forces)
         of_sigma, of_balance, traces = self._backend.respond(self._conditions, loads)
-        through = spaces.outflow * of_sigma.x.array[spaces.V.dofmap.list]
-        of_f = of_s - volumes * of_balance.x.array
+        through = spaces.outflow * of_sigma.x.array[cell_dofs(spaces.V)]
+        of_f = of_s - volumes * owned_values(of_balance)
         derivatives = {"f": of_f, "c": -u * of_f}
         if "kappa" in self.seen:
             form = spaces.kept(_by_kappa, data.kappa_h, self._solution.sigma, of_sigma)
-            derivatives["kappa"] = -assembled(form)
+            derivatives["kappa"] = -assembled(form)[self.seen["kappa"].dofs]
         if "u_D" in self.seen:
             derivatives["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
         derivatives["g_N"] = -traces[on_neumann] * spaces.neumann_measure
@@ -230,7 +231,7 @@ class Linearised:
 
     def _jumps(self, functional: fem.Function) -> Array:
         """Z with ⟨z, τ·n⟩ the value at τ of a functional that is given by its values at the basis functions."""
-        spaces, dofs, cells = self._spaces, self._spaces.V.dofmap.list, fem.Function(self._spaces.V).x
+        spaces, dofs, cells = self._spaces, cell_dofs(self._spaces.V), fem.Function(self._spaces.V).x
         cells.array[:] = np.bincount(dofs.ravel(), minlength=len(cells.array))
         cells.scatter_reverse(la.InsertMode.add)
         cells.scatter_forward()

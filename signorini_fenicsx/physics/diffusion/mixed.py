@@ -10,6 +10,7 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.kept_forms import Coefficient
@@ -63,7 +64,7 @@ class MixedBackend(FacetBackend):
         self._system = ConstrainedMatrix(saddle_point, PETSc.Mat.Option.SYMMETRIC, basis)
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
-        self._cells = spaces.cell_measures[: Q.dofmap.index_map.size_local]
+        self._cells = spaces.cell_measures
         across = spaces.across[0] if spaces.inner.present else spaces.neumann_dofs[:0]
         self._given = np.concatenate([spaces.neumann_dofs, across])  # these fluxes are never unknown
         self._load = self._right_side()
@@ -134,7 +135,7 @@ class MixedBackend(FacetBackend):
         b.array_w[spaces.flux_dofs[robin]] += of_robin * spaces.basis_flux[robin]
         if loaded:
             b.array_w[:] += self._load
-            b.array_w[self._flux_size :] -= self._stabilisation * self._cells * self.before.x.array[: len(self._cells)]
+            b.array_w[self._flux_size :] -= self._stabilisation * self._cells * owned_values(self.before)
             if inside is not None:
                 b.array_w[self._flux_size :] -= self._cells * load
         b.array_w[self._given] = 0.0
@@ -148,7 +149,7 @@ class MixedBackend(FacetBackend):
         sigma, u = self._fields(x)
         normal_flux = spaces.normal_flux(sigma)
         if inside is not None:
-            p = np.append(p, u.x.array - inside.means)
+            p = np.append(p, owned_values(u) - inside.means)
             normal_flux = np.append(normal_flux, -residual.array_r[self._flux_size :] / self._cells)
         p, normal_flux = conditions.clean(p, normal_flux, self.data.conductance)
         if loaded:
@@ -191,16 +192,13 @@ class MixedBackend(FacetBackend):
         self._system.natural.mult(lift, right)
         right.scale(-1.0)
         right.array_w[:size] += assembled(spaces.kept(_traces, data.u_lift))[:size]
-        right.array_w[size:] -= assembled(spaces.kept(_load, data.f_h))  # no ghost cells
+        right.array_w[size:] -= assembled(spaces.kept(_load, data.f_h))[: len(self._cells)]
         return right.array_r.copy()
 
     def _fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
         """σ_h − σ_lift and u_h (collective)."""
-        sigma, u = fem.Function(self.spaces.V, name="sigma"), fem.Function(self.spaces.Q, name="u")
-        for function, values in zip((sigma, u), np.split(x.array_r, [self._flux_size]), strict=True):
-            function.x.array[: len(values)] = values
-            function.x.scatter_forward()
-        return sigma, u
+        sigma, u = np.split(x.array_r, [self._flux_size])
+        return function_of(self.spaces.V, sigma, "sigma"), function_of(self.spaces.Q, u, "u")
 
 
 def _saddle_point(spaces: Spaces, kappa: Expr, c: Expr) -> list[list[Form]]:

@@ -7,6 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
@@ -152,8 +153,8 @@ def _pairs_of_cells(
     spaces: Spaces, data: Data, laws: CellLaws, sigma: CellFlux, u: fem.Function
 ) -> tuple[Array, Array, Array]:
     """U less its reference and −s per owned cell, and how many units of s one of u is: k/(L h_T)."""
-    force = -sigma.divergence - data.source(u).x.array
-    return u.x.array - laws.means, force, data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
+    force = -sigma.divergence - owned_values(data.source(u))
+    return owned_values(u) - laws.means, force, data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
 
 
 def _of_laws_inside(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
@@ -178,7 +179,7 @@ def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Arr
         of_flux = np.array([sigma.squares(weight).sum() for weight in (1.0, inverse, inverse @ inverse)])
         flux, energy, gradient = np.sqrt(comm.allreduce(of_flux))
     k, measures = data.conductivities(spaces), spaces.cell_measures
-    values = u.x.array, np.full(len(k), np.abs(data.extent(spaces)).max())
+    values = owned_values(u), np.full(len(k), np.abs(data.extent(spaces)).max())
     squares = np.array([[measures @ (weight * value) ** 2 for weight in (np.sqrt(k), 1.0, k)] for value in values])
     of_u, of_given = np.sqrt(comm.allreduce(squares)) / spaces.length
     if energy <= max(CONSTANT * of_u[0], ROUNDING * of_given[0]) and not _is_driven(spaces, u, data):
@@ -203,11 +204,11 @@ def _is_driven(spaces: Spaces, u: fem.Function, data: Data) -> bool:
 
 def _not_carried(spaces: Spaces, u: fem.Function, data: Data) -> Array:
     """The load of each owned cell less what laws in Ω take of it: what makes u vary."""
-    source = data.source(u).x.array
+    source = owned_values(data.source(u))
     if data.inside is None:
         return source
     unit = data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
-    low, *off = data.inside.chains.distances(u.x.array - data.inside.means, -source, unit)
+    low, *off = data.inside.chains.distances(owned_values(u) - data.inside.means, -source, unit)
     return np.abs([unit * low, *off]).max(axis=0)
 
 
@@ -236,7 +237,7 @@ def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.F
 
 def _missing_mass(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
     """h_T (∇·σ + s) on each owned cell."""
-    return spaces.cell_diameters * (sigma.divergence + data.source(u).x.array)
+    return spaces.cell_diameters * (sigma.divergence + owned_values(data.source(u)))
 
 
 def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Function, data: Data) -> Array:
@@ -245,7 +246,7 @@ def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Funct
     inverse = inverses(data.matrices(spaces)) if kappa is None else 1 / kappa
     trace = data.u_lift.copy()  # p on Γ_S, u_D on Γ_D, 0 on all other facets
     trace.x.array[cells_and_dofs(trace.function_space, spaces.facets)[1]] = p.x.array[: len(spaces.facets)]
-    jump = u.x.array[:, None] - trace.x.array[trace.function_space.dofmap.list]
+    jump = owned_values(u)[:, None] - trace.x.array[cell_dofs(trace.function_space)]
     residual = joined(spaces, spaces.outflow * (sigma.tested(inverse) + jump))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     spaces.join_across(residual)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import dolfinx.mesh
 import numpy as np
 
+from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.text import named
@@ -28,7 +29,7 @@ CONDITIONS = [condition.name.lower() for condition in Condition]
 
 def fields(solution: Solution) -> Fields:
     """The fields, see `Solved.fields`: u_h and σ_h as they are, on Γ_S p_h, σ_h·n and the state of the law."""
-    spaces, u, laws = solution.spaces, solution.u.x.array, solution.data.laws
+    spaces, u, laws = solution.spaces, owned_values(solution.u), solution.data.laws
     on_cells = [Field("u", u, at_points=True), Field("sigma", solution.cell_flux.in_vertices(), order=1)]
     if not spaces.part_names:
         return {IN_CELLS: [*on_cells, *_inside(solution)]}
@@ -47,7 +48,7 @@ def _inside(solution: Solution) -> list[Field]:
     laws = solution.data.inside
     if laws is None:
         return []
-    force, contact = solution.force().x.array, solution.outcome.iterate.contact
+    force, contact = owned_values(solution.force()), solution.outcome.iterate.contact
     if laws.is_obstacle and contact is not None:
         return [Field("contact", contact, names=("free", "contact")), Field("force", force)]
     segments = solution.segments().cells
@@ -117,7 +118,7 @@ def drawn(solution: Solution) -> Drawn:
     p = solution.p.x.array[: len(spaces.facets)].copy()
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    u, laws_inside = solution.u.x.array, solution.data.inside
+    u, laws_inside = owned_values(solution.u), solution.data.inside
     is_obstacle = laws_inside is not None and laws_inside.bounds_alone
     return Drawn(
         u=np.broadcast_to(u[:, None, None], (len(u), spaces.mesh.topology.dim + 1, 1)),

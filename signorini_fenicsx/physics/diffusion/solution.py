@@ -17,13 +17,13 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_state, hausdorff
-from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
@@ -162,7 +162,7 @@ class Solution(Solved):
         p, flux_n = self.p.x.array[: len(spaces.facets)], spaces.normal_flux(self.sigma)
         squares = [
             flux.squares(1.0).sum(),
-            *(spaces.cell_measures @ values**2 for values in (flux.divergence, self.u.x.array)),
+            *(spaces.cell_measures @ values**2 for values in (flux.divergence, owned_values(self.u))),
             *(spaces.facet_measure @ values**2 for values in (p, flux_n)),
         ]
         norms = np.sqrt(spaces.mesh.comm.allreduce(np.array(squares))).tolist()
@@ -198,14 +198,12 @@ class Solution(Solved):
         space, segment = self.spaces.crouzeix_raviart, self.segments().cells
         if segment is None:
             return np.empty(0, dtype=np.int32)
-        sums = [fem.Function(space) for _ in range(3)]
+        sums, dofs = [fem.Function(space) for _ in range(3)], cell_dofs(space)
         for function, values in zip(sums, (np.ones(len(segment)), segment, segment**2), strict=True):
-            of_facets = np.repeat(values, space.dofmap.list.shape[1])
-            function.x.array[:] = np.bincount(
-                space.dofmap.list[: len(segment)].ravel(), of_facets, len(function.x.array)
-            )
+            of_facets = np.repeat(values, dofs.shape[1])
+            function.x.array[:] = np.bincount(dofs.ravel(), of_facets, len(function.x.array))
             function.x.scatter_reverse(la.InsertMode.add)
-        number, total, squares = (function.x.array[: space.dofmap.index_map.size_local] for function in sums)
+        number, total, squares = map(owned_values, sums)
         return np.flatnonzero((number == 2) & (2 * squares != total**2)).astype(np.int32)
 
     @collector_off()
@@ -217,11 +215,11 @@ class Solution(Solved):
         spaces, cells, laws = self.spaces, self.outcome.iterate.cells, self.data.inside
         force = fem.Function(spaces.Q, name="force")
         if cells is not None and laws is not None:
-            divergence = assembled(ufl.div(self.sigma) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
+            divergence = self.cell_flux.divergence
             beta, load = laws.as_linear(cells)
             held = np.isinf(beta)
-            by_law = load - np.where(held, 0.0, beta) * self.u.x.array
-            force.x.array[:] = np.where(held, -divergence - self.data.source(self.u).x.array, by_law)
+            by_law = load - np.where(held, 0.0, beta) * owned_values(self.u)
+            set_owned(force, np.where(held, -divergence - owned_values(self.data.source(self.u)), by_law))
         return force
 
     @collector_off()
@@ -245,7 +243,7 @@ class Solution(Solved):
         if len(laws.of_regions) == 1:
             return cells[own]
         chains = np.concatenate([part.chains(points).p for points in part.quadrature(self.spaces, 1)])
-        u = self.u.x.array[own, None]
+        u = owned_values(self.u)[own, None]
         near = SAME * np.maximum(np.abs(u), np.abs(chains))
         below, at = (chains < u - near).sum(axis=1), np.abs(chains - u) <= near
         return below + np.where(at.sum(axis=1) > 1, 1, 0)
@@ -255,7 +253,7 @@ class Solution(Solved):
         """Number and measure of the cells in contact with the obstacle, and ∫λ_h (collective)."""
         comm, measures, contact = self.spaces.mesh.comm, self.spaces.cell_measures, self.outcome.iterate.contact
         inside = np.zeros(len(measures), dtype=bool) if contact is None else contact
-        local = np.array([np.count_nonzero(inside), measures[inside].sum(), measures @ self.force().x.array])
+        local = np.array([np.count_nonzero(inside), measures[inside].sum(), measures @ owned_values(self.force())])
         cells, measure, force = comm.allreduce(local).tolist()
         return {"contact_cells": int(cells), "contact_measure": measure, "force": force}
 
@@ -269,7 +267,7 @@ class Solution(Solved):
         laws, of_cells = self.data.inside, self.outcome.iterate.cells
         cells = None
         if laws is not None and of_cells is not None:
-            cells = laws.chains.segments(of_cells, self.u.x.array - laws.means)
+            cells = laws.chains.segments(of_cells, owned_values(self.u) - laws.means)
         return Segments(self.spaces, self.law.segments(self.outcome.conditions, self.outcome.iterate.p), cells)
 
     @cached_property

@@ -19,6 +19,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.discrete.bodies import without
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
@@ -34,7 +35,7 @@ def floating_cells(spaces: Spaces, data: Data) -> tuple[Indices, int]:
     if not spaces.inner.present or (data.holds(spaces) and spaces.held):
         alone = 0 if data.holds(spaces) else 1
         return np.full(len(spaces.cell_measures), alone), alone
-    reacting = None if data.c_h is None else data.c_h.x.array[: len(spaces.cell_measures)] > 0
+    reacting = None if data.c_h is None else owned_values(data.c_h) > 0
     return without(spaces, spaces.dirichlet_facets, reacting)
 
 
@@ -84,7 +85,7 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
     lowest, highest = loads[union].sum() + ends.sum(axis=1)
     some = of_cell == 1 + int(np.argmax(union))
     weights = spaces.cell_measures[some]
-    centroids = spaces.mesh.geometry.x[spaces.mesh.geometry.dofmaps[0][: len(of_cell)][some]].mean(axis=1)
+    centroids = spaces.mesh.geometry.x[spaces.nodes[some]].mean(axis=1)
     *place, volume = comm.allreduce(np.append(weights @ centroids, weights.sum()))
     around = ", ".join(f"{x / volume:.3g}" for x in place[: spaces.mesh.geometry.dim])
     which = f"the component of the domain around ({around}) has"
@@ -117,7 +118,7 @@ def _balance(spaces: Spaces, data: Data, of_cell: Indices, number: int) -> tuple
     loads, sizes = np.zeros(number + 1), np.zeros(number + 1)
     fluxes = data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
     behind = of_cell[cells_and_dofs(spaces.crouzeix_raviart, spaces.neumann_facets)[0]]
-    for of, load in ((of_cell, spaces.cell_measures * data.f_h.x.array[: len(of_cell)]), (behind, fluxes)):
+    for of, load in ((of_cell, spaces.cell_measures * owned_values(data.f_h)), (behind, fluxes)):
         loads += np.bincount(of, load, number + 1)
         sizes += np.bincount(of, np.abs(load), number + 1)
     named, across = _sides(spaces, of_cell)

@@ -8,6 +8,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values
 from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.discrete import cell_shapes
@@ -42,15 +43,13 @@ class Sources:
         """y_T for a function with up-to-date ghost values; b itself without s."""
         if self.s is None:
             return self.b
-        source = fem.Function(self.b.function_space)
-        source.x.array[:] = self.values(u_cr)[1]  # no ghost cells
-        return source
+        return function_of(self.b.function_space, self.values(u_cr)[1])
 
     def values(self, u_cr: fem.Function) -> tuple[Array, Array]:
         """u_T = ū_T + m_T y_T and y_T per owned cell, for a function with up-to-date ghost values."""
-        means, y = _means(u_cr), self.b.x.array
+        means, y = _means(u_cr), owned_values(self.b)
         if self.s is not None:
-            y = y - self.s.x.array * means
+            y = y - owned_values(self.s) * means
         return means + self.moments * y, y
 
 
@@ -62,15 +61,12 @@ def sources(spaces: Spaces, data: Data, conditions: SiteConditions | None = None
     if data.inside is not None and conditions is not None:
         beta, load = data.inside.as_linear(conditions)
         held = np.isinf(beta)
-        c = np.where(held, 0.0, beta) + (0.0 if data.c_h is None else data.c_h.x.array)
-        s, b = fem.Function(spaces.Q), fem.Function(spaces.Q)
-        s.x.array[:] = np.where(held, 1 / moments, c / (1 + c * moments))
-        b.x.array[:] = np.where(held, load / moments, (data.f_h.x.array + load) / (1 + c * moments))
-        return Sources(s, b, moments)
-    s = fem.Function(spaces.Q)
-    if data.c_h is not None:
-        s.x.array[:] = data.c_h.x.array / (1 + data.c_h.x.array * moments)
-    return Sources(s, data.f_h, moments).renewed(data)
+        c = np.where(held, 0.0, beta) + (0.0 if data.c_h is None else owned_values(data.c_h))
+        s = function_of(spaces.Q, np.where(held, 1 / moments, c / (1 + c * moments)))
+        b = np.where(held, load / moments, (owned_values(data.f_h) + load) / (1 + c * moments))
+        return Sources(s, function_of(spaces.Q, b), moments)
+    c = np.zeros(1) if data.c_h is None else owned_values(data.c_h)
+    return Sources(function_of(spaces.Q, c / (1 + c * moments)), data.f_h, moments).renewed(data)
 
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:
@@ -84,5 +80,5 @@ def mean_moments(spaces: Spaces, data: Data) -> Array:
 
 def _means(u_cr: fem.Function) -> Array:
     """ū_T on each owned cell."""
-    of_cells = u_cr.x.array[u_cr.function_space.dofmap.list]
+    of_cells = u_cr.x.array[cell_dofs(u_cr.function_space)]
     return np.asarray(np.einsum("cf->c", of_cells) / of_cells.shape[1])

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -52,20 +54,20 @@ class Tangent(FacetBackend):
         on_facets[dofs] = trace[self.facets]  # only the cell behind a facet of Γ_S has it
         forces = loads.forces.copy()
         forces[dofs] += pulled[self.facets] * spaces.facet_measure
-        loads = replace(loads, jumps=loads.jumps + on_facets[space.dofmap.list], forces=forces)
+        loads = replace(loads, jumps=loads.jumps + on_facets[cell_dofs(space)], forces=forces)
         if self.data.inside is not None:
             loads = replace(loads, source=loads.source + pulled[self.cells], held=trace[self.cells])
         sigma, u, traces = self._hybrid.respond(conditions, loads)
         p, flux = traces[dofs] + trace[self.facets], spaces.normal_flux(sigma)
         if self.data.inside is not None:
-            p, flux = np.append(p, u.x.array), np.append(flux, self._minus_s(sigma.x.array, u.x.array))
+            p, flux = np.append(p, owned_values(u)), np.append(flux, self._minus_s(sigma, owned_values(u)))
         p, flux = conditions.clean(p, flux, self.data.conductance)
         cells = None if self.data.inside is None else conditions.take(self.cells)
         return Iterate(p=p, flux=flux, linear_iterations=1, sigma=sigma, u=u, cells=cells)
 
-    def _minus_s(self, sigma: Array, u: Array) -> Array:
+    def _minus_s(self, sigma: fem.Function, u: Array) -> Array:
         """The change of −s = −∇·σ − f + cu in each cell."""
-        c = 0.0 if self.data.c_h is None else self.data.c_h.x.array
-        through = self.spaces.outflow * sigma[self.spaces.V.dofmap.list]
+        c = 0.0 if self.data.c_h is None else owned_values(self.data.c_h)
+        through = self.spaces.outflow * sigma.x.array[cell_dofs(self.spaces.V)]
         minus_s: Array = -np.einsum("cf->c", through) / self.spaces.cell_measures - self._loads.source + c * u
         return minus_s

@@ -31,6 +31,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
@@ -117,7 +118,7 @@ class Linearised:
             element = basix.ufl.quadrature_element(mesh.basix_cell(), points=rule.points, weights=weights)
             space = fenicsx.function_space(mesh, element)
             for name, number in numbers.items():
-                yield name, Seen(_in_points(number), space, space.dofmap.list.ravel(), self._weights.ravel())
+                yield name, Seen(_in_points(number), space, cell_dofs(space).ravel(), self._weights.ravel())
 
     def places(self) -> Array:
         """The vertices of the biactive sites of this rank, shape (sites, dim)."""
@@ -253,7 +254,7 @@ class Linearised:
             for name, by_number in self._changes_of_strain()
         }
         u = spaces.displacement(of_u)
-        values = u.x.array.reshape(-1, spaces.dim)[u.function_space.dofmap.list]
+        values = u.x.array.reshape(-1, spaces.dim)[cell_dofs(u.function_space)]
         at_points = np.einsum("sqv,nvr->nsqr", rule.hats, values)
         derivatives |= {f"f.{r}": -self._weights * at_points[..., r] for r in range(spaces.dim)}
         return {name: values.ravel() for name, values in derivatives.items()}

@@ -14,6 +14,7 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, opposite
@@ -256,15 +257,16 @@ class ElasticSpaces(MeshSpaces):
         return np.einsum("nai,nki->nak", vectors, self.tangents).ravel()
 
     def displacement(self, values: Array, name: str = "u") -> fem.Function:
-        """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d)."""
+        """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d) (collective)."""
         function = fem.Function(self.displacements, name=name)
-        nodes = np.take_along_axis(self.displacements.dofmap.list[: len(self.order)], self.order, axis=1)
+        nodes = np.take_along_axis(cell_dofs(self.displacements), self.order, axis=1)
         function.x.array.reshape(-1, self.dim)[nodes] = values
+        function.x.scatter_forward()
         return function
 
     def displacement_values(self, function: fem.Function) -> Array:
         """Values of a displacement at the vertices of the owned cells."""
-        nodes = np.take_along_axis(self.displacements.dofmap.list[: len(self.order)], self.order, axis=1)
+        nodes = np.take_along_axis(cell_dofs(self.displacements), self.order, axis=1)
         return function.x.array.reshape(-1, self.dim)[nodes]
 
     def tractions(self, facets: BoundaryFacets, stresses: Array) -> Array:
@@ -299,9 +301,8 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
     mesh = domain.mesh
     dim = mesh.topology.dim
     traces = fenicsx.function_space(mesh, ("CR", 1, (dim, dim)))
-    size = mesh.topology.index_map(dim).size_local
-    order = np.argsort(node_ranks(mesh, cut=on_mesh.inner.present)[mesh.geometry.dofmaps[0][:size]], axis=1)
-    dofs = np.take_along_axis(traces.dofmap.list[:size], order, axis=1)
+    order = np.argsort(node_ranks(mesh, cut=on_mesh.inner.present)[cell_nodes(mesh)], axis=1)
+    dofs = np.take_along_axis(cell_dofs(traces), order, axis=1)
     displacements = fenicsx.function_space(mesh, ("DG", 1, (dim,)))
     names = [index for index, name in enumerate(on_mesh.part_names) if name in rough]
     return ElasticSpaces(
@@ -337,7 +338,7 @@ def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDAr
     local = np.argmax(order[cells] == own[:, None], axis=1)
     among = np.take_along_axis(order[cells], opposite(dim)[local], axis=1)  # DOLFINx's numbers of the facet's vertices
     ranking = among - (among > own[:, None])
-    nodes = np.take_along_axis(mesh.geometry.dofmaps[0][cells], order[cells], axis=1)
+    nodes = np.take_along_axis(cell_nodes(mesh)[cells], order[cells], axis=1)
     vertices = mesh.geometry.x[nodes, :dim]
     areas = facet_normals(vertices)[np.arange(len(cells)), local]
     measure = np.linalg.norm(areas, axis=1)

@@ -11,6 +11,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cell_nodes, original_cells
 from signorini_fenicsx.meshes.domain import distribute
 from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
 
@@ -87,7 +88,7 @@ def split_mesh(mesh: dolfinx.mesh.Mesh, order: Indices, vertices: Array) -> Spli
     nodes, size = mesh.geometry.index_map(), len(order)
     begins = np.array(comm.allgather((nodes.local_range[0], size)))
     centroids_before = np.concatenate([[0], np.cumsum(begins[:, 1])])
-    local = np.take_along_axis(mesh.geometry.dofmaps[0][:size], order, axis=1)
+    local = np.take_along_axis(cell_nodes(mesh), order, axis=1)
     numbers = nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
     numbers += centroids_before[np.searchsorted(begins[:, 0], numbers, side="right") - 1]
     first = nodes.local_range[1] + centroids_before[comm.rank]
@@ -96,5 +97,4 @@ def split_mesh(mesh: dolfinx.mesh.Mesh, order: Indices, vertices: Array) -> Spli
     points = np.concatenate([mesh.geometry.x[: nodes.size_local, :dim], vertices.mean(axis=1)])
     split = distribute(comm, points, cells, dim, stay=True)
     begin = split.topology.index_map(dim).local_range[0]
-    subcells = split.topology.original_cell_index[: len(cells)] - begin
-    return SplitMesh(size, split, subcells)
+    return SplitMesh(size, split, original_cells(split) - begin)

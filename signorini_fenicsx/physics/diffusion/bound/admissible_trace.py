@@ -17,10 +17,10 @@ from dolfinx import fem, la
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.base.small_matrices import squares_of, times
-from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, owned_cells, quadratic_nodes
+from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 type Indices = npt.NDArray[np.int32]
@@ -83,9 +83,9 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     mesh, flux = solution.spaces.mesh, solution.cell_flux
     v = fem.Function(bernstein(mesh), name="v")
     total = fem.Function(v.function_space)
-    nodes = v.function_space.dofmap.list
-    of_cells, values = _weights(solution.data), np.empty(nodes.shape, order="F")
-    constant = solution.u.x.array - flux.slope * metric.moment / 2
+    nodes = cell_dofs(v.function_space)
+    of_cells, values = solution.data.conductivities(solution.spaces), np.empty(nodes.shape, order="F")
+    constant = owned_values(solution.u) - flux.slope * metric.moment / 2
     for points in in_cells(mesh, owned_cells(mesh), quadratic_nodes(mesh.basix_cell())):
         cells, inverse, slope = points.rows, metric.inverse[points.rows], flux.slope[points.rows, None]
         gradient = times(flux.centroid[cells, None], inverse)[:, 0]
@@ -98,12 +98,3 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
         function.x.scatter_forward()
     v.x.array[:] /= total.x.array
     return v
-
-
-def _weights(data: Data) -> Array:
-    """Mean eigenvalue of κ_h per owned cell."""
-    if data.kappa.number is not None:
-        return np.ones(len(data.f_h.x.array))
-    entries = data.kappa_h.x.array.reshape(len(data.f_h.x.array), *(data.kappa.shape or (1, 1)))
-    means: Array = np.trace(entries, axis1=1, axis2=2) / entries.shape[1]
-    return means

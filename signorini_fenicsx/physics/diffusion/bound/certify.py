@@ -42,10 +42,11 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.laws import Area, gap
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.points import Points, facet_type, in_cells, in_facets, owned_cells
+from signorini_fenicsx.discrete.points import Points, facet_type, in_cells, in_facets
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux
@@ -282,7 +283,7 @@ def mismatches(own: Admissible, trace: Trace, flux: CellFlux | FluxOf) -> Array:
     spaces, kappa = own.solution.spaces, own.solution.data.kappa
     mesh, far = spaces.mesh, np.delete(owned_cells(spaces.mesh), trace.cells)
     of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    squares = np.zeros(spaces.Q.dofmap.index_map.size_local)
+    squares = np.zeros(len(spaces.cell_measures))
     for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, degree_near(trace))):
         for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), max(degree, QUADRATIC))):
             slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]

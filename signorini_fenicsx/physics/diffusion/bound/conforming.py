@@ -34,6 +34,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
@@ -363,7 +364,7 @@ def _cells_with(functions: list[fem.Function], space: fem.FunctionSpace) -> Indi
     if not functions:
         return np.empty(0, dtype=np.int32)
     total = np.sum([each.x.array for each in functions], axis=0)
-    return np.flatnonzero(total[space.dofmap.list].any(axis=1)).astype(np.int32)
+    return np.flatnonzero(total[cell_dofs(space)].any(axis=1)).astype(np.int32)
 
 
 def _bounds(on: OnGammaS, part: PartLaw) -> list[Datum | None]:

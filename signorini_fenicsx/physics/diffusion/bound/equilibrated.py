@@ -17,6 +17,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
@@ -64,21 +65,21 @@ def admissible_flux(
     sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     y = _within(spaces, limits, sigma)
     flux = solution.cell_flux if y is solution.sigma else CellFlux.of(spaces, y)
-    loads = np.abs(data.f_h.x.array) + (0.0 if data.c_h is None else data.c_h.x.array * np.abs(u.x.array))
+    c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
+    loads = np.abs(owned_values(data.f_h)) + c_h * np.abs(owned_values(u))
     squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ loads**2]))
     rounding = float(np.sqrt(squares) @ [ROUNDING, OF_SUMS * constant])
     for _ in range(CORRECTIONS):
-        imbalance = fem.Function(spaces.Q)
-        imbalance.x.array[:] = s = flux.divergence + data.source(u).x.array
-        may = None
+        s, may = flux.divergence + owned_values(data.source(u)), None
+        off = s
         if data.inside is not None and cells is not None:
-            imbalance.x.array[:] -= selected(data.inside, cells, s, u.x.array)
-            may = room(data.inside, cells, s, u.x.array)
-        left = constant * np.sqrt(comm.allreduce(volume @ imbalance.x.array**2))
+            off = s - selected(data.inside, cells, s, owned_values(u))
+            may = room(data.inside, cells, s, owned_values(u))
+        left = constant * np.sqrt(comm.allreduce(volume @ off**2))
         if left <= rounding:
             return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma))
         try:
-            correction = balancing_flux(spaces, data, y, imbalance, limits, may)
+            correction = balancing_flux(spaces, data, y, function_of(spaces.Q, off), limits, may)
         except LinearSolveFailure:
             break
         correction.sigma.x.array[:] += y.x.array

@@ -25,6 +25,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import FacetPoints
@@ -123,7 +124,7 @@ def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) ->
     """Owned cells where v may be beyond a bound in Ω, or is not quadratic (collective)."""
     vertices = resolution.vertices
     corners = vertices.shape[1]
-    nodes = trace.v.function_space.dofmap.list[: len(vertices), [*range(corners), *edge_order(corners)]]
+    nodes = cell_dofs(trace.v.function_space)[:, [*range(corners), *edge_order(corners)]]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
     above = np.maximum((ray.sign * (trace.v.x.array[nodes] - bernstein(p, vertices))).min(axis=1), 0.0)
     above[trace.altered] = 0.0

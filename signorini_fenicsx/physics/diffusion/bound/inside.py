@@ -34,17 +34,16 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-import ufl
 from dolfinx import fem, la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Obstacle
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
@@ -53,6 +52,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Proj
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -145,7 +145,7 @@ class Ray:
         for points in cell_quadrature(mesh, self.cells.astype(np.int32), quadrature_degree(self.datum)):
             missed = self.sign * (points.quadratic(interpolant)[:, :, 0] - self.datum.values(points))
             above[points.cells] = missed.max(axis=1, initial=0.0)
-        cells = space.dofmap.list
+        cells = cell_dofs(space)
         vertices = cells[:, : mesh.topology.dim + 1]
         apart = (self.sign * v.x.array[cells] > self.sign * limit[cells]).any(axis=1)
         depth, free = fem.Function(space), fem.Function(space)
@@ -204,9 +204,8 @@ class Inside:
         if laws is None or cells is None:
             none = np.zeros((2, len(spaces.cell_measures)))
             return cls(spaces, (), none[0], none[0].astype(np.int64), (), none[1], none[1] > 0)
-        divergence = assembled(ufl.div(y) * ufl.TestFunction(spaces.Q) * ufl.dx) / spaces.cell_measures
-        u = level.x.array
-        s = selected(laws, cells, divergence + data.source(level).x.array, u)
+        u = owned_values(level)
+        s = selected(laws, cells, CellFlux.of(spaces, y).divergence + owned_values(data.source(level)), u)
         segment = laws.chains.segments(cells, u - laws.means)
         rays = tuple(_rays(spaces, laws, segment))
         for part in laws.of_regions:
@@ -226,7 +225,7 @@ class Inside:
 
     def _take_f(self, data: Data, resolution: Resolution) -> None:
         """Let η take f where it can, in place (collective)."""
-        f_h = data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
+        f_h = data.means_of_f
         others = np.zeros(len(self.s), dtype=bool)
         for part in self.parts:
             others[part.rows] |= type(part.law) is not Obstacle
@@ -393,5 +392,5 @@ def _rays(spaces: Spaces, laws: CellLaws, segment: Indices) -> Iterator[Ray]:
 
 def add_load(load: fem.Function, spaces: Spaces, forces: Array) -> None:
     """Add ∫λφ for each node φ, on this rank: all Bernstein polynomials of a cell have the same integral."""
-    nodes = load.function_space.dofmap.list
+    nodes = cell_dofs(load.function_space)
     np.add.at(load.x.array, nodes.ravel(), np.repeat(forces * spaces.cell_measures / nodes.shape[1], nodes.shape[1]))

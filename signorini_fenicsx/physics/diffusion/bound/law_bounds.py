@@ -11,6 +11,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside, quadratic_nodes
@@ -110,7 +111,7 @@ class LawTrace:
 def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces: Spaces) -> float:
     """How steep ℓ has to be: away from the facets, and on Γ_D, the bound must not change v (collective)."""
     mesh = spaces.mesh
-    dofs = near.function_space.dofmap.list
+    dofs = cell_dofs(near.function_space)
     cells = np.flatnonzero(near.x.array[dofs].any(axis=1)).astype(np.int32)
     bound = datum.at_nodes(trace.v.function_space, quadratic_nodes(mesh.basix_cell())).x.array
     nodes = trace.v.function_space.dofmap.list[cells]

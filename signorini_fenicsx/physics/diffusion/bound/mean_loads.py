@@ -22,6 +22,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.linear.petsc import LinearSolveFailure
@@ -109,8 +110,7 @@ class _Bounds:
         return distance(self._spaces, self._metric, self._flux(load), fem.Function(self._spaces.V))
 
     def _flux(self, load: Array) -> fem.Function:
-        of_cells = fem.Function(self._spaces.Q)
-        of_cells.x.array[:] = load
+        of_cells = function_of(self._spaces.Q, load)
         return balancing_flux(self._spaces, self._data, fem.Function(self._spaces.V), of_cells).sigma
 
     def _largest(self, size: Array) -> float:

@@ -9,10 +9,11 @@ import dolfinx.mesh
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import number_of_cells, owned_cells
 from signorini_fenicsx.base.small_matrices import determinants, inverses, squares_of
 from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.points import in_cells, owned_cells, quadratic_nodes
+from signorini_fenicsx.discrete.points import in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -51,7 +52,7 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
     """Measure the owned cells (collective)."""
     mesh = spaces.mesh
     dim = mesh.topology.dim
-    number = mesh.topology.index_map(dim).size_local
+    number = number_of_cells(mesh)
     jacobian, longest = np.empty((number, dim, dim), order="F"), np.empty(number)
     first, second = np.triu_indices(dim + 1, 1)
     kappa_h = data.matrices(spaces)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.certificate.of_field import FieldBound, joined
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, FluxOf, gap_parts, mismatches, summed
@@ -39,9 +40,9 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
 def _in_nodes(v: fem.Function) -> fem.Function:
     """The function by its values in the nodes of quadratics (collective)."""
     quadratic, mesh = fem.Function(bernstein(v.function_space.mesh), name="v"), v.function_space.mesh
-    nodes = quadratic.function_space.dofmap.list
-    number, corners = nodes.shape[0], mesh.topology.dim + 1
-    values = v.x.array[v.function_space.dofmap.list[:number]]
+    nodes = cell_dofs(quadratic.function_space)
+    corners = mesh.topology.dim + 1
+    values = v.x.array[cell_dofs(v.function_space)]
     if values.shape[1] == corners:
         ends = all_edges(quadratic.function_space)
         quadratic.x.array[nodes[:, :corners]] = values

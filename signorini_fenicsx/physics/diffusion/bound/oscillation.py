@@ -15,9 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
     CellPoints,
@@ -25,7 +25,6 @@ from signorini_fenicsx.discrete.points import (
     facet_quadrature,
     facet_type,
     in_cells,
-    owned_cells,
     quadratic_nodes,
 )
 from signorini_fenicsx.physics.diffusion.bound.interpolants import quadratic_of
@@ -101,7 +100,7 @@ def load_oscillation(
     if of_laws is not None:
         load = of_laws if load is None else load.plus(of_laws)
     if memory is not None and data.memory is not None:
-        remembered = _remembered(spaces, data.memory, metric, memory, resolution)
+        remembered = _remembered(spaces, owned_values(data.memory), metric, memory, resolution)
         load = remembered if load is None else load.plus(remembered)
     if reaction is None:
         return load_norms(cell, metric, load, facet_loads)
@@ -143,16 +142,14 @@ def _moments(values: Array, weights: Array) -> tuple[Array, Array]:
     return np.sqrt(values**2 @ weights), values @ weights
 
 
-def _remembered(
-    spaces: Spaces, known: fem.Function, metric: CellMetric, memory: Memory, resolution: Resolution
-) -> Projection:
+def _remembered(spaces: Spaces, known: Array, metric: CellMetric, memory: Memory, resolution: Resolution) -> Projection:
     """What a step takes from those before, without its means (collective)."""
     if memory.initial is None or memory.factor is None:
-        return _projected(spaces, lambda points: memory.values(points) - known.x.array[points.rows, None], OF_MEMORY)[0]
+        return _projected(spaces, lambda points: memory.values(points) - known[points.rows, None], OF_MEMORY)[0]
     u, factor, cell = memory.initial, memory.factor, spaces.mesh.basix_cell()
     degree, number = max(OF_MEMORY, quadrature_degree(u, power=2)), len(factor)
     if not resolution.encloses("initial", u):
-        return _projected(spaces, lambda points: memory.values(points) - known.x.array[points.rows, None], degree)[0]
+        return _projected(spaces, lambda points: memory.values(points) - known[points.rows, None], degree)[0]
     nodes = np.concatenate(
         [u.values(some) for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), quadratic_nodes(cell))]
     )
@@ -161,7 +158,7 @@ def _remembered(
     def values(points: CellPoints) -> Array:
         rest = u.values(points) - p.of(points.cells).at(points.arms)[:, :, 0]
         norm[points.cells], mean[points.cells] = _moments(rest, points.weights / points.weights.sum())
-        return memory.values(points) - known.x.array[points.rows, None] - factor[points.cells, None] * rest
+        return memory.values(points) - known[points.rows, None] - factor[points.cells, None] * rest
 
     load, means = _projected(spaces, values, degree)
     volume = 1 / math.factorial(metric.jacobian.shape[1])
@@ -189,7 +186,7 @@ def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution
     """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective)."""
     if data.f.number is not None:
         return None
-    cell, f_h = spaces.mesh.basix_cell(), data.f_h.x.array - (0.0 if data.memory is None else data.memory.x.array)
+    cell, f_h = spaces.mesh.basix_cell(), data.means_of_f
     degree = quadrature_degree(data.f, power=2)
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
     load.coefficients[takes_f], load.rest[takes_f] = 0.0, 0.0

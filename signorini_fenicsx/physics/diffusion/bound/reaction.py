@@ -22,8 +22,9 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.points import CellPoints, in_cells, owned_cells
+from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions import TREES, polynomial_degree
 from signorini_fenicsx.expressions.enclosures import ranges
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, constant, interpolated
@@ -80,8 +81,8 @@ def reaction_terms(
         return None
     mesh, number = spaces.mesh, len(metric.volume)
     cell, dim = mesh.basix_cell(), mesh.topology.dim
-    nodes = np.abs(trace.v.x.array[trace.v.function_space.dofmap.list[:number]]).max(axis=1)
-    coefficient = _coefficient(data, metric, resolution, np.maximum(nodes, np.abs(u.x.array)))
+    nodes = np.abs(trace.v.x.array[cell_dofs(trace.v.function_space)]).max(axis=1)
+    coefficient = _coefficient(data, metric, resolution, np.maximum(nodes, np.abs(owned_values(u))))
     if coefficient is None:
         return None
     delta, mean, missed = np.zeros(number), np.zeros(number), np.zeros(number)
@@ -103,8 +104,8 @@ def reaction_terms(
             missed[own] += coefficient.deviation[own] * (largest + np.abs(delta[own]))
             part = projected(values - some.means(values)[:, None], cell, OF_LOAD, points, weights)
             load.coefficients[own], load.rest[own] = part.coefficients, part.rest
-    c_h = 0.0 if data.c_h is None else data.c_h.x.array
-    resolution.add_means("c", (c_h - mean) * u.x.array, metric)
+    c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
+    resolution.add_means("c", (c_h - mean) * owned_values(u), metric)
     resolution.add_load("c", missed, metric)
     load.rest[:] = (np.sqrt(load.rest) + missed * np.sqrt(weights.sum())) ** 2
     gap = delta**2 * (np.maximum(mean, 0.0) + coefficient.deviation) * metric.volume

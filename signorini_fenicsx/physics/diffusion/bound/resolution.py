@@ -98,7 +98,7 @@ class Resolution:
     _loads: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        number = self.spaces.Q.dofmap.index_map.size_local
+        number = len(self.spaces.cell_measures)
         self.coarse, self.missed = np.zeros(number, dtype=bool), np.zeros(number)
         self.load = enclosing(np.zeros(number))
 

@@ -19,8 +19,9 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.certificate.certificate import Certificate
-from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, owned_cells
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, at_points
@@ -49,12 +50,12 @@ class Continuous:
     def of(cls, solution: Solution, v: fem.Function) -> Continuous:
         """The continuous function of a solution and the v of its certificate (collective)."""
         spaces = solution.spaces
-        means = np.empty(len(solution.u.x.array))
+        means = np.empty(len(spaces.cell_measures))
         for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), 2):
             means[points.cells] = points.means(points.quadratic(v)[:, :, 0])
         dim = spaces.mesh.topology.dim
         mean_of_product = math.factorial(dim) / math.factorial(2 * dim + 1)
-        return cls(v, (solution.u.x.array - means) / mean_of_product)
+        return cls(v, (owned_values(solution.u) - means) / mean_of_product)
 
     def __call__(self, points: CellPoints) -> Array:
         """Values of the datum in points."""
@@ -97,7 +98,7 @@ def _at_start(steps: DiffusionSteps) -> InPoints:
     """The content at the start: of a storage its means."""
     if not steps.storage:
         return lambda points: steps.capacity[points.cells, None] * steps.initial.values(points)
-    start = steps.start().x.array
+    start = owned_values(steps.start())
     return lambda points: np.broadcast_to(start[points.cells, None], points.shape)
 
 

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -165,11 +166,9 @@ class P1System:
             LinearSolveFailure: If the projection does not converge.
         """
         spaces = self.spaces
-        u_h = fem.Function(self.space)
-        u_h.x.array[: self._size] = u + self._psi
-        u_h.x.scatter_forward()
-        means = fem.Function(spaces.Q, name="u")
-        means.x.array[:] = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx)) / spaces.cell_measures
+        u_h = function_of(self.space, u + self._psi)
+        integrals = assembled(mass(u_h, ufl.TestFunction(spaces.Q), ufl.dx))
+        means = function_of(spaces.Q, integrals[: len(spaces.cell_measures)] / spaces.cell_measures, "u")
         sigma = _projected_flux(u_h, self._data, spaces)
         p = u_h.x.array[self._facet_vertices].mean(axis=1, dtype=np.float64) - self._data.psi_h
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
@@ -273,9 +272,7 @@ def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function
     solver.ksp.getPC().setType("jacobi")
     solver.ksp.setTolerances(rtol=ROUNDING, max_it=1000)
     solver.solve(b, x)
-    sigma = fem.Function(spaces.V, name="sigma")
-    sigma.x.array[: x.getLocalSize()] = x.array_r
-    sigma.x.scatter_forward()
+    sigma = function_of(spaces.V, x.array_r, "sigma")
     for thing in (solver.ksp, matrix, x, b):
         thing.destroy()
     return sigma

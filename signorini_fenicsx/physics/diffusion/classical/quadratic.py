@@ -22,12 +22,12 @@ import numpy as np
 import piqp
 import scipy.sparse
 import ufl
-from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import LINEAR, ROUNDING
@@ -81,11 +81,8 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
         left = hessian @ values + of_flux[:, 0] + scaled.T @ balance
     status, iterations = comm.bcast((status, iterations))
 
-    sigma_h, u_h = fem.Function(V, name="sigma"), fem.Function(Q, name="u")
-    sigma_h.x.array[:flux_size] = flux_rows.scatter(values)
-    u_h.x.array[:cells] = cell_rows.scatter(balance) * in_cells[:, 0]
-    for function in (sigma_h, u_h):
-        function.x.scatter_forward()
+    sigma_h = function_of(V, flux_rows.scatter(values), "sigma")
+    u_h = function_of(Q, cell_rows.scatter(balance) * in_cells[:, 0], "u")
     p = flux_rows.scatter(left)[spaces.flux_dofs] / spaces.basis_flux
     flux = spaces.normal_flux(sigma_h)
     sigma_h.x.array[:] += data.sigma_lift.x.array
@@ -130,9 +127,9 @@ def _of_cells(spaces: Spaces, data: Data) -> Array:
     With laws in Ω the part of λ that is no unknown is in the right side.
     """
     v, cells = ufl.TestFunction(spaces.Q), spaces.Q.dofmap.index_map.size_local
-    weight = 1 / np.sqrt(spaces.cell_measures[:cells])
+    weight = 1 / np.sqrt(spaces.cell_measures)
     right = -assembled(load(data.f_h, v, ufl.dx) + mass_balance(data.sigma_lift, v, ufl.dx))[:cells]
-    c = np.zeros(cells) if data.c_h is None else data.c_h.x.array
+    c = np.zeros(cells) if data.c_h is None else owned_values(data.c_h)
     if data.inside is not None:
         law, rows = data.inside.chains, np.arange(cells)
         steep = law.slope > 0

@@ -154,7 +154,7 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     half = dorfler(np.sqrt(squares), HALF, comm)
     if comm.allreduce(len(half)) <= FEW[spaces.dim]:
         large = np.union1d(large, half)
-    nodes = spaces.mesh.geometry.dofmaps[0][: len(of_cells)]
+    nodes = spaces.nodes
     near = la.vector(spaces.mesh.geometry.index_map())
     near.array[nodes[large]] = 1.0
     near.scatter_reverse(la.InsertMode.add)

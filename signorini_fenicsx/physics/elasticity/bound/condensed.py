@@ -19,6 +19,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.discrete.matrices import of_entries
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
@@ -188,7 +189,7 @@ def _on_cells(
     element, numbers, pairs = space.element.basix_element, block.ravel(), entries(dim)
     stiffness, degree = material.in_points(numbers, 2 * element.degree - 2)
     points, weights = basix.make_quadrature(element.cell_type, degree)
-    x = mesh.geometry.x[mesh.geometry.dofmaps[0][numbers], :dim]
+    x = mesh.geometry.x[cell_nodes(mesh)[numbers], :dim]
     edges = x[:, 1:] - x[:, :1]
     gradients = np.tensordot(np.linalg.inv(edges), element.tabulate(1, points)[1:, :, :, 0], (2, 0))
     nodes = space.dofmap.list[numbers]
@@ -255,7 +256,7 @@ def _from_linear(
     """Interpolation of linear displacements at the nodes that are left, each the mean of two vertices (collective)."""
     dim, own = spaces.dim, nodes.numbers.size_local
     ends = np.zeros((len(nodes.of_space), 2), dtype=np.int32)
-    vertices = np.take_along_axis(linear.dofmap.list[: len(spaces.order)], spaces.order, axis=1)
+    vertices = np.take_along_axis(cell_dofs(linear), spaces.order, axis=1)
     for mine, corners in _between_vertices(split, space, nodes):
         ends[mine] = vertices[:, corners]
     made = PETSc.Mat().create(spaces.mesh.comm)

@@ -1,0 +1,62 @@
+"""What a rank owns: the first cells of a mesh and the first entries of a function. Ghosts follow, which others own."""
+
+from weakref import WeakKeyDictionary
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+type Entities = npt.NDArray[np.int32]
+
+_NODES: WeakKeyDictionary[dolfinx.mesh.Mesh, Entities] = WeakKeyDictionary()
+
+
+def number_of_cells(mesh: dolfinx.mesh.Mesh) -> int:
+    """The number of owned cells."""
+    return mesh.topology.index_map(mesh.topology.dim).size_local
+
+
+def owned_cells(mesh: dolfinx.mesh.Mesh) -> Entities:
+    """All owned cells."""
+    return np.arange(number_of_cells(mesh), dtype=np.int32)
+
+
+def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Entities:
+    """Numbers of the vertices of the owned cells, shape (cells, dim + 1).
+
+    They are kept with the mesh: DOLFINx copies them all whenever it is asked, also for some cells at a time.
+    """
+    nodes = _NODES.get(mesh)
+    if nodes is None:
+        nodes = _NODES[mesh] = mesh.geometry.dofmaps[0][: number_of_cells(mesh)]
+    return nodes
+
+
+def original_cells(mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int64]:
+    """The numbers that the owned cells had where the mesh was made."""
+    return mesh.topology.original_cell_index[: number_of_cells(mesh)]
+
+
+def cell_dofs(space: fem.FunctionSpace) -> Entities:
+    """Degrees of freedom of the owned cells, shape (cells, those of one)."""
+    return space.dofmap.list[: number_of_cells(space.mesh)]
+
+
+def owned_values(function: fem.Function) -> npt.NDArray:
+    """The owned entries of a function, a view; in P0 they are the values in the owned cells, in their order."""
+    dofmap = function.function_space.dofmap
+    return function.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
+
+
+def set_owned(function: fem.Function, values: npt.ArrayLike) -> None:
+    """Set the owned entries of a function, ghosts updated (collective)."""
+    owned_values(function)[:] = values
+    function.x.scatter_forward()
+
+
+def function_of(space: fem.FunctionSpace, values: npt.ArrayLike, name: str | None = None) -> fem.Function:
+    """A function by its owned entries, ghosts updated (collective)."""
+    function = fem.Function(space, name=name)
+    set_owned(function, values)
+    return function
