@@ -34,9 +34,14 @@ class _Product:
 
 
 def gmres(
-    comm: MPI.Comm, product: Product, right: Array, precondition: Product | None = None, restart: int = DIRECTIONS
+    comm: MPI.Comm,
+    product: Product,
+    right: Array,
+    precondition: Product | None = None,
+    restart: int = DIRECTIONS,
+    share: float = EXACT,
 ) -> Array:
-    """Solve with a matrix that is known by its products, perhaps with a preconditioner (collective)."""
+    """Solve with a matrix that is known by its products to a share of the right side (collective)."""
     b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=comm)
     b.array_w[:] = right
     x = b.duplicate()
@@ -51,7 +56,7 @@ def gmres(
         solver.getPC().setType("python")
         solver.getPC().setPythonContext(_Product(precondition))
         solver.setPCSide(PETSc.PC.Side.RIGHT)
-    solver.setTolerances(rtol=EXACT, max_it=DIRECTIONS)
+    solver.setTolerances(rtol=share, max_it=DIRECTIONS)
     solver.solve(b, x)
     found = np.array(x.array_r)
     for each in (solver, matrix, b, x):

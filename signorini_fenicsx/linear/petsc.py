@@ -10,9 +10,11 @@ import contextlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 
+import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import progress
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.base.signals import pass_on
 from signorini_fenicsx.base.text import counted
@@ -127,6 +129,24 @@ class LinearSolver:
                 f"the linear solver {self.name()} stopped with PETSc's reason {reason} "
                 f"after {counted(self.ksp.getIterationNumber(), 'iteration')}"
             )
+
+    def solve_all(self, right: PETSc.Mat) -> Array:
+        """Solve with the columns of a dense matrix by a factorisation that there is, all at once (collective).
+
+        Returns:
+            The owned rows of the solutions.
+
+        Raises:
+            LinearSolveFailure: If PETSc gives up.
+        """
+        found = right.duplicate()
+        try:
+            with self.options():
+                self.ksp.matSolve(right, found)
+        except PETSc.Error as error:
+            refuse_options(error)
+            raise LinearSolveFailure(f"the linear solver {self.name()} failed: {petsc_reason(error)}") from None
+        return np.array(found.getDenseArray(readonly=True))
 
     def name(self) -> str:
         """Krylov method, preconditioner and, if there is a factorisation, its package."""

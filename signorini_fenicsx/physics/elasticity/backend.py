@@ -115,9 +115,14 @@ class ElasticBackend:
         return law_of_sites(self.spaces, self._data.laws.chains, self.friction)
 
     @property
+    def iterates(self) -> bool:
+        """Whether the linear solver iterates and may stop early, which it must not with tools."""
+        return self._solver.iterates and not self.tools
+
+    @property
     def inexact(self) -> Inexact | None:
-        """The backend itself if its linear solver iterates."""
-        return self if self._solver.iterates and not self.tools else None
+        """The backend itself but with tools: traces cost less than fields."""
+        return None if self.tools else self
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -146,13 +151,18 @@ class ElasticBackend:
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
+        if not self._has_solved(conditions):
+            load, given, contact, _ = self._posed(conditions)
+            if (traces := self._factors.at_sites(load, contact)) is not None:
+                p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
+                return self._cleaned(conditions, self._signs * p, self._signs * forces / self._measure)
         with self._solver.stopping(lambda x: enough(*self._pairs(x + self._held, conditions))):
             self._solve(conditions)
         return self._pairs(self._x, conditions)
 
-    def reached(self, conditions: SiteConditions) -> Iterate:
+    def reached(self, conditions: SiteConditions) -> Iterate | None:
         """The iterate of the last solve, see `Inexact.reached`; no refinement, as other sets follow (collective)."""
-        return self._recovered(conditions, refine=False)
+        return self._recovered(conditions, refine=False) if self.iterates else None
 
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
         """None: there are no solves on patches."""
@@ -214,20 +224,11 @@ class ElasticBackend:
 
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
-        if conditions.same(self._applied, self.comm) and self._solver.converged:
+        if self._has_solved(conditions):
             return
         self._applied = None
-        contact, free = (conditions.kind == kind for kind in (Condition.ZERO_TRACE, Condition.NO_FLUX))
-        self._take_springs(conditions)
-        load = self.system.load.copy()
-        load[self._unknowns] += self._given_forces(conditions)
-        if conditions.has_values:
-            self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
-            load -= self._image(self._held)
-        loose = self._loose(~free)
-        if loose or self._sprung:
-            self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
-            self._factors.forget()
+        load, _, contact, loose = self._posed(conditions)
+        free = conditions.kind == Condition.NO_FLUX
         if not self._factors.solve(load, self._x, contact):
             self._solve_anew(load, self._x, contact, sprung=free & loose)
         self._imposed = conditions
@@ -238,6 +239,30 @@ class ElasticBackend:
             rho, moved = self.tools.follow((self._image(self._x) - self.system.load)[self._unknowns], loaded=True)
             self.tools.rho, self._x.array_w[:] = rho, self._x.array_r + moved
         self._applied = conditions
+
+    def _has_solved(self, conditions: SiteConditions) -> bool:
+        """Whether the last solve was under these conditions, and converged (collective)."""
+        return conditions.same(self._applied, self.comm) and self._solver.converged
+
+    def _posed(self, conditions: SiteConditions) -> tuple[Array, Array, Mask, bool]:
+        """The problem under these conditions, of which `_held` is the part of the solution that is given (collective).
+
+        Returns:
+            The right side for the rest, its part by laws at the sites, the sites that are held, and whether a motion of
+            the body is free.
+        """
+        contact, free = (conditions.kind == kind for kind in (Condition.ZERO_TRACE, Condition.NO_FLUX))
+        self._take_springs(conditions)
+        load, given = self.system.load.copy(), self._given_forces(conditions)
+        load[self._unknowns] += given
+        if conditions.has_values:
+            self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
+            load -= self._image(self._held)
+        loose = self._loose(~free)
+        if loose or self._sprung:
+            self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
+            self._factors.forget()
+        return load, given, contact, loose
 
     def _respond(self, conditions: SiteConditions, sprung: Mask) -> None:
         """Find how the body follows the tools under the conditions of the present matrix (collective)."""
@@ -305,6 +330,19 @@ class ElasticBackend:
         x.axpy(1.0, given)
         given.destroy()
         return x
+
+    def response(self, conditions: SiteConditions, load: Array) -> Array:
+        """What a load changes of the flux at the sites, as `solve_homogeneous` solves (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        if not self.tools:
+            if not conditions.same(self._imposed, self.comm):
+                self._take_springs(conditions)
+            if (traces := self._factors.at_sites(load, conditions.kind == Condition.ZERO_TRACE)) is not None:
+                return np.asarray(self._signs * traces[1] / self._measure)
+        return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
     def follow_bounds(self, conditions: SiteConditions, forces: Array, share: Array) -> Array:
         """Move the solution by the response to forces per area at the sites with friction (collective).

@@ -12,15 +12,17 @@ For large μ there may be several solutions, and no theorem known to us tells wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.contact.backend import Pairs
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.linear.gmres import gmres
+from signorini_fenicsx.linear.gmres import EXACT, gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
 from signorini_fenicsx.physics.elasticity.friction import STICKS
@@ -34,37 +36,55 @@ MOST = 20
 """Problems of Tresca at most, before a path is followed."""
 MOST_SITES = 2000
 """No path is followed with more sites: its matrix would be too large."""
+ROUGH = 1e-2
+"""Share of what is left at which GMRES stops at most, where Newton's method may be rough."""
 SHORTEST = 1 / 64
 """Share of Newton's step below which a step is taken as it is."""
 GOLDEN = (np.sqrt(5) - 1) / 2
 
 
-type Tresca = Callable[[Indices | None], Outcome]
-"""Solves with the present bound of the backend, from given segments or from the sets of the last time."""
+class Solved(Protocol):
+    """A problem of Tresca that was solved, an `Outcome` or its traces alone."""
+
+    @property
+    def iterate(self) -> Pairs:
+        """The solution."""
+        ...
+
+    @property
+    def conditions(self) -> SiteConditions:
+        """The sets."""
+        ...
+
+    @property
+    def converged(self) -> bool:
+        """Whether the sets repeated."""
+        ...
 
 
-def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> Outcome:
-    """Find the bound of the shear that is μ times the pressure (collective).
+def balanced[S: Solved](
+    backend: ElasticBackend, tresca: Callable[[], S], changes: list[float], *, roughly: bool = False
+) -> S:
+    """Find the bound of the shear that is μ times the pressure, by Newton's method (collective).
 
     Args:
         backend: The backend; its friction ends with this bound.
-        tresca: Solves Tresca's problem.
+        tresca: Solves Tresca's problem with the present bound of the backend, from the sets of the last time.
         changes: Gets, for each problem, how much the bound still differs from μ times the pressure, relative to that.
+        roughly: Whether Newton's steps need not be more exact than their squares.
 
     Returns:
-        The outcome of the last problem.
+        The last problem; after `MOST` of them the bound is not found.
     """
     spaces, accepted, step, share, least = backend.spaces, backend.friction, np.empty(0), 1.0, np.inf
     while True:
-        outcome, present = tresca(None), backend.friction
+        outcome, present = tresca(), backend.friction
         if not present.by_pressure or not outcome.converged:
             return outcome
         following = present.following(pressure_of(spaces, outcome.iterate.flux))
         changes.append(present.change(following, spaces))
-        if changes[-1] <= CHANGE:
+        if changes[-1] <= CHANGE or len(changes) == MOST:
             return outcome
-        if len(changes) == MOST:
-            return _by_path(backend, tresca, changes)
         left = present.distance(following, spaces)
         if backend.comm.allreduce(bool((present.bound >= STICKS).any()), MPI.LOR):
             accepted = backend.friction = following  # nothing slipped before
@@ -73,21 +93,33 @@ def balanced(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> O
             accepted, least, share = present, left, 1.0
             segments = present.chains.segments(outcome.conditions.take(slice(len(spaces.sites), None)))
             law = present.directions(segments), present.slope(pressure_of(spaces, outcome.iterate.flux))
-            step = _step(backend, outcome.conditions, law, following.bound - present.bound)
+            enough = EXACT
+            if roughly:
+                enough = max(EXACT, min(changes[-1] ** 2, ROUGH), CHANGE / (100 * changes[-1]))
+            step = _step(backend, outcome.conditions, law, following.bound - present.bound, enough)
             backend.friction = accepted.moved(step)
         else:
             share /= 2
             backend.friction = accepted.moved(share * step)
 
 
-def _by_path(backend: ElasticBackend, tresca: Tresca, changes: list[float]) -> Outcome:
-    """Follow the path from no friction; the outcome of the problem at its end, or of that at its begin (collective)."""
+def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome], changes: list[float]) -> Outcome:
+    """Find the bound where Newton's method did not, along the path from no friction (collective).
+
+    Args:
+        backend: As for `balanced`.
+        tresca: The same from given segments; None for the sets of the last time.
+        changes: As for `balanced`.
+
+    Returns:
+        The outcome of the problem at the end of the path, or of that at its begin.
+    """
     friction, comm, spaces = backend.friction, backend.comm, backend.spaces
     backend.friction = friction.moved(-friction.bound)
     outcome = tresca(None)
     if (
         not outcome.converged
-        or backend.inexact is not None
+        or backend.iterates
         or not backend.is_contact
         or backend.spaces.dim == 3
         or backend.tools
@@ -170,18 +202,26 @@ def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
     return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
 
 
-def _step(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
+def _step(
+    backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array, share: float
+) -> Array:
     """The step of `newton`; one GMRES finds it where CG solves for contact, and the solution follows."""
     friction, (directions, slope) = backend.friction, law
-    if backend.inexact is None or not backend.is_contact:
-        return newton(backend, conditions, law, left)
+    if not backend.iterates or not backend.is_contact:
+        return newton(backend, conditions, law, left, share)
     left = np.where(friction.coulomb[:, None], left, 0.0)
     forces, shares = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))
     flux = backend.follow_bounds(conditions, forces, shares)
     return left + slope * pressure_of(backend.spaces, flux)
 
 
-def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array) -> Array:
+def newton(
+    backend: ElasticBackend,
+    conditions: SiteConditions,
+    law: tuple[Array, Array],
+    left: Array,
+    share: float = EXACT,
+) -> Array:
     """(I − T')⁻¹ of what is left, shape (facets, d), under these sets (collective).
 
     Args:
@@ -189,6 +229,7 @@ def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array
         conditions: The sets.
         law: The derivatives of σ_t by the bounds at the sites, and of the bounds by the pressure, shape (facets, d).
         left: What is left.
+        share: GMRES stops at this share of it.
     """
     friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
     directions, slope = law
@@ -196,9 +237,8 @@ def newton(backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array
     def without_response(values: Array) -> Array:
         load = none.copy()
         load[spaces.slip_sites] = directions * spaces.slip_measure * np.repeat(values, spaces.dim - 1)
-        pressure = pressure_of(spaces, backend.flux(backend.solve_homogeneous(conditions, load), none))
+        pressure = pressure_of(spaces, backend.response(conditions, load))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 
-    return gmres(backend.comm, without_response, np.where(friction.coulomb[:, None], left, 0.0).ravel()).reshape(
-        left.shape
-    )
+    right = np.where(friction.coulomb[:, None], left, 0.0).ravel()
+    return gmres(backend.comm, without_response, right, share=share).reshape(left.shape)

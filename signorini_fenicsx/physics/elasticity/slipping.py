@@ -51,7 +51,7 @@ def slipped(backend: ElasticBackend, contact: Callable[[], Outcome], enough: flo
     Returns:
         The outcome of the last problem.
     """
-    share, step = ROUGH if backend.inexact is not None else 0.0, 0
+    share, step = ROUGH if backend.iterates else 0.0, 0
 
     def solved() -> Outcome:
         nonlocal share

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.signals import LoopInterruption
-from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.backend import Iterate, Pairs
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.history import History, OnStep, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
@@ -23,11 +23,10 @@ from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
 from signorini_fenicsx.discrete.contact_sets import transferred
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
-from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.methods.prediction import Prediction
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
-from signorini_fenicsx.physics.elasticity.coulomb import balanced
+from signorini_fenicsx.physics.elasticity.coulomb import CHANGE, balanced, by_path
 from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps, spread
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
@@ -159,7 +158,7 @@ class ElasticRun:
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
-                if start is not None and backend.friction.by_pressure and self.spaces.dim == 2:
+                if start is not None and self.spaces.dim == 2:
                     start = _carried(start, backend)
         held = self.motions.shape[1] > 0
         if isinstance(start, ElasticSegments):
@@ -267,29 +266,53 @@ def _run(
         return Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver()), changes
 
 
+@dataclass(frozen=True)
+class _Traces:
+    """A problem whose solution is known at the sites, see `coulomb.Solved`."""
+
+    iterate: Pairs
+    conditions: SiteConditions
+    converged: bool
+
+
 def _settled(
     backend: ElasticBackend, options: Options, first: SiteConditions | None, history: History
 ) -> tuple[SiteConditions, Iterate | None]:
-    """Conditions from solves that stop as soon as the next ones are known, and the last iterate (collective)."""
+    """Conditions from solves for traces, which stop as soon as the next ones are known, and the last iterate.
+
+    In the plane they are those of Coulomb's bounds, too. Collective.
+    """
     rule = RULES[str(options.algorithm)]
     prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
-    first = first or backend.chains.conditions(rule.first(backend.chains))
-    history.start_from(first)
-    return prediction.settle(backend, backend, backend.spaces, first, history)
+    conditions = first or backend.chains.conditions(rule.first(backend.chains))
+    history.start_from(conditions)
+    before: Iterate | None = None
+
+    def tresca() -> _Traces:
+        nonlocal conditions, before
+        chains = backend.chains
+        conditions = chains.conditions(chains.segments(conditions))  # with the values of this bound
+        conditions, before = prediction.settle(backend, backend, backend.spaces, conditions, history)
+        p, flux = backend.solve_until(conditions, lambda *_: False)
+        wanted = prediction.wanted(chains, chains.segments(conditions), p, flux)
+        return _Traces(Pairs(p, flux, 0), conditions, wanted.same(conditions, backend.comm))
+
+    if backend.friction.slipping is None:
+        balanced(backend, tresca, [], roughly=True)
+    else:
+        tresca()
+    return conditions, before
 
 
 def _carried(start: ElasticSolution, backend: ElasticBackend) -> ElasticSegments:
-    """The sets and the bounds of a solution on another mesh, at the midpoints of the facets (collective)."""
-    spaces, friction, chains = backend.spaces, backend.friction, backend.chains
-    theirs = [start.spaces.linear_multiplier(values) for values in (spread(start.spaces, start.slip), start.pressure)]
-    found = sampled(theirs, spaces.Lambda.mesh, start.spaces.domain, degree=0)
-    slip, pressure = (each.x.array[: len(spaces.facets)][spaces.rough_rows] for each in found)
-    touching = np.append(
-        np.repeat(transferred(start.contact_set(), spaces), spaces.dim), np.zeros(len(spaces.slip_sites), bool)
-    )
-    segment = np.where(touching, chains.steepest(), chains.beside_reference(steep=False))
-    segment[len(spaces.sites) :] = np.repeat(np.sign(slip).astype(np.int64) + 1, spaces.dim)
-    return ElasticSegments(spaces, segment, friction.mu * np.maximum(pressure, 0.0)[:, None])
+    """The segments and the bounds of the shear of a solution on another mesh (collective)."""
+    theirs, spaces, own = start.spaces, backend.spaces, start.segments()
+    normal, along = np.split(own.segment, [len(theirs.sites)])
+    rows = [normal.reshape(-1, theirs.dim), spread(theirs, along.reshape(-1, theirs.dim)), spread(theirs, own.bound)]
+    functions = [theirs.linear_multiplier(each.astype(np.float64)) for each in rows]
+    normal, along, bound = spaces.near_vertices(functions, theirs.domain)
+    segment = np.rint(np.append(normal, along[spaces.rough_rows])).astype(np.int64)
+    return ElasticSegments(spaces, segment, bound[spaces.rough_rows])
 
 
 def _with_friction(
@@ -319,12 +342,14 @@ def _with_friction(
         return outcome
 
     if backend.friction.slipping is None:
-        return balanced(backend, loop, changes)
+        outcome = balanced(backend, loop, changes)
+        found = not changes or changes[-1] <= CHANGE
+        return outcome if found or not outcome.converged else by_path(backend, loop, changes)
 
     roughly = list[float]()
     if backend.inexact is not None and backend.friction.by_pressure:
-        balanced(backend, lambda _: slipped(backend, loop, AHEAD * roughly[-1] ** 2 if roughly else 0.0), roughly)
-    return balanced(backend, lambda _: slipped(backend, loop), changes)
+        balanced(backend, lambda: slipped(backend, loop, AHEAD * roughly[-1] ** 2 if roughly else 0.0), roughly)
+    return balanced(backend, lambda: slipped(backend, loop), changes)
 
 
 def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_contact: bool) -> SiteConditions | None:

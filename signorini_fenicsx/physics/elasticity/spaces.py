@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
+import basix
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import AXES, Domain
+from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, opposite
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticBoundary
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh, split_mesh
@@ -234,6 +236,34 @@ class ElasticSpaces(MeshSpaces):
     def tangents(self) -> Array:
         """Tangents of the facets with friction, n turned to the left or two in space, shape (facets, d − 1, d)."""
         return _frames(self.rough.normals)[:, 1:]
+
+    def near_vertices(self, functions: Sequence[fem.Function], source: Domain) -> list[Array]:
+        """Functions on Γ_C of another mesh near the vertices of these facets, shape (facets, d, …) each (collective).
+
+        Each facet has as many points as vertices, in its inside, where it is plain on which facet of the other mesh
+        they are.
+
+        Args:
+            functions: The functions.
+            source: The domain of the other mesh.
+        """
+        gamma, dim = self.Lambda.mesh, self.dim
+        samples = sampled(functions, gamma, source, degree=QUADRATURE_DEGREE)
+        points = basix.make_quadrature(gamma.basix_cell(), QUADRATURE_DEGREE)[0]
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        size = self.Lambda.dofmap.index_map.size_local
+        facets = self.Lambda.dofmap.list[:size, 0]
+        nodes = gamma.geometry.x[gamma.geometry.dofmaps[0][:size], :dim]
+        places = np.einsum("qa,fai->fqi", hats, nodes)
+        nearest = np.square(places[:, None] - self.contact.vertices[facets][:, :, None]).sum(axis=3).argmin(axis=2)
+        found = []
+        for sample in samples:
+            shape = sample.ufl_shape
+            at_points = sample.x.array.reshape(-1, *shape)[sample.function_space.dofmap.list[:size]]
+            values = np.empty((size, dim, *shape))
+            values[facets] = np.take_along_axis(at_points, nearest.reshape(*nearest.shape, *[1] * len(shape)), axis=1)
+            found.append(values)
+        return found
 
     @property
     def places(self) -> Array:
