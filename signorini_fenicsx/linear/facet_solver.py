@@ -90,14 +90,13 @@ class FacetSolver[Levels](LinearSolver):
             self._early_stop.asks = None
 
     @contextlib.contextmanager
-    def until(self, tolerance: float) -> Iterator[None]:
-        """Iterations stop at this relative residual, if it is larger than their own."""
-        ksp, own = self.ksp, self.ksp.getTolerances()[0]
-        ksp.setTolerances(rtol=max(tolerance, own))
+    def until(self, share: float) -> Iterator[None]:
+        """Iterations stop when they leave this share of what there was at their start, or come to their tolerance."""
+        self._early_stop.share = share
         try:
             yield
         finally:
-            ksp.setTolerances(rtol=own)
+            self._early_stop.share = 0.0
 
     @property
     def converged(self) -> bool:
@@ -139,15 +138,21 @@ class EarlyStop:
 
     Attributes:
         asks: Returns whether an iterate is good enough; None while there is no such test.
+        share: A norm of the residual that is at most this share of the first one is good enough.
     """
 
     asks: Callable[[PETSc.Vec], bool] | None = None
+    share = 0.0
+    _at_start = 0.0
 
-    def __call__(self, ksp: PETSc.KSP, iteration: int, _norm: float) -> PETSc.KSP.ConvergedReason:
+    def __call__(self, ksp: PETSc.KSP, iteration: int, norm: float) -> PETSc.KSP.ConvergedReason:
         """Stop, or leave the decision to PETSc (collective)."""
-        stop = False
-        if self.asks is not None and iteration > 0:
+        if iteration == 0:
+            self._at_start = norm
+            return PETSc.KSP.ConvergedReason.CONVERGED_ITERATING
+        stop = norm <= self.share * self._at_start
+        if self.asks is not None:
             x = ksp.buildSolution()
-            stop = self.asks(x)
+            stop = self.asks(x) or stop
             x.destroy()  # only this reference; waiting for garbage collection, it would keep the solver alive
         return PETSc.KSP.ConvergedReason.CONVERGED_ITS if stop else PETSc.KSP.ConvergedReason.CONVERGED_ITERATING

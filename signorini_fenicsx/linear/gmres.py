@@ -19,6 +19,7 @@ RESTART = 50
 """Steps after which GMRES with a matrix begins anew, for the sake of memory."""
 
 type Product = Callable[[Array], Array]
+type Added = tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], Array]
 
 
 class _Product:
@@ -70,7 +71,8 @@ def coupled(
     preconditioner: PETSc.PC,
     load: Array,
     held: npt.NDArray[np.int32],
-    added: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], Array],
+    added: Added,
+    share: float = EXACT,
 ) -> PETSc.Vec:
     """Solve with 0 at unknowns that are held, where rows of the matrix have shares of other rows added (collective).
 
@@ -81,6 +83,7 @@ def coupled(
         load: The right side, of the owned unknowns.
         held: Those that are held.
         added: Owned rows, what rows are added to them, which may be held, and their shares.
+        share: GMRES stops at this share of the right side.
     """
     rows, others, shares = added
     x, image = matrix.createVecs()
@@ -100,5 +103,5 @@ def coupled(
 
     right = load.copy()
     right[held] = 0.0
-    x.array_w[:] = gmres(matrix.getComm().tompi4py(), product, right, precondition, RESTART)
+    x.array_w[:] = gmres(matrix.getComm().tompi4py(), product, right, precondition, RESTART, share)
     return x

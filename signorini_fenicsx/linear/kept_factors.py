@@ -1,12 +1,12 @@
-"""The factorisation of one set serves the sets that differ from it at few sites.
+"""A system under one set after another; the factorisation of one serves the sets that differ from it at few sites.
 
 Let K be the matrix without conditions, and w the solution under the factorised set with the present load. The solution
 under another set is w + Σ c_j d_j with one d_j for each site j that changes:
 
 - j is free now: d_j is 1 there, 0 where else the factorised set fixes, and without force elsewhere; c_j is such that
   the force at j is the load's.
-- j is fixed now: d_j is what a force at j alone does; c_j is such that the whole is 0 at j. Another load at j is another
-  c_j, too.
+- j is fixed now: d_j is what a force at j alone does; c_j is such that the whole is 0 at j. Another load at j is
+  another c_j, too.
 
 Of w and of the d_j only p and the forces at the sites are kept. So these need no solve under a set whose sites have all
 changed before, and the solution needs one, by the factors. The d_j of sites that change for the first time are solved
@@ -15,7 +15,9 @@ for together, which costs a third of a solve for each, or less.
 `condensed` is this for the set with all sites free and every site changed.
 """
 
+from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,29 +25,89 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.linear.petsc import LinearSolver
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.gmres import Added, coupled
 
 MOST = {2: 40, 3: 64}
 """For each dimension, with more changed sites a factorisation costs less. In space it costs far more."""
 
 
 class KeptFactors:
-    """Solves by the last factorisation, if there is one."""
+    """Solves with 0 at some sites, by the last factorisation if there is one that serves."""
 
-    def __init__(self, solver: LinearSolver, natural: PETSc.Mat, sites: npt.NDArray[np.int32], dim: int):
+    def __init__(
+        self,
+        solver: FacetSolver[Any],
+        operator: ConstrainedMatrix,
+        fixed: npt.NDArray[np.int32],
+        sites: npt.NDArray[np.int32],
+        dim: int,
+    ):
         """Keep nothing yet (collective).
 
         Args:
             solver: What may factorise.
-            natural: K.
+            operator: K, as `natural`, and its matrix.
+            fixed: Owned unknowns that are fixed under all sets.
             sites: Owned unknown of each site.
             dim: Dimension of the mesh.
         """
-        self._solver, self._natural, self._unknowns = solver, natural, sites
-        self._comm: MPI.Comm = natural.getComm().tompi4py()
-        self._x, self._b = natural.createVecs()
+        self._solver, self._operator, self._natural = solver, operator, operator.natural
+        self._fixed, self._unknowns = fixed, sites
+        self._comm: MPI.Comm = self._natural.getComm().tompi4py()
+        self._x, self._b = self._natural.createVecs()
         self._most = MOST[dim]
         self._held: Mask | None = None
+        self._plainly: Mask | None = None  # the sites held in the present matrix, if nothing is added to it
+
+    def essential(self, held: Mask) -> npt.NDArray[np.int32]:
+        """The unknowns that are fixed if these sites are held."""
+        return np.concatenate([self._fixed, self._unknowns[held]])
+
+    def solve_anew(
+        self,
+        load: Array,
+        x: PETSc.Vec,
+        held: Mask,
+        weak: tuple[Mask, Array],
+        blocks: Sequence[tuple[npt.NDArray[np.int32], Array]],
+    ) -> None:
+        """Set the solver up and solve with 0 at the sites that are held (collective).
+
+        Args:
+            load: Right side without conditions, of the owned unknowns.
+            x: Gets the solution; an iteration starts from it.
+            held: Mask of these sites.
+            weak: Mask of sites that are held by springs, and the stiffness of these, per site.
+            blocks: What else is added to the matrix, see `ConstrainedMatrix.impose`.
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        essential, (sprung, stiffness) = self.essential(held), weak
+        plain = not self._comm.allreduce(bool(blocks) or bool(sprung.any()), MPI.LOR)
+        same = plain and self._plainly is not None and bool((self._plainly == held).all())
+        if not self._comm.allreduce(same, MPI.LAND):
+            self._plainly = held if plain else None
+            self._operator.impose(essential, self._unknowns[sprung], stiffness[sprung], blocks)
+            if self._solver.levels is not None:
+                with self._solver.options():
+                    self._solver.levels.update(self._fixed, essential)
+        self._b.array_w[:] = load
+        for vector in (self._b, x):
+            vector.array_w[essential] = 0.0
+        self._solver.solve(self._b, x)
+        if plain and self._solver.factorises:
+            self._keep(essential, held)
+
+    def coupled(self, load: Array, held: Mask, added: Added, share: float) -> PETSc.Vec:
+        """The solution by GMRES with the present preconditioner, where rows have shares of others added, see `coupled`.
+
+        Collective.
+        """
+        preconditioner, matrices = self._solver.ksp.getPC(), (self._operator.matrix, self._natural)
+        return coupled(*matrices, preconditioner, load, self.essential(held), added, share)
 
     @cached_property
     def _rows(self) -> PETSc.Mat:
@@ -62,19 +124,13 @@ class KeptFactors:
         """The matrix of the solver is another one."""
         self._held = None
 
-    def keep(self, fixed: npt.NDArray[np.int32], held: Mask) -> None:
-        """The solver has just factorised for this set.
-
-        Args:
-            fixed: Owned unknowns that are fixed.
-            held: The sites among them.
-        """
-        if self._solver.factorises:
-            self._fixed, self._held = fixed, held
-            self._changed: Indices = np.empty(0, dtype=np.int64)  # own sites with a d_j, and the j of each
-            self._number: Indices = np.empty(0, dtype=np.int64)
-            self._of_moves: Array = np.empty((0, 2, len(held)))  # p and the forces at the sites for each j
-            self._load: Array | None = None
+    def _keep(self, essential: npt.NDArray[np.int32], held: Mask) -> None:
+        """The solver has just factorised for this set."""
+        self._essential, self._held = essential, held
+        self._changed: Indices = np.empty(0, dtype=np.int64)  # own sites with a d_j, and the j of each
+        self._number: Indices = np.empty(0, dtype=np.int64)
+        self._of_moves: Array = np.empty((0, 2, len(held)))  # p and the forces at the sites for each j
+        self._load: Array | None = None
 
     def at_sites(self, load: Array, held: Mask) -> tuple[Array, Array] | None:
         """The solution with 0 at the sites that are held, and K times it, at the sites alone (collective).
@@ -120,7 +176,7 @@ class KeptFactors:
             load = self._load
         moved, pulled = np.where(self._held, shares, 0.0), np.where(self._held, 0.0, shares)
         right = load - self._of_moved(moved)
-        right[self._fixed] = 0.0
+        right[self._essential] = 0.0
         right[self._unknowns] += pulled * self._diagonal
         self._b.array_w[:] = right
         self._solver.solve(self._b, x)
@@ -134,7 +190,7 @@ class KeptFactors:
         return np.array(self._natural.getDiagonal().array_r[self._unknowns])
 
     def _serves(self, held: Mask) -> bool:
-        """Whether the last factorisation serves for this set; then there is a d_j for each changed site (collective)."""
+        """Whether the last factorisation serves; then there is a d_j for each changed site (collective)."""
         if self._held is None:
             return False
         new = np.setdiff1d(np.flatnonzero(held != self._held), self._changed)
@@ -152,16 +208,16 @@ class KeptFactors:
         """
         if self._load is not None:
             differs = load != self._load
-            differs[self._fixed] = differs[self._unknowns[held]] = differs[self._unknowns[self._changed]] = False
+            differs[self._essential] = differs[self._unknowns[held]] = differs[self._unknowns[self._changed]] = False
         if self._comm.allreduce(self._load is None or bool(differs.any()), MPI.LOR):
             self._load = load.copy()
             self._b.array_w[:] = load
-            self._b.array_w[self._fixed] = 0.0
+            self._b.array_w[self._essential] = 0.0
             self._solver.solve(self._b, self._x)
             self._of_load = self._traces(self._x)
 
     def _traces(self, x: PETSc.Vec) -> Array:
-        """x and Kx at the sites (collective)."""
+        """A solution and K times it, at the sites (collective)."""
         self._rows.mult(x, self._forces)
         return np.array([x.array_r[self._unknowns], self._forces.array_r])
 
@@ -187,7 +243,7 @@ class KeptFactors:
         columns = right.getDenseArray()
         for column, moved in enumerate(np.where(self._held, own, 0.0)):
             columns[:, column] = -self._of_moved(moved)
-        columns[self._fixed] = 0.0
+        columns[self._essential] = 0.0
         columns[self._unknowns] += (np.where(self._held, 0.0, own) * self._diagonal).T
         right.assemble()
         solutions = self._solver.solve_all(right)

@@ -7,11 +7,10 @@ under the load they give way so far that the next set is larger. No result has s
 """
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property, partial
 
 import numpy as np
-from dolfinx import la
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -25,7 +24,6 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.facet_solver import FacetSolver
-from signorini_fenicsx.linear.gmres import coupled
 from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import law_of_sites
@@ -94,7 +92,7 @@ class ElasticBackend:
         prefix = "certificate_" if direct else "facet_"
         make = partial(of_facets, spaces, self._operator.matrix, stiff) if large else None
         self._solver = FacetSolver(self._operator.matrix, prefix, DEFAULTS, make, MOST_ITERATIONS)
-        self._factors = KeptFactors(self._solver, self._operator.natural, self._unknowns, spaces.dim)
+        self._factors = KeptFactors(self._solver, self._operator, data.fixed, self._unknowns, spaces.dim)
         self._x, self._b = self._operator.matrix.createVecs()
         self._x.set(0.0)
         self._held = self._x.duplicate()
@@ -104,9 +102,8 @@ class ElasticBackend:
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
         self._applied: SiteConditions | None = None
-        self._plainly: Mask | None = None  # the sites held in the present matrix, if it has no springs
         self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
-        self._sprung, self._leaves = False, 0.0
+        self._sprung = False
         self._weak = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
 
     @property
@@ -135,15 +132,11 @@ class ElasticBackend:
             LinearSolveFailure: If the linear solver fails.
         """
         self._solve(conditions)
-        return self._recovered(conditions, refine=self._leaves == 0)
+        return self._recovered(conditions, refine=self._solver.converged or not self.iterates)
 
-    @contextlib.contextmanager
-    def loosely(self, share: float) -> Iterator[None]:
-        """Solves by CG leave this share of the load, if that is more than they leave else; 0 for no difference."""
-        self._leaves = share
-        with self._solver.until(share):
-            yield
-        self._leaves, self._applied = 0.0, None if share > 0 else self._applied
+    def loosely(self, share: float) -> contextlib.AbstractContextManager[None]:
+        """Solves by CG leave this share of what there was at their start; with 0 they go to the end."""
+        return self._solver.until(share)
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
@@ -321,7 +314,7 @@ class ElasticBackend:
             self._applied = None
             self._take_springs(conditions)
         if present and (self._springs is not None or self._turns or self._sprung or self._solver.iterates):
-            load[np.concatenate([self._data.fixed, self._unknowns[contact]])] = 0.0
+            load[self._factors.essential(contact)] = 0.0
             self._b.array_w[:] = load
             self._solver.solve(self._b, x)
         elif not self._factors.solve(load, x, contact):
@@ -344,18 +337,17 @@ class ElasticBackend:
                 return np.asarray(self._signs * traces[1] / self._measure)
         return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
-    def follow_bounds(self, conditions: SiteConditions, forces: Array, share: Array) -> Array:
+    def follow_bounds(self, conditions: SiteConditions, forces: Array, slope: Array, share: float) -> Array:
         """Move the solution by the response to forces per area at the sites with friction (collective).
 
-        σ_t also grows with the pressure of its vertex, by a share. It is for the time after a solve by CG under the
-        same conditions. The result is the change of the flux at all sites.
+        σ_t also grows with the pressure of its vertex, with a slope. It is for the time after a solve by CG under the
+        same conditions, and leaves a share. The result is the change of the flux at all sites.
         """
         spaces, contact = self.spaces, conditions.kind == Condition.ZERO_TRACE
         pressures = np.repeat(spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows], spaces.dim - 1)
-        load, held = np.zeros(len(self.system.load)), np.concatenate([self._data.fixed, self._unknowns[contact]])
+        load = np.zeros(len(self.system.load))
         load[spaces.slip_sites] = spaces.slip_measure * forces
-        rows, operator = (spaces.slip_sites, pressures, share), self._operator
-        x = coupled(operator.matrix, operator.natural, self._solver.ksp.getPC(), load, held, rows)
+        x = self._factors.coupled(load, contact, (spaces.slip_sites, pressures, slope), share)
         self._x.axpy(1.0, x)
         self._applied = None
         return self.flux(x, np.zeros_like(load))
@@ -381,7 +373,6 @@ class ElasticBackend:
 
     def _solve_anew(self, load: Array, x: PETSc.Vec, contact: Mask, *, sprung: Mask) -> None:
         """Set the solver up and solve (collective)."""
-        essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
         blocks, number = [], len(self.spaces.sites)
         if self._springs is not None:
             normal = self._unknowns[:number].reshape(-1, self.spaces.dim)
@@ -390,43 +381,18 @@ class ElasticBackend:
         if self._turns:
             along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
             blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
-        same = not blocks and not sprung.any() and self._plainly is not None and (self._plainly == contact).all()
-        if not self.comm.allreduce(same, MPI.LAND):
-            self._plainly = None if blocks or sprung.any() else contact
-            self._operator.impose(essential, self._unknowns[sprung], self._weak[sprung], blocks)
-            if self._solver.levels is not None:
-                with self._solver.options():
-                    self._solver.levels.update(self._data.fixed, essential)
-        self._b.array_w[:] = load
-        for vector in (self._b, x):
-            vector.array_w[essential] = 0.0
-        self._solver.solve(self._b, x)
-        if not blocks:
-            self._factors.keep(essential, contact)
+        self._factors.solve_anew(load, x, contact, (sprung, self._weak), blocks)
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
         iterations = self._solver.ksp.getIterationNumber()
-        stresses, displacements = self.system.recover(self.everywhere(self._x.array_r) + self._data.lift)
+        stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self._data.lift)
         if refine and not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
         reactions = self._data.reactions(spaces, stresses)
         p, flux = self._cleaned(conditions, self._beside_tools(self._x), reactions)
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
-        return Iterate(
-            p=p,
-            flux=flux,
-            linear_iterations=iterations,
-            sigma=spaces.split.stress(stresses),
-            u=spaces.displacement(displacements),
-        )
-
-    def everywhere(self, owned: Array) -> Array:
-        """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
-        x = la.vector(self.spaces.traces.dofmap.index_map, self.spaces.dim**2)
-        x.array[: len(owned)] = owned
-        x.scatter_forward()
-        return np.asarray(x.array)
+        return Iterate(p, flux, iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
 
     def _refined(self, conditions: SiteConditions, stresses: Array, displacements: Array) -> tuple[Array, Array]:
         """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
@@ -435,7 +401,7 @@ class ElasticBackend:
         less than rounding. Corrections are small, so that their own errors are.
         """
         contact = conditions.kind == Condition.ZERO_TRACE
-        essential = np.concatenate([self._data.fixed, self._unknowns[contact]])
+        essential = self._factors.essential(contact)
         correction, before = self._x.duplicate(), np.inf
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
@@ -450,7 +416,7 @@ class ElasticBackend:
                 self._b.array_w[:] = left
                 self._solver.solve(self._b, correction)
             before = size
-            more, moved = self.system.recover(self.everywhere(correction.array_r), with_f=False)
+            more, moved = self.system.recover(self.system.everywhere(correction.array_r), with_f=False)
             stresses, displacements = stresses + more, displacements + moved
             self._x.axpy(1.0, correction)
         return stresses, displacements

@@ -210,8 +210,8 @@ def _step(
     if not backend.iterates or not backend.is_contact:
         return newton(backend, conditions, law, left, share)
     left = np.where(friction.coulomb[:, None], left, 0.0)
-    forces, shares = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))
-    flux = backend.follow_bounds(conditions, forces, shares)
+    forces, slopes = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))
+    flux = backend.follow_bounds(conditions, forces, slopes, share)
     return left + slope * pressure_of(backend.spaces, flux)
 
 

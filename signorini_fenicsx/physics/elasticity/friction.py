@@ -169,10 +169,13 @@ class FrictionBounds:
     def turned(self, slip: Array) -> FrictionBounds:
         """The friction in space with Newton's linear law at this u_t, shape (facets, 3, 2), where vertices slip."""
         assert self.slipping is not None
+        return self.along(np.where(self.slipping.direction.any(axis=2)[:, :, None], slip, 0.0))
+
+    def along(self, slip: Array) -> FrictionBounds:
+        """The same where vertices slip whose u_t is not 0."""
         size = np.linalg.norm(slip, axis=2)
-        slips = self.slipping.direction.any(axis=2) & (size > 0)
-        size = np.where(slips, size, 1.0)
-        return replace(self, slipping=Slipping(np.where(slips[:, :, None], slip, 0.0) / size[:, :, None], size))
+        size = np.where(size > 0, size, 1.0)
+        return replace(self, slipping=Slipping(slip / size[:, :, None], size))
 
     def with_bounds(self, bound: Array) -> FrictionBounds:
         """The friction with new bounds where they are by the pressure, shape (facets, d)."""

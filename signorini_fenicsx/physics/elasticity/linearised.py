@@ -164,7 +164,7 @@ class Linearised:
                 outcome = iterate_sets(tangent, ALGORITHM_1, Parameters(), start=start)
                 if not outcome.converged:
                     raise NumericalFailure(f"derivative: {outcome.reason}")
-            return backend.everywhere(tangent.x)
+            return backend.system.everywhere(tangent.x)
 
         stresses, u, _ = backend.system.respond(*self._by_changes(changes), solve)
         return {"sigma": spaces.split.stress(stresses), "u": spaces.displacement(u), "p": None}
@@ -217,7 +217,7 @@ class Linearised:
                     backend.comm, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
                 )
                 x.axpy(1.0, self._of_pressure(w))
-            return backend.everywhere(x.array_r)
+            return backend.system.everywhere(x.array_r)
 
         adjoint, of_u, x = backend.system.respond(stresses, moments, solve)
         forces = backend.system.forces(adjoint)

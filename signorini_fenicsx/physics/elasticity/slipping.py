@@ -27,10 +27,8 @@ from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, Slippi
 
 EXACT = 1e-11
 """Newton's method ends when no σ_t is off −g u_t/|u_t| by more than this share of the largest g that is reached."""
-ROUGH = 1e-4
-"""Share of the load that CG leaves at first,"""
-AHEAD = 1e-3
-"""then this share of how far the law is off."""
+ROUGH = 0.1
+"""CG leaves at most this share of what there was, and at most the share by which the last law is off."""
 MOST = 40
 """Steps at most."""
 HALVINGS = 40
@@ -73,7 +71,7 @@ def slipped(backend: ElasticBackend, contact: Callable[[], Outcome], enough: flo
             return outcome
         if step >= MOST:
             return outcome.ended(f"the directions of slip still change after {MOST} steps")
-        share = min(share, AHEAD * off) if off > EXACT else 0.0
+        share = min(ROUGH, off) if share > 0 and off > EXACT else 0.0
         for law in (after, _cautious(after, slip)):
             backend.friction = law
             outcome, step = solved(), step + 1

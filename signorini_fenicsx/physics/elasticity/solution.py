@@ -41,11 +41,13 @@ class ElasticSegments:
         spaces: Where they are.
         segment: Number of its segment for each site.
         bound: The bounds, see `FrictionBounds.bound`.
+        slip: u_t in space where the vertices slip, 0 where they stick, shape (facets, 3, 2); None for no slip at first.
     """
 
     spaces: ElasticSpaces
     segment: Indices
     bound: Array
+    slip: Array | None = None
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

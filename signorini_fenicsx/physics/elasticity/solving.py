@@ -32,7 +32,7 @@ from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps, spread
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
-from signorini_fenicsx.physics.elasticity.slipping import slipped
+from signorini_fenicsx.physics.elasticity.slipping import ROUGH, slipped
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.evolution import Evolution
@@ -158,7 +158,7 @@ class ElasticRun:
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
-                if start is not None and self.spaces.dim == 2:
+                if start is not None:
                     start = _carried(start, backend)
         held = self.motions.shape[1] > 0
         if isinstance(start, ElasticSegments):
@@ -300,19 +300,25 @@ def _settled(
     if backend.friction.slipping is None:
         balanced(backend, tresca, [], roughly=True)
     else:
-        tresca()
+        with backend.loosely(ROUGH):
+            tresca()
     return conditions, before
 
 
 def _carried(start: ElasticSolution, backend: ElasticBackend) -> ElasticSegments:
     """The segments and the bounds of the shear of a solution on another mesh (collective)."""
-    theirs, spaces, own = start.spaces, backend.spaces, start.segments()
+    theirs, spaces, own, dim = start.spaces, backend.spaces, start.segments(), start.spaces.dim
     normal, along = np.split(own.segment, [len(theirs.sites)])
-    rows = [normal.reshape(-1, theirs.dim), spread(theirs, along.reshape(-1, theirs.dim)), spread(theirs, own.bound)]
+    states = along.reshape(-1, dim, dim - 1)[:, :, 0]
+    rows = [normal.reshape(-1, dim), *(spread(theirs, each) for each in (states, own.bound, start.slip_vectors))]
     functions = [theirs.linear_multiplier(each.astype(np.float64)) for each in rows]
-    normal, along, bound = spaces.near_vertices(functions, theirs.domain)
-    segment = np.rint(np.append(normal, along[spaces.rough_rows])).astype(np.int64)
-    return ElasticSegments(spaces, segment, bound[spaces.rough_rows])
+    on_normal, *on_rough = spaces.near_vertices(functions, theirs.domain)
+    on_states, bounds, slip = (each[spaces.rough_rows] for each in on_rough)
+    segment = np.rint(np.append(on_normal, np.repeat(on_states, dim - 1))).astype(np.int64)
+    # Coulomb's bounds are found sooner from no slip than from that under bounds that are not quite right
+    given = dim == 3 and not backend.friction.by_pressure
+    in_space = spaces.in_frames(slip).reshape(-1, dim, dim - 1) if given else None
+    return ElasticSegments(spaces, segment, bounds, in_space)
 
 
 def _with_friction(
@@ -347,8 +353,12 @@ def _with_friction(
         return outcome if found or not outcome.converged else by_path(backend, loop, changes)
 
     roughly = list[float]()
-    if backend.inexact is not None and backend.friction.by_pressure:
-        balanced(backend, lambda: slipped(backend, loop, AHEAD * roughly[-1] ** 2 if roughly else 0.0), roughly)
+    if backend.iterates and backend.friction.by_pressure:
+
+        def ahead() -> Outcome:
+            return slipped(backend, loop, AHEAD * min(roughly[-1], 1.0) ** 2 if roughly else AHEAD)
+
+        balanced(backend, ahead, roughly, roughly=True)
     return balanced(backend, lambda: slipped(backend, loop), changes)
 
 
@@ -359,6 +369,8 @@ def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_conta
     if held_by_contact and backend.comm.allreduce(int((slope > 0).sum())) == 0:
         return _first(backend, None, held_by_contact=True)
     backend.friction = backend.friction.with_bounds(start.bound)
+    if start.slip is not None and backend.friction:
+        backend.friction = backend.friction.along(start.slip)
     return backend.chains.conditions(start.segment)
 
 

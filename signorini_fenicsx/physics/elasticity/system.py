@@ -242,6 +242,13 @@ class ElasticSystem:
             ).transpose(0, 2, 1)
         return (sigma + sigma.swapaxes(3, 4)) / 2, u
 
+    def everywhere(self, owned: Array) -> Array:
+        """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
+        x = la.vector(self.spaces.traces.dofmap.index_map, self.spaces.dim**2)
+        x.array[: len(owned)] = owned
+        x.scatter_forward()
+        return np.asarray(x.array)
+
     def of_supports(self, x: Array) -> Array:
         """⟨Kû, q⟩ over the supports for each owned unknown, from the owned unknowns x."""
         supports, forces = self._data.supports, np.zeros((len(x) // self.spaces.dim**2, self.spaces.dim**2))
