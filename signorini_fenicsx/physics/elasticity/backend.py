@@ -384,8 +384,7 @@ class ElasticBackend:
         self._factors.solve_anew(load, x, contact, (sprung, self._weak), blocks)
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
-        spaces = self.spaces
-        iterations = self._solver.ksp.getIterationNumber()
+        spaces, iterations = self.spaces, self._solver.ksp.getIterationNumber()
         stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self._data.lift)
         if refine and not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
