@@ -150,7 +150,7 @@ class EarlyStop:
         if iteration == 0:
             self._at_start = norm
             return PETSc.KSP.ConvergedReason.CONVERGED_ITERATING
-        stop = norm <= self.share * self._at_start
+        stop = norm < self.share * self._at_start
         if self.asks is not None:
             x = ksp.buildSolution()
             stop = self.asks(x) or stop

@@ -5,10 +5,22 @@ import pytest
 from elastic import box
 from mpi4py import MPI
 
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.linear import kept_factors
+from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity import backend as elastic
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import (
+    Contact,
+    Coulomb,
+    CoulombLaw,
+    ElasticBoundary,
+    Elasticity,
+    ElasticProblem,
+    Neumann,
+    Tresca,
+)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -39,3 +51,36 @@ def test_old_factors_solve_for_new_sets(young: float, laws: list[CoulombLaw], mo
     assert found.norms() == pytest.approx(fresh.norms(), rel=1e-11)
     if COMM.size == 1:
         np.testing.assert_allclose(found.stresses / young, fresh.stresses / young, atol=1e-11)
+
+
+@pytest.mark.parametrize("law", [Tresca(0.02), Coulomb(0.3)], ids=["Tresca", "Coulomb"])
+def test_one_factorisation_serves_a_predicted_problem(law: Tresca | Coulomb, monkeypatch: pytest.MonkeyPatch):
+    """From what a coarser mesh tells, friction in the plane takes one factorisation on the fine mesh."""
+    factorised = []
+    impose = elastic.ConstrainedMatrix.impose
+    monkeypatch.setattr(
+        elastic.ConstrainedMatrix,
+        "impose",
+        lambda operator, *given: (factorised.append(operator.matrix.getSize()[0]), impose(operator, *given))[1],
+    )
+    problem = Elasticity(
+        1.0,
+        0.3,
+        conditions=[Contact("y0", gap=0.02, friction=law), Neumann("y1", ["0.03", "-0.3"]), Neumann("x1")],
+    )
+
+    def solved_on(cells: int, *, predict: bool) -> ElasticSolution:
+        options = Options(predict=predict, tuning=Tuning(predict_from=5_000))
+        return solve(mesh(cells), problem, options, remesh=lambda factor: mesh(max(round(cells / factor), 1)))
+
+    def mesh(cells: int) -> Domain:
+        return box(MPI.COMM_SELF, cells, [0.0, 0.0], [2.0, 1.0])
+
+    predicted = solved_on(24, predict=True)
+    fine = max(factorised)
+    assert factorised.count(fine) == 1
+    assert all(size == fine or size < fine / 8 for size in factorised)
+    cold = solved_on(24, predict=False)
+    assert factorised.count(fine) > 2
+    np.testing.assert_array_equal(predicted.touching, cold.touching)
+    assert predicted.norms() == pytest.approx(cold.norms(), rel=1e-9)
