@@ -23,7 +23,7 @@ from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.solver import Solver
+from signorini_fenicsx.solving.solver import Solver, solve
 
 
 @collector_off()
@@ -61,8 +61,8 @@ def solve_case(
     with watch.phase("assembly"):
         posed = case.posed(mesh.mesh.geometry.dim)
         check_quantities_of(case, mesh)
-        solver = place if isinstance(place, Solver) else Solver(place, posed)
-    return solver.solve(
+    solved = place.solve if isinstance(place, Solver) else partial(solve, place)
+    return solved(
         posed,
         options_of(case, tuning),
         start=start,

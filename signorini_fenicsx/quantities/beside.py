@@ -60,6 +60,8 @@ class Beside[Fields](ABC):
         first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
         first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
         found = bracket(self.ends, first, self.discrete)
+        self._solver = None
+        PETSc.garbage_cleanup(self.comm)  # of the solver; when the mesh is freed, it is too late
         if not math.isfinite(found.width) and self.of_flux and not found.reason.startswith(FAILED):
             found = replace(found, reason=f"{UNBOUNDED}: {found.reason}")
         return found

@@ -112,3 +112,5 @@ def evolve(
         yield Instant(step, evolution.time(step), solution, steps)
         if step % COLLECT == 0:
             collect_garbage(comm)  # UFL makes cycles when it estimates the degree of a new datum
+    del solver
+    collect_garbage(comm)  # of the solver; when the mesh is freed, it is too late

@@ -143,7 +143,7 @@ def solve[S: Solved](
         domain = with_sides(domain, problem)
         problem = sorted_on(domain, problem)
         solver: Solver[S] = Solver(domain, problem)
-    return solver.solve(
+    solution = solver.solve(
         problem,
         options,
         start=start,
@@ -154,3 +154,6 @@ def solve[S: Solved](
         watch=watch,
         on_step=on_step,
     )
+    del solver
+    PETSc.garbage_cleanup(domain.mesh.comm)  # of the solver; when the mesh is freed, it is too late
+    return solution

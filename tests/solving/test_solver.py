@@ -15,7 +15,9 @@ import pytest
 from dolfinx import fem
 from made_cases import make_case
 from mpi4py import MPI
+from petsc4py import PETSc
 
+from signorini_fenicsx import Contact, Coulomb, Diffusion, Elasticity, Evolution, Signorini, evolve
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
@@ -23,8 +25,10 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.quantities import Mean
 from signorini_fenicsx.solving import solver as solver_module
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
@@ -180,6 +184,29 @@ def test_no_form_is_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
         solver.solve(problem, Options(algorithm="alg3", eps=1e-2))
     assert len(looked_for) == 1
     assert dolfinx.jit.ffcx_jit is theirs  # the compiler of the user's forms is as it was
+
+
+@pytest.mark.parallel(2)
+@pytest.mark.parametrize(
+    "problem",
+    [
+        Diffusion(f="20*(x - 0.6)", conditions=[Signorini("bottom")]),
+        Elasticity(1.0, 0.3, f=[0, -0.1], conditions=[Contact("bottom", gap=0.01, friction=Coulomb(0.3))]),
+    ],
+    ids=["diffusion", "elasticity"],
+)
+def test_a_mesh_leaves_nothing_in_petsc(problem: Diffusion | Elasticity, capfd: pytest.CaptureFixture[str]):
+    """What is of no use any more is freed while the mesh is there; on several ranks it could not be freed later."""
+    domain = build_domain(COMM, "square", 1 / 2, mesh="structured")
+    solution = solve(domain, problem)
+    solution.certify()
+    solution.quantity(Mean(direction=[0, 1] if isinstance(problem, Elasticity) else None))
+    del solution
+    for _ in evolve(domain, problem, Evolution(end=0.2, steps=2)):
+        pass
+    PETSc.garbage_view(domain.mesh.comm)
+    if COMM.rank == 0:
+        assert "Rank 0:: Total entries: 0" in capfd.readouterr().out
 
 
 @pytest.mark.parallel(2)
