@@ -29,6 +29,9 @@ EXACT = 1e-11
 """Newton's method ends when no σ_t is off −g u_t/|u_t| by more than this share of the largest g that is reached."""
 ROUGH = 0.1
 """CG leaves at most this share of what there was, and at most the share by which the last law is off."""
+WHOLE = 6
+"""Under Coulomb's law so many steps are whole: the last bound is near, and a step as far as the energy falls may end
+where one vertex would turn around."""
 MOST = 40
 """Steps at most."""
 HALVINGS = 40
@@ -50,6 +53,7 @@ def slipped(backend: ElasticBackend, contact: Callable[[], Outcome], enough: flo
         The outcome of the last problem.
     """
     share, step = ROUGH if backend.iterates else 0.0, 0
+    whole = WHOLE if backend.friction.by_pressure else 0
 
     def solved() -> Outcome:
         nonlocal share
@@ -77,7 +81,7 @@ def slipped(backend: ElasticBackend, contact: Callable[[], Outcome], enough: flo
             outcome, step = solved(), step + 1
             end, (there, pull) = backend.state(), _pairs(backend, outcome)
             length = 1.0
-            if outcome.converged and backend.is_contact:
+            if step > whole and outcome.converged and backend.is_contact:
                 length = _length(backend, x, end - x, slip, there - slip)
             if length > 0:
                 break
