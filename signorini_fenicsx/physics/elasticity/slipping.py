@@ -6,7 +6,8 @@ that slip and u_t = 0 at others; contact is found by the loop as ever. Which ver
 Stadler and Wohlmuth (SIAM J. Sci. Comput. 30, 2008): those with |c u_t − σ_t| > g, where c is the stiffness of the
 vertex alone, so that for those that stick u_t = 0 would be best if all others stayed. A step goes as far as the energy
 falls, which is known along it exactly. Where it does not fall at all, because too many vertices were to stick, the step
-is one with the law σ_t = −(g/a)u_t, a the present |u_t|: along that it always falls (Weiszfeld).
+is one with the law σ_t = −(g/a)u_t, a the present |u_t|: along that it always falls (Weiszfeld). Under Coulomb's law
+the first steps are whole.
 
 What differs from the plane is that σ_t turns; there three states are enough, and the loop alone finds them.
 """
