@@ -157,17 +157,14 @@ def solved(block: Block) -> tuple[int, float]:
     basis = (sp.diags_array(share) + of_ends).tocsr()
     matrix, load = (basis.T @ block.matrix @ basis).tocsr(), basis.T @ block.load
     contact = np.setdiff1d(np.concatenate([vertices, edges]), block.held)
-    raised, solve = np.zeros(size), block.solver(matrix)
-    raised[contact] = GAP  # u_n ≥ −g is x ≥ 0 for x = u + this
+    solve = block.solver(matrix)
 
     def under(active: np.ndarray, _before: np.ndarray) -> np.ndarray:
-        x = np.where(active, 0.0, raised)
-        free = np.setdiff1d(np.flatnonzero(~active), block.held)
-        return x + solve(load - matrix @ (x - raised), free)
+        u = np.where(active, -GAP, 0.0)
+        return u + solve(load - matrix @ u, np.setdiff1d(np.flatnonzero(~active), block.held))
 
-    found = primal_dual_active_set(under, lambda x: matrix @ (x - raised) - load, contact, np.zeros(size))
-    u = found.u - raised
-    return found.steps, float(u @ (matrix @ u) / 2 - load @ u)
+    settled = primal_dual_active_set(under, lambda u: matrix @ u - load, contact, np.zeros(size), -GAP)
+    return settled.steps, float(settled.u @ (matrix @ settled.u) / 2 - load @ settled.u)
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell
 from signorini_fenicsx.base.parallel import collect_garbage
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes compiles the package: half a second
 
 USUAL_RANKS = 3
 LAUNCHES = pytest.StashKey[Launches]()

@@ -1,4 +1,4 @@
-"""Primal-dual active set for P1 elements, as users of a general finite element library would write it."""
+"""Primal-dual active set, as users of a general finite element library would write it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,10 +11,11 @@ type Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Result:
-    """Nodal values, nodal contact forces, steps."""
+    """Nodal values, nodal contact forces, the mask of active nodes, steps."""
 
     u: Array
     force: Array
+    active: npt.NDArray[np.bool_]
     steps: int
 
 
@@ -23,14 +24,16 @@ def primal_dual_active_set(
     residual: Callable[[Array], Array],
     contact: npt.NDArray[np.int64],
     start: Array,
+    least: float = 0.0,
 ) -> Result:
-    """Solve with u = 0 on the active nodes until these repeat (Ito, Kunisch).
+    """Solve with u at its least value on the active nodes until these repeat (Ito, Kunisch).
 
     Args:
         solve: From the mask of active nodes and the last solution to the next solution.
         residual: A u − b.
         contact: Nodes on Γ_S.
         start: First iterate.
+        least: The least value of u on Γ_S.
 
     Raises:
         RuntimeError: If the nodes have not settled after 100 steps.
@@ -40,9 +43,9 @@ def primal_dual_active_set(
         u = solve(active, u)
         force = residual(u)
         following = np.zeros_like(active)
-        following[contact] = np.where(active[contact], force[contact] > 0, u[contact] < 0)
+        following[contact] = np.where(active[contact], force[contact] > 0, u[contact] < least)
         if (following == active).all():
-            return Result(u, np.where(active, force, 0.0), steps)
+            return Result(u, np.where(active, force, 0.0), active, steps)
         active = following
     raise RuntimeError("the active nodes do not settle")
 

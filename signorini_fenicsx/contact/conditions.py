@@ -66,9 +66,9 @@ class SiteConditions:
     value: float | Array = 0.0
 
     @classmethod
-    def everywhere(cls, kind: Condition, sites: int, beta: float = 1.0) -> SiteConditions:
+    def everywhere(cls, kind: Condition, sites: int) -> SiteConditions:
         """One condition on all sites of this rank."""
-        return cls(np.full(sites, kind, dtype=np.int8), beta)
+        return cls(np.full(sites, kind, dtype=np.int8))
 
     @property
     def has_values(self) -> bool:

@@ -157,10 +157,10 @@ class MeshSpaces:
         return function_of(self.Lambda, values, name)
 
     @collector_off()
-    def linear_multiplier(self, values: npt.NDArray, name: str = "values") -> fem.Function:
+    def linear_multiplier(self, values: npt.NDArray) -> fem.Function:
         """A function that is linear on each Γ_S facet, of values at `corners`, shape (facets, d, …) (collective)."""
         space = fenicsx.function_space(self.Lambda.mesh, ("DG", 1, values.shape[2:]))
-        function = fem.Function(space, name=name)
+        function = fem.Function(space, name="values")
         self.set_linear(function, values)
         return function
 

@@ -117,12 +117,8 @@ class LinearSolver:
             InputError: If PETSc cannot do what the user's options ask for.
             LinearSolveFailure: If the solver does not converge or PETSc gives up.
         """
-        try:
-            with self.options():
-                self.ksp.solve(b, x)
-        except PETSc.Error as error:
-            refuse_options(error)
-            raise LinearSolveFailure(f"the linear solver {self.name()} failed: {petsc_reason(error)}") from None
+        with self._errors():
+            self.ksp.solve(b, x)
         reason = self.ksp.getConvergedReason()
         if reason < 0:
             raise LinearSolveFailure(
@@ -137,16 +133,23 @@ class LinearSolver:
             The owned rows of the solutions.
 
         Raises:
+            InputError: If PETSc cannot do what the user's options ask for.
             LinearSolveFailure: If PETSc gives up.
         """
-        found = right.duplicate()
+        solutions = right.duplicate()
+        with self._errors():
+            self.ksp.matSolve(right, solutions)
+        return np.array(solutions.getDenseArray(readonly=True))
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        """While it solves, with its options, PETSc's errors are those of the program."""
         try:
             with self.options():
-                self.ksp.matSolve(right, found)
+                yield
         except PETSc.Error as error:
             refuse_options(error)
             raise LinearSolveFailure(f"the linear solver {self.name()} failed: {petsc_reason(error)}") from None
-        return np.array(found.getDenseArray(readonly=True))
 
     def name(self) -> str:
         """Krylov method, preconditioner and, if there is a factorisation, its package."""

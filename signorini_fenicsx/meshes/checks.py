@@ -12,33 +12,13 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import joined, rows_of
+from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths
 from signorini_fenicsx.meshes.domain import other_side
 
 FLAT = 1e-14
 """A cell whose volume is below this share of diameter^dim is degenerate."""
 PLANAR = 1e-10
 """Largest distance of a planar mesh from its plane, relative to its size."""
-SIMPLICES = {"vertex": 0, "line": 1, "triangle": 2, "tetra": 3}
-"""Accepted kinds of elements and their dimensions."""
-
-
-@dataclass(frozen=True)
-class Contents:
-    """The contents of a file.
-
-    Attributes:
-        points: Shape (points, 2 or 3).
-        blocks: Kind of the elements, with meshio's name, and the points of each element.
-        groups: Name, dimension, and elements by block and row.
-        straight: Whether the geometry is known to have straight edges and plane faces.
-        values: Values at the points by their names, shape (points,) or (points, components).
-    """
-
-    points: Array
-    blocks: list[tuple[str, Indices]]
-    groups: list[tuple[str, int, list[tuple[int, Indices]]]]
-    straight: bool = False
-    values: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -114,22 +94,6 @@ def checked(contents: Contents) -> FileMesh:
     )
     _check_cells(mesh)
     return mesh
-
-
-def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:
-    """Refuse points without two or three coordinates, and simplices with a wrong number of points.
-
-    Raises:
-        InputError: If there are any.
-    """
-    if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise InputError(f"its points are an array of shape {points.shape}; 2 or 3 coordinates for each are needed")
-    for kind, elements in blocks:
-        if kind in SIMPLICES and len(elements) > 0 and elements.shape[1:] != (SIMPLICES[kind] + 1,):
-            raise InputError(
-                f"an array of elements of kind '{kind}' has the shape {elements.shape}; {SIMPLICES[kind] + 1} points "
-                "for each are needed"
-            )
 
 
 def _joined(rows: Sequence[Indices], width: int | None = None) -> Indices:

@@ -14,7 +14,7 @@ import numpy as np
 from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import printable
-from signorini_fenicsx.meshes.checks import Contents
+from signorini_fenicsx.meshes.contents import Contents
 
 
 def main(arguments: list[str], result: BinaryIO) -> None:

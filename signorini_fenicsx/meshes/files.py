@@ -11,7 +11,8 @@ from pathlib import Path
 
 from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.checks import Contents, FileMesh, checked
+from signorini_fenicsx.meshes.checks import FileMesh, checked
+from signorini_fenicsx.meshes.contents import Contents
 from signorini_fenicsx.meshes.file_worker import unpack
 
 MAX_CELLS = 10**8

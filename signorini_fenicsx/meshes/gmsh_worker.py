@@ -8,7 +8,7 @@ import gmsh
 import numpy as np
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.checks import Contents
+from signorini_fenicsx.meshes.contents import Contents
 
 KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
 """Gmsh's numbers of first-order simplices, and meshio's names."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import rows_of
-from signorini_fenicsx.meshes.checks import SIMPLICES, Contents, check_widths
+from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths
 from signorini_fenicsx.meshes.references import check_references
 
 

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
-from signorini_fenicsx.meshes.checks import Contents, check_widths
+from signorini_fenicsx.meshes.contents import Contents, check_widths
 from signorini_fenicsx.meshes.files import read_file
 
 KIND = {2: "line", 3: "triangle"}

@@ -33,7 +33,6 @@ class Sample:
     Args:
         mesh: The mesh (collective).
         facets: The facets of this rank whose vertices remain.
-        most: The largest number of cells that are all taken; `MOST_CELLS` if None.
 
     Attributes:
         ids: For each vertex its number in the mesh, ascending; on other ranks than 0 empty, like the two following.
@@ -46,20 +45,19 @@ class Sample:
     points: Array
     cells: Indices
 
-    def __init__(self, mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], most: int | None = None) -> None:
+    def __init__(self, mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> None:
         geometry, topology = mesh.geometry, mesh.topology
         self._mesh, self._dim = mesh, topology.dim
         self._dofs = cell_nodes(mesh)
         self._x = geometry.x[:, : self._dim]
         self.of = int(topology.index_map(self._dim).size_global)
-        most = MOST_CELLS[self._dim] if most is None else most
-        self.is_whole = self.of <= most
+        self.is_whole = self.of <= MOST_CELLS[self._dim]
         ids = geometry.input_global_indices
-        box, urgent = (ids, np.zeros(len(ids))) if self.is_whole else self._boxes(most)
+        box, urgent = (ids, np.zeros(len(ids))) if self.is_whole else self._boxes()
         self._choose_vertices(box, urgent, np.isin(ids, facet_vertices(mesh, facets)))
         self._choose_cells(box[self._dofs])
 
-    def _boxes(self, most: int) -> tuple[Indices, Array]:
+    def _boxes(self) -> tuple[Indices, Array]:
         """The box of each node of this rank, and how far from the mean of the cells around it is, in boxes."""
         comm, x = self._mesh.comm, self._x
         ends = np.concatenate([-x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)])
@@ -67,7 +65,7 @@ class Sample:
         low, high = -ends[: self._dim], ends[self._dim :]
         corners = x[self._dofs]
         volume = comm.allreduce(_volume(corners).sum())
-        side = (volume * PER_BOX[self._dim] / most) ** (1 / self._dim)
+        side = (volume * PER_BOX[self._dim] / MOST_CELLS[self._dim]) ** (1 / self._dim)
         side = (high - low).max() / max(round((high - low).max() / side), 1)  # without the rounding of the volume
         place = np.floor((x - low) / side + 1e-9).astype(np.int64)
         numbers = np.floor((high - low) / side + 1e-9).astype(np.int64) + 1

@@ -63,6 +63,15 @@ def test_nothing_is_loaded_before_it_is_used(tmp_path: Path):
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
+def test_a_process_that_reads_a_mesh_loads_no_dolfinx(tmp_path: Path):
+    """A confined process, one for each mesh file, starts without what takes longer to load than Gmsh."""
+    worker = "import signorini_fenicsx.meshes.file_worker, signorini_fenicsx.meshes.gmsh_worker"
+    done = python(
+        tmp_path, "-c", f"import sys; {worker}; print({{'mpi4py', 'dolfinx', 'ufl', 'meshio'}} & {{*sys.modules}})"
+    )
+    assert (done.stdout, done.stderr) == ("set()\n", "")
+
+
 def test_names_of_the_package():
     assert signorini_fenicsx.__all__ == api.__all__
     assert all(getattr(signorini_fenicsx, name) is getattr(api, name) for name in api.__all__)

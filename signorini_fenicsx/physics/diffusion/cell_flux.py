@@ -73,11 +73,11 @@ class CellFlux:
         divergence: Array = self.centroid.shape[1] * self.slope
         return divergence
 
-    def in_vertices(self, some: slice = slice(None)) -> Array:
-        """σ in the vertices of some cells, by default of all, shape (cells, dim + 1, dim)."""
-        values = arms(self.spaces.mesh, some)
-        values *= self.slope[some, None, None]
-        values += self.centroid[some, None]
+    def in_vertices(self) -> Array:
+        """σ in the vertices of the cells, shape (cells, dim + 1, dim)."""
+        values = arms(self.spaces.mesh)
+        values *= self.slope[:, None, None]
+        values += self.centroid[:, None]
         return values
 
     def at(self, points: Points) -> Array:

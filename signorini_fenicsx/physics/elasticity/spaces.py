@@ -115,8 +115,8 @@ class ElasticSpaces(MeshSpaces):
         return {}
 
     @cached_property
-    def constants_of_body(self) -> dict[int, float]:
-        """Constants of Korn of the body, see `bound/body.py`, each of which is found once."""
+    def constants_of_body(self) -> dict[bytes, float]:
+        """Constants of Korn of the body by a digest of what they depend on, see `bound/body.py`; each is found once."""
         return {}
 
     @property
@@ -286,9 +286,9 @@ class ElasticSpaces(MeshSpaces):
         """The values at the sites with friction of tangential vectors, the inverse of `along`."""
         return np.einsum("nai,nki->nak", vectors, self.tangents).ravel()
 
-    def displacement(self, values: Array, name: str = "u") -> fem.Function:
+    def displacement(self, values: Array) -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1, d) (collective)."""
-        function = fem.Function(self.displacements, name=name)
+        function = fem.Function(self.displacements, name="u")
         nodes = np.take_along_axis(cell_dofs(self.displacements), self.order, axis=1)
         function.x.array.reshape(-1, self.dim)[nodes] = values
         function.x.scatter_forward()

@@ -50,9 +50,9 @@ class SplitMesh:
         owned = np.arange(len(mine), dtype=np.int32)
         return SplitMesh(self.size, mesh, self.subcells[entities.sub_topology_to_topology(owned, inverse=False)])
 
-    def stress(self, values: Array, name: str = "sigma") -> fem.Function:
+    def stress(self, values: Array) -> fem.Function:
         """The stress with these values at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d)."""
-        return self.function(self.stresses, values, name)
+        return self.function(self.stresses, values, "sigma")
 
     def function(self, space: fem.FunctionSpace, values: Array, name: str) -> fem.Function:
         """The linear function with these values at the vertices of the subcells, shape (cells, d + 1, d + 1, …)."""

@@ -25,6 +25,7 @@ Where 𝔸 varies in a cell it is replaced by one matrix that is at least 𝔸 i
 
 from __future__ import annotations
 
+import hashlib
 import math
 
 import numpy as np
@@ -74,7 +75,7 @@ def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask) -> 
         compliance: On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries).
         loaded: Mask of the facets with r, opposite to the vertices of each cell, shape (cells, d + 1).
     """
-    comm, key = spaces.mesh.comm, hash((compliance.tobytes(), loaded.tobytes()))
+    comm, key = spaces.mesh.comm, hashlib.sha256(compliance.tobytes() + loaded.tobytes()).digest()
     if not comm.allreduce(key in spaces.constants_of_body, MPI.LAND):
         spaces.constants_of_body[key] = _by_factorisations(spaces, compliance, loaded)
     return spaces.constants_of_body[key]

@@ -1,0 +1,45 @@
+"""The contents of a file, as the confined process reads them; importing it is quick (`file_worker`)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
+
+SIMPLICES = {"vertex": 0, "line": 1, "triangle": 2, "tetra": 3}
+"""Accepted kinds of elements and their dimensions."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The contents of a file.
+
+    Attributes:
+        points: Shape (points, 2 or 3).
+        blocks: Kind of the elements, with meshio's name, and the points of each element.
+        groups: Name, dimension, and elements by block and row.
+        straight: Whether the geometry is known to have straight edges and plane faces.
+        values: Values at the points by their names, shape (points,) or (points, components).
+    """
+
+    points: Array
+    blocks: list[tuple[str, Indices]]
+    groups: list[tuple[str, int, list[tuple[int, Indices]]]]
+    straight: bool = False
+    values: Mapping[str, Array] = field(default_factory=dict)
+
+
+def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:
+    """Refuse points without two or three coordinates, and simplices with a wrong number of points.
+
+    Raises:
+        InputError: If there are any.
+    """
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InputError(f"its points are an array of shape {points.shape}; 2 or 3 coordinates for each are needed")
+    for kind, elements in blocks:
+        if kind in SIMPLICES and len(elements) > 0 and elements.shape[1:] != (SIMPLICES[kind] + 1,):
+            raise InputError(
+                f"an array of elements of kind '{kind}' has the shape {elements.shape}; {SIMPLICES[kind] + 1} points "
+                "for each are needed"
+            )
