@@ -243,3 +243,13 @@ def test_nearly_incompressible():
         solution = solve(box(COMM, 4, *UNIT[2]), (boundary, problem))
         assert solution.norms()["contact_force"] == pytest.approx(0.0752, abs=0.003)
         assert certify(solution).relative < 0.2
+
+
+def test_displacements_that_differ_where_parts_meet_have_no_bound():
+    """No displacement of finite energy has both, so there is no exact solution; its bound was called guaranteed."""
+    boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
+    for shift, told in (("0", ""), ("0.01", "at (0, 1) parts meet on which different displacements are given")):
+        problem = ElasticProblem(1.0, 0.3, u_D={"x0": ["0", "0"], "": [f"0.1*x + {shift}", "-0.1"]}, gap=0.02)
+        certificate = certify(solve(box(COMM, 2, *UNIT[2]), (boundary, problem)))
+        assert certificate.guaranteed == (not told)
+        assert told in str(certificate)

@@ -7,7 +7,8 @@ node has one such condition for each of its facets of Γ_C, each along the norma
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import basix
@@ -49,11 +50,14 @@ class GivenNodes:
             axes.
         given: Whether v is given along each of them, shape (nodes, d).
         values: v along these, and 0 along the others, shape (nodes, d).
+        apart: How far a facet of this rank is from what its nodes have, at most, and the place, in words. It is more
+            than rounding where parts meet on which different displacements are given.
     """
 
     frames: Array
     given: Mask
     values: Array
+    apart: tuple[float, str] = (0.0, "")
 
 
 @dataclass(frozen=True)
@@ -231,6 +235,7 @@ def given_nodes(
     """
     dim, index_map = spaces.dim, space.dofmap.index_map
     products, pulls = la.vector(index_map, dim**2), la.vector(index_map, dim)  # sums of d dᵀ and of (d·u_D)d
+    on_facets = []
     for facets, k, letter in spaces.fixed:
         coefficients = facet_coefficients(split, space, facets)
         axis = np.broadcast_to(np.eye(dim)[k], coefficients.facets.normals.shape)
@@ -239,6 +244,7 @@ def given_nodes(
             coefficients.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[coefficients.nodes]
         )
         along = np.einsum("nai,nbi->na", displacement, directions)
+        on_facets.append((coefficients, directions[:, 0], displacement))
         add_at(products, coefficients.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
         add_at(pulls, coefficients.nodes, along[:, :, None] * directions)
     if v is not None:
@@ -248,7 +254,28 @@ def given_nodes(
     for sums in (products, pulls):
         sums.scatter_reverse(la.InsertMode.add)
         sums.scatter_forward()
-    return _framed(products.array.reshape(-1, dim, dim), pulls.array.reshape(-1, dim))
+    given = _framed(products.array.reshape(-1, dim, dim), pulls.array.reshape(-1, dim))
+    return replace(given, apart=max([(0.0, ""), *_apart(given, on_facets)]))
+
+
+def _apart(
+    given: GivenNodes, on_facets: Sequence[tuple[FacetCoefficients, Array, Array]]
+) -> Iterator[tuple[float, str]]:
+    """How far the facets of each part are from what their nodes have, at most, and the place, see `GivenNodes`."""
+    at_nodes = np.einsum("nij,nj->ni", given.frames, given.values)
+    onto = np.einsum("nij,nj,nkj->nik", given.frames, given.given, given.frames)
+    for coefficients, directions, displacement in on_facets:
+        nodes = coefficients.nodes
+        off = at_nodes[nodes] - np.einsum("nkij,nkj->nki", onto[nodes], displacement)
+        apart = np.abs(np.einsum("nki,ni->nk", off, directions))
+        if apart.size:
+            facet, place = np.unravel_index(int(apart.argmax()), apart.shape)
+            yield float(apart[facet, place]), place_in_words(coefficients.places()[facet, place])
+
+
+def place_in_words(x: Array) -> str:
+    """The coordinates of a point in words."""
+    return "(" + ", ".join(f"{entry:.4g}" for entry in x) + ")"
 
 
 def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
@@ -310,9 +337,8 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     worst = float(past.max(initial=-np.inf)), ""
     if worst[0] > LINEAR * size:
         facet, place = np.unravel_index(int(past.argmax()), past.shape)
-        x = ", ".join(f"{entry:.4g}" for entry in contact.places()[facet, place])
-        u_n, g = passed[facet, place], gap[facet, place]
-        worst = worst[0], f"u_n = {u_n:.4g} is given and the gap is {g:.4g} at ({x})"
+        u_n, g, x = passed[facet, place], gap[facet, place], place_in_words(contact.places()[facet, place])
+        worst = worst[0], f"u_n = {u_n:.4g} is given and the gap is {g:.4g} at {x}"
     _, told = max(comm.allgather(worst))
     if told:
         raise InputError(

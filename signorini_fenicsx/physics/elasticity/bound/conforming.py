@@ -21,7 +21,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
 from signorini_fenicsx.physics.elasticity.bound.condensed import (
@@ -35,7 +35,12 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleSt
 from signorini_fenicsx.physics.elasticity.bound.interior_point import minimise
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
-from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
+from signorini_fenicsx.physics.elasticity.boundary_nodes import (
+    add_at,
+    contact_coefficients,
+    given_nodes,
+    place_in_words,
+)
 from signorini_fenicsx.physics.elasticity.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.multigrid import STIFF
 from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
@@ -346,10 +351,10 @@ class BestDisplacement:
         coefficients[self._left.of_space] = turned.array.reshape(-1, self.spaces.dim)
         coefficients[self._condensed.inside] = self._condensed.coefficients(turned.array)
         coefficients[:] = np.einsum("nij,nj->ni", self._given.frames, coefficients)
-        return v, self._past_foundation(v)
+        return v, self._not_admissible(v)
 
-    def _past_foundation(self, v: fem.Function) -> str:
-        """The place where v passes the foundation farthest, in words; empty up to rounding (collective)."""
+    def _not_admissible(self, v: fem.Function) -> str:
+        """The place where v is not u_D, or passes the foundation farthest; empty up to rounding (collective)."""
         contact, coefficients = self.contact, v.x.array.reshape(-1, self.spaces.dim)
         opening = self.openings_of(v)
         least, most, *_ = (each.reshape(-1, self.spaces.dim) for each in self.data.laws.chains.extent())
@@ -357,6 +362,9 @@ class BestDisplacement:
         past = np.maximum(least - opening, opening - most)
         largest = np.array([np.abs(each).max(initial=0.0) for each in (coefficients, self.openings)])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        apart, place = max(self.comm.allgather(self._given.apart))
+        if apart > (KKT if self.data.u_D.polynomial is None else LINEAR) * largest[0]:
+            return f"at {place} parts meet on which different displacements are given"
         worst = float(past.max(initial=0.0)), ""
         if worst[0] > ROUNDING * largest.max():
             facet, place = np.unravel_index(int(past.argmax()), past.shape)
@@ -369,8 +377,7 @@ class BestDisplacement:
     def _told(self, facet: int, place: int) -> str:
         """The place of a coefficient of a facet, and the normal along which it counts, in words."""
         x, n = self.contact.places()[facet, place], self.contact.facets.normals[facet]
-        where, along = (", ".join(f"{entry:.4g}" for entry in each) for each in (x, n))
-        return f"at ({where}), along the normal ({along}) of the facet of the mesh"
+        return f"at {place_in_words(x)}, along the normal {place_in_words(n)} of the facet of the mesh"
 
     def openings_of(self, v: fem.Function) -> Array:
         """The coefficients of g − v_n on the facets `contact`, less p at the references of the laws."""
