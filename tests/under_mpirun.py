@@ -21,8 +21,12 @@ PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""
 SHARED = "SIGNORINI_LAUNCHES"
 """Folder with the results of launches: the first process of pytest-xdist that needs one starts it for all."""
-YIELD = {"MPIR_CVAR_CH4_PROGRESS_THROTTLE": "1"}
-"""Settings with which waiting ranks of MPICH leave the core to others; there may be more ranks than cores."""
+YIELD = {
+    "MPIR_CVAR_CH4_PROGRESS_THROTTLE": "1",
+    "MPIR_CVAR_CH4_PROGRESS_THROTTLE_NO_PROGRESS_COUNT": "16",
+    "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1",
+}
+"""Settings with which waiting ranks of MPICH sleep, as there may be more ranks than cores: half the processor time."""
 IS_CHILD = CHILD_PROCESS_FLAG in os.environ
 
 
