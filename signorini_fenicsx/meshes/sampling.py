@@ -29,6 +29,9 @@ POINTS_PER_CELL, POINTS = 80, 300_000
 AT_BOUNDARY = 1e-10
 """A point outside a mesh counts as on its boundary up to this distance, relative to the size of the mesh."""
 
+WIDE = 0.25
+"""A gap at a curved boundary is wide if it is more than this share of the largest cell diameter."""
+
 
 def curve_gap(domain: Domain) -> float:
     """Upper bound of the distance between this mesh and a finer mesh of the same domain with a curved boundary."""
@@ -121,13 +124,38 @@ def sampled(
         element = basix.ufl.quadrature_element(mesh.basix_cell(), function.ufl_shape, degree=degree)
         sample = fem.Function(fenicsx.function_space(mesh, element))
         with of_unit_size(source, mesh, space.mesh) as frame:
-            padding = frame.factor * curve_gap(source)
-            search = search or fem.create_interpolation_data(sample.function_space, space, cells, padding=padding)
+            search = search or _search(sample.function_space, space, cells, source, frame)
             sample.interpolate_nonmatching(function, cells, search)
             if space.ufl_element().pullback is ufl.contravariant_piola:  # fluxes per area: J/det J
                 sample.x.array[:] *= frame.factor ** (mesh.topology.dim - 1)
         samples.append(sample)
     return samples
+
+
+def _search(
+    samples: fem.FunctionSpace, space: fem.FunctionSpace, cells: npt.NDArray[np.int32], source: Domain, frame: Frame
+) -> dolfinx.geometry.PointOwnershipData:
+    """The cells of a mesh in a frame in which the points of some cells of another mesh are (collective).
+
+    At a curved boundary points may be outside, as far as `curve_gap`: then the nearest cells are meant. Where that is
+    much for a cell, boxes so wide around all cells make a search ten times as long, and one without them is tried.
+    """
+    gap = curve_gap(source)
+    if gap > WIDE * source.h:
+        search = fem.create_interpolation_data(samples, space, cells, padding=AT_BOUNDARY)
+        missed = (search.src_owner < 0).any() or not _are_inside(space.mesh, search.dest_cells, search.dest_points)
+        if not space.mesh.comm.allreduce(bool(missed), MPI.LOR):
+            return search
+    return fem.create_interpolation_data(samples, space, cells, padding=frame.factor * gap)
+
+
+def _are_inside(mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32], points: Array) -> bool:
+    """Whether each of some points is in its cell, or in its facet in a mesh of facets, but for rounding."""
+    corners = mesh.geometry.x[mesh.geometry.dofmaps[0][cells]]
+    edges, arms = corners[:, 1:] - corners[:, :1], points - corners[:, 0]
+    shares = np.linalg.solve(edges @ edges.swapaxes(1, 2), edges @ arms[:, :, None]).clip(0, 1)
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1)
+    return bool((np.abs((shares * edges).sum(axis=1) - arms) <= AT_BOUNDARY).all())
 
 
 def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.ArrayLike) -> list[Array]:

@@ -9,7 +9,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.sampling import curve_gap
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.meshes.sampling import curve_gap, sampled
 from signorini_fenicsx.meshes.shapes import SHAPES, shape_of
 
 RECTANGLE = "[-2, -1] x [0.5, 3]"
@@ -54,6 +55,25 @@ def test_searches_reach_the_curve_and_not_far_beyond(shape: str, radius: float):
     middles = dolfinx.mesh.compute_midpoints(mesh, dim - 1, dolfinx.mesh.exterior_facet_indices(mesh.topology))
     distance = np.abs(np.linalg.norm(middles, axis=1)[:, None] - [1.0, radius]).min(axis=1)
     assert distance.max() <= curve_gap(domain) <= 0.25 * radius
+
+
+@pytest.mark.parametrize("bulge", [0.0, 0.1])
+def test_points_outside_a_mesh_of_the_user(bulge: float, monkeypatch: pytest.MonkeyPatch):
+    """Boxes wide enough for any curve are used only where points are outside; these have the values nearby."""
+    searched, search = [], fem.create_interpolation_data
+    spied = lambda *where, padding: searched.append(padding) or search(*where, padding=padding)  # noqa: E731
+    monkeypatch.setattr(fem, "create_interpolation_data", spied)
+    meshes = [dolfinx.mesh.create_unit_square(MPI.COMM_SELF, n, n) for n in (3, 7)]
+    x = meshes[1].geometry.x
+    x[:, 1] *= 1 + bulge * x[:, 0] * (1 - x[:, 0])
+    domain, function = domain_of(meshes[0], {}), fem.Function(fem.functionspace(meshes[0], ("P", 1)))
+    function.interpolate(lambda x: 1 + x[0])
+    (sample,) = sampled([function], meshes[1], domain)
+    assert [padding > 1 for padding in searched] == ([False, True] if bulge else [False])
+    exact = fem.Function(sample.function_space)
+    points = sample.function_space.element.interpolation_points
+    exact.interpolate(fem.Expression(1 + ufl.SpatialCoordinate(meshes[1])[0], points))
+    np.testing.assert_allclose(sample.x.array, exact.x.array, atol=1e-12)
 
 
 def test_too_fine():
