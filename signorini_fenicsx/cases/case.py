@@ -193,6 +193,11 @@ class CaseFile(Section):
         """What is solved and how, in words."""
         return self.method.title
 
+    @property
+    def unproved(self) -> str:
+        """Why `--rigorous` is not for the case, in words; empty if it is."""
+        raise NotImplementedError
+
     def check_dimension(self, dim: int) -> None:
         """Refuse coordinates that a mesh read from a file does not have.
 
@@ -287,6 +292,16 @@ class Case(CaseFile):
         if self.problem.obstacle is None or self._stores or any(law.region for law in self.law):
             return super().columns_of_step
         return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")} | super().columns_of_step
+
+    @property
+    def unproved(self) -> str:
+        """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
+        if self.law:
+            return "the proof is for the law of Signorini alone, without [[law]]"
+        if self.problem.c != "0":
+            return "the proof is for c = 0 alone; leave out [problem] c"
+        no_obstacle = self.problem.obstacle is None
+        return "" if no_obstacle else "the proof is for the law of Signorini alone, without an obstacle"
 
     @property
     def law_parts(self) -> list[str]:

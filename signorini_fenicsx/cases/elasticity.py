@@ -208,6 +208,13 @@ class ElasticCase(CaseFile):
         """What is solved and how, in words."""
         return f"elastic contact, {self.solve.algorithm}"
 
+    @property
+    def unproved(self) -> str:
+        """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
+        from signorini_fenicsx.rigorous.elasticity.scope import outside
+
+        return outside(self.data(), touching=bool(self.inner))
+
     @model_validator(mode="after")
     def _solvable(self) -> Self:
         self.parts.refuse_repetition()

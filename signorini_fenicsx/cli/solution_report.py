@@ -21,7 +21,7 @@ from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
-    from signorini_fenicsx.rigorous.theorem import Proven
+    from signorini_fenicsx.rigorous.proven import Proven
 
 PARTS = {"gap": "energy gap", "oscillation": "data within cells", "remainder": "solver and penalty"}
 """What a bound is made of."""

@@ -160,22 +160,18 @@ def _proof(solution: Any, certificate: "Certificate") -> "Proof":
     return proof_of(solution, certificate.v)
 
 
-def _check_provable(case: Any) -> None:
+def _check_provable(case: "CaseFile") -> None:
     """Refuse a case whose bound cannot be proved (rank 0).
 
     Raises:
-        InputError: If its mesh is too large, or if it has other laws than Signorini's, c or an obstacle.
+        InputError: If its mesh is too large, or if there is no theorem for the problem.
     """
     from signorini_fenicsx.cases.domains import rough_cells
     from signorini_fenicsx.rigorous.proof import check_size
 
     check_size(rough_cells(case))
-    if case.law:
-        raise InputError("--rigorous: the proof is for the law of Signorini alone, without [[law]]")
-    if case.problem.c != "0":
-        raise InputError("--rigorous: the proof is for c = 0 alone; leave out [problem] c")
-    if case.problem.obstacle is not None:
-        raise InputError("--rigorous: the proof is for the law of Signorini alone, without an obstacle")
+    if case.unproved:
+        raise InputError(f"--rigorous: {case.unproved}")
 
 
 def adapt(

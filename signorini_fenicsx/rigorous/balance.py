@@ -18,7 +18,8 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
     Args:
         facets: Number of each facet of each cell, shape (cells, d + 1).
         outlets: For each facet of each cell, whether it is on the boundary and any flux may leave there.
-        fluxes: Outward fluxes, shape (cells, d + 1); two cells that share a facet have opposite fluxes.
+        fluxes: Outward fluxes, shape (cells, d + 1); two cells that share a facet have opposite fluxes. They may have
+            components, such as a force and its moment, in further axes.
         load: ∫_T f.
 
     Raises:

@@ -14,6 +14,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, number_of_cells, original_cells
 from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -25,26 +26,18 @@ INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
-class Discrete:
-    """A mesh, a flux in RT0 and a continuous function in P2.
+class Cells:
+    """The cells of a mesh.
 
     Attributes:
-        vertices: Vertices of the cells, shape (cells, d + 1, d).
+        vertices: Their vertices, shape (cells, d + 1, d).
         corners: Numbers of these vertices, the same for the same vertex, shape (cells, d + 1).
         facets: Number of the facet opposite to each vertex, shape (cells, d + 1).
-        kinds: Kind of each of these facets.
-        fluxes: Flux of σ_h out of the cell through each of these facets; two cells that share one have opposite floats.
-        v: Values in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
-        regions: Names of the regions, and a mask of the cells in them, shape (cells, regions).
     """
 
     vertices: Array
     corners: Indices
     facets: Indices
-    kinds: npt.NDArray[np.int8]
-    fluxes: Array
-    v: Array
-    regions: tuple[tuple[str, ...], Mask]
 
     @property
     def dim(self) -> int:
@@ -53,8 +46,25 @@ class Discrete:
 
 
 @dataclass(frozen=True)
+class Discrete(Cells):
+    """A mesh, a flux in RT0 and a continuous function in P2.
+
+    Attributes:
+        kinds: Kind of each facet.
+        fluxes: Flux of σ_h out of the cell through each of these facets; two cells that share one have opposite floats.
+        v: Values in the nodes of P2, vertices first, then edges as in `simplices.EDGES`.
+        regions: Names of the regions, and a mask of the cells in them, shape (cells, regions).
+    """
+
+    kinds: npt.NDArray[np.int8]
+    fluxes: Array
+    v: Array
+    regions: tuple[tuple[str, ...], Mask]
+
+
+@dataclass(frozen=True)
 class Facets:
-    """Boundary facets of one kind.
+    """Some facets, each with one of its cells.
 
     Attributes:
         cells: The cell of each facet.
@@ -73,15 +83,20 @@ class Facets:
 
 def boundary(discrete: Discrete, kind: int) -> Facets:
     """All facets of one kind."""
-    dim = discrete.dim
+    return facets_at(discrete, discrete.kinds == kind)
+
+
+def facets_at(cells_of_mesh: Cells, chosen: Mask) -> Facets:
+    """The facets at which a mask of the facets of all cells is True."""
+    dim = cells_of_mesh.dim
     number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
     table = []
     for opposite in range(dim + 1):
         vertices = [k for k in range(dim + 1) if k != opposite]
         table.append(vertices + [number[vertices[a], vertices[b]] for a, b in EDGES[dim - 1]])
-    cells, local = np.nonzero(discrete.kinds == kind)
+    cells, local = np.nonzero(chosen)
     nodes = np.array(table, dtype=np.int64)[local]
-    corners = discrete.vertices[cells[:, None], nodes[:, :dim]]
+    corners = cells_of_mesh.vertices[cells[:, None], nodes[:, :dim]]
     return Facets(cells, local, nodes, corners, facet_measures(corners))
 
 
@@ -96,49 +111,77 @@ def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
         Both as arrays on rank 0; None on other ranks.
     """
     spaces, mesh = solution.spaces, solution.spaces.mesh
-    comm, dim = mesh.comm, mesh.topology.dim
+    dim = mesh.topology.dim
     cells, corners = number_of_cells(mesh), cell_nodes(mesh)
     inside = membership(spaces.domain)
-    columns = {
-        "order": original_cells(mesh)[:, None],
-        "corners": mesh.geometry.input_global_indices[corners],
-        "vertices": mesh.geometry.x[corners, :dim].reshape(cells, -1),
-        "fluxes": _outward_fluxes(solution, cells),
-        "kinds": _kinds(spaces)[mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[:cells]],
-        "v": v.x.array[cell_dofs(v.function_space)],
-        "inside": inside[:cells],
-    }
-    rows = {name: gather_rows(comm, column) for name, column in columns.items()}
-    if any(values is None for values in rows.values()):
+    whole = gathered_rows(
+        spaces,
+        corners,
+        {
+            "fluxes": _outward_fluxes(solution, cells),
+            "kinds": _kinds(spaces)[mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[:cells]],
+            "v": v.x.array[cell_dofs(v.function_space)],
+            "inside": inside[:cells],
+        },
+    )
+    if whole is None:
         return None
-    whole = {name: np.asarray(values)[np.argsort(rows["order"][:, 0])] for name, values in rows.items()}  # type: ignore[index]
-    numbers = whole["corners"]
-    facets = np.stack([np.sort(np.delete(numbers, i, axis=1), axis=1) for i in range(dim + 1)], axis=1)
-    _, facet = np.unique(facets.reshape(-1, dim), axis=0, return_inverse=True)
-    facet = facet.reshape(-1, dim + 1)
+    facets = whole["facets"]
     return Discrete(
-        vertices=_alike(numbers, whole["vertices"].reshape(-1, dim + 1, dim)),
-        corners=numbers,
-        facets=facet,
+        vertices=whole["vertices"],
+        corners=whole["corners"],
+        facets=facets,
         kinds=whole["kinds"],
-        fluxes=_opposite(facet, whole["fluxes"]),
-        v=_nodal(numbers, whole["v"]),
+        fluxes=opposite(facets, whole["fluxes"]),
+        v=_nodal(whole["corners"], whole["v"]),
         regions=(tuple(spaces.domain.regions), whole["inside"].astype(bool)),
     )
 
 
-def _alike(numbers: Indices, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def gathered_rows(
+    spaces: MeshSpaces, nodes: npt.NDArray[np.integer], columns: dict[str, npt.NDArray[Any]]
+) -> dict[str, npt.NDArray[Any]] | None:
+    """Gather what is known of cells on rank 0, with the cells in their original order (collective).
+
+    Args:
+        spaces: The spaces.
+        nodes: The nodes at the vertices of the owned cells, shape (cells, d + 1).
+        columns: Further arrays of the owned cells, by name.
+
+    Returns:
+        The arrays, and the three of `Cells` by their names; None on other ranks.
+    """
+    mesh = spaces.mesh
+    comm, dim = mesh.comm, mesh.topology.dim
+    own = {
+        "order": original_cells(mesh),
+        "corners": mesh.geometry.input_global_indices[nodes],
+        "vertices": mesh.geometry.x[nodes, :dim],
+    }
+    rows = {name: gather_rows(comm, column) for name, column in (own | columns).items()}
+    if any(values is None for values in rows.values()):
+        return None
+    order = np.argsort(rows["order"])  # type: ignore[arg-type]
+    whole = {name: np.asarray(values)[order] for name, values in rows.items()}
+    numbers = whole["corners"]
+    facets = np.stack([np.sort(np.delete(numbers, i, axis=1), axis=1) for i in range(dim + 1)], axis=1)
+    _, facet = np.unique(facets.reshape(-1, dim), axis=0, return_inverse=True)
+    return whole | {"vertices": alike(numbers, whole["vertices"]), "facets": facet.reshape(-1, dim + 1)}
+
+
+def alike(numbers: Indices, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Give all entries with one number the first of their values, because ranks may differ by rounding."""
     _, first, own = np.unique(numbers, return_index=True, return_inverse=True)
-    return values.reshape(-1, *values.shape[2:])[first][own.reshape(numbers.shape)]
+    return values.reshape(-1, *values.shape[numbers.ndim :])[first][own.reshape(numbers.shape)]
 
 
-def _opposite(facets: Indices, fluxes: Array) -> Array:
-    """The flux out of the first cell of each facet, and its negative for the second cell."""
+def opposite(facets: Indices, fluxes: Array) -> Array:
+    """The flux out of the first cell of each facet, and its negative for the second cell; it may have components."""
     _, first = np.unique(facets, return_index=True)
     other = np.ones(facets.size, dtype=bool)
     other[first] = False
-    return np.where(other.reshape(facets.shape), -1.0, 1.0) * _alike(facets, fluxes)
+    signs = np.where(other, -1.0, 1.0).reshape(*facets.shape, *[1] * (fluxes.ndim - 2))
+    return np.asarray(signs * alike(facets, fluxes))
 
 
 def pairs(one: Indices, other: Indices) -> Indices:
@@ -150,8 +193,8 @@ def alike_in_nodes(corners: Indices, values: Array) -> Array:
     """Give all cells at a node of P2 the same value, the first one."""
     dim = corners.shape[1] - 1
     ends = np.array(EDGES[dim]).T
-    edges = _alike(pairs(corners[:, ends[0]], corners[:, ends[1]]), values[:, dim + 1 :])
-    return np.column_stack([_alike(corners, values[:, : dim + 1]), edges])
+    edges = alike(pairs(corners[:, ends[0]], corners[:, ends[1]]), values[:, dim + 1 :])
+    return np.column_stack([alike(corners, values[:, : dim + 1]), edges])
 
 
 def _nodal(corners: Indices, coefficients: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,10 +11,16 @@ from dolfinx import fem
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, on_root
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.data import Given
 from signorini_fenicsx.rigorous.discrete import gathered
+from signorini_fenicsx.rigorous.elasticity import discrete as elastic
+from signorini_fenicsx.rigorous.elasticity.scope import outside
+from signorini_fenicsx.rigorous.elasticity.theorem import prove as prove_elastic
 from signorini_fenicsx.rigorous.elementary import FromArb
-from signorini_fenicsx.rigorous.theorem import Proven, prove
+from signorini_fenicsx.rigorous.proven import Proven
+from signorini_fenicsx.rigorous.theorem import prove
+from signorini_fenicsx.solving.solved import Solved
 
 MOST_CELLS = 500_000
 """Largest number of cells. Their enclosures take about 4 GB of one process in 3D, and 1 GB in 2D."""
@@ -50,7 +57,7 @@ def check_size(cells: float) -> None:
         raise InputError(f"--rigorous: one process has room for {MOST_CELLS} cells, not {cells:.3g}; choose a larger h")
 
 
-def proof_of(solution: Solution, v: fem.Function) -> Proof:
+def proof_of(solution: Solved, v: fem.Function) -> Proof:
     """Prove a bound for a solution of any algorithm (collective).
 
     Args:
@@ -63,15 +70,39 @@ def proof_of(solution: Solution, v: fem.Function) -> Proof:
     with watch.phase("proof"):
         try:
             check_size(solution.spaces.Q.dofmap.index_map.size_global)
-            if solution.data.laws.listed:
-                raise InputError("the proof is for the law of Signorini alone")
-            if solution.data.c_h is not None:
-                raise InputError("the proof is for c = 0 alone")
-            if solution.data.inside is not None:
-                raise InputError("the proof is for problems without an obstacle and other laws in Ω")
-            given = Given.of(solution.data.trees, FromArb())
-            discrete = gathered(solution, v)
-            proven = on_root(comm, lambda: None if discrete is None else prove(discrete, given))
+            assert isinstance(solution, Solution | ElasticSolution)
+            prepared = _prepared(solution, v) if isinstance(solution, Solution) else _prepared_elastic(solution, v)
+            proven = on_root(comm, prepared)
         except InputError as error:
             reason = str(error)
     return Proof(proven, reason, watch.longest(comm)["proof"])
+
+
+def _prepared(solution: Solution, v: fem.Function) -> Callable[[], Proven | None]:
+    """The proof of a scalar problem, to be run on rank 0 (collective).
+
+    Raises:
+        InputError: If there is no theorem for the problem.
+    """
+    if solution.data.laws.listed:
+        raise InputError("the proof is for the law of Signorini alone")
+    if solution.data.c_h is not None:
+        raise InputError("the proof is for c = 0 alone")
+    if solution.data.inside is not None:
+        raise InputError("the proof is for problems without an obstacle and other laws in Ω")
+    given = Given.of(solution.data.trees, FromArb())
+    discrete = gathered(solution, v)
+    return lambda: None if discrete is None else prove(discrete, given)
+
+
+def _prepared_elastic(solution: ElasticSolution, v: fem.Function) -> Callable[[], Proven | None]:
+    """The proof of an elastic problem, to be run on rank 0 (collective).
+
+    Raises:
+        InputError: If there is no theorem for the problem.
+    """
+    reason = outside(solution.problem, touching=solution.spaces.inner.present)
+    if reason or solution.step is not None:
+        raise InputError(reason or "the proof is not for steps in time")
+    found = elastic.gathered(solution, v, FromArb())
+    return lambda: None if found is None else prove_elastic(*found)

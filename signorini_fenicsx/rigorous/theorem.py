@@ -22,16 +22,15 @@ Proof. The argument is that of `certificate`, here with exact ingredients.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
 from signorini_fenicsx.rigorous.balance import balanced
-from signorini_fenicsx.rigorous.data import Conductivity, Given, deviation
+from signorini_fenicsx.rigorous.data import Given, deviation
 from signorini_fenicsx.rigorous.discrete import DIRICHLET, INSIDE, NEUMANN, SIGNORINI, Discrete, Facets, boundary
+from signorini_fenicsx.rigorous.proven import Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     at,
@@ -47,29 +46,11 @@ from signorini_fenicsx.rigorous.simplices import (
     total_above,
     with_midpoints,
 )
+from signorini_fenicsx.rigorous.tensor import Tensor
 from signorini_fenicsx.rigorous.trace import admissible
 
 VARIES = 1e-3
 """If q_S varies by less than this share of the flux, it counts as constant, and its tiny r stays in the oscillation."""
-
-
-@dataclass(frozen=True)
-class Proven:
-    """Upper bounds, with the names of `Certificate`.
-
-    Attributes:
-        bound: Bound of ‖σ − σ_h‖ and of |∇(v − u)|.
-        sigma_bound: Bound of ‖σ − σ_h‖.
-        gap: Bound of the gap.
-        oscillation: Bound of the effect of f, g_N and q_S minus their means.
-        remainder: Bound of ‖y − σ_h‖.
-    """
-
-    bound: float
-    sigma_bound: float
-    gap: float
-    oscillation: float
-    remainder: float
 
 
 def prove(discrete: Discrete, given: Given) -> Proven:
@@ -122,7 +103,7 @@ def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval,
 
 
 def _boundary_fluxes(
-    discrete: Discrete, cells: Simplices, kappa: Conductivity, given: Given
+    discrete: Discrete, cells: Simplices, kappa: Tensor, given: Given
 ) -> tuple[Interval, Interval, Mask, Interval]:
     """Fluxes that are admissible for g_N and q_S.
 
@@ -187,7 +168,7 @@ def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
     return enclosing(np.zeros(len(same))).where(same, more)
 
 
-def _trace_constant(cells: Simplices, kappa: Conductivity, facets: Facets) -> Interval:
+def _trace_constant(cells: Simplices, kappa: Tensor, facets: Facets) -> Interval:
     """C_e of `certificate.local_fluxes`, with ĥ in place of δ_T."""
     factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
     return root(facets.measure / at(cells.measure, facets.cells) * factor) * at(kappa.diameter, facets.cells)

@@ -79,7 +79,7 @@ class ElasticSolution(Solved):
     data: ElasticData
     kkt: ElasticKKT
     bound_changes: tuple[float, ...] = ()
-    lacks = ("--rigorous", "--html")
+    lacks = ("--html",)
     order = 2
     _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
     offers = (*Solved.offers, *_own)

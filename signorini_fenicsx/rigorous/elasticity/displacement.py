@@ -1,0 +1,157 @@
+"""A continuous displacement that is u_D where u is given and off the foundation, near a quadratic one on subcells.
+
+It is quadratic on each subcell, by coefficients in Bernstein's basis. Those at the nodes of Γ_D are the coefficients of
+u_D, enclosed. On a facet of Γ_C with N = |e|n the displacement is off the foundation if all coefficients of |e|g − v·N
+are ≥ 0. Where this is not certain, up to rounding, the coefficient of v is moved against the mean normal of the facets
+at its node, along which u is not given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.expressions import Tree, interval, polynomial_degree
+from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
+from signorini_fenicsx.rigorous.simplices import EDGES, at, bernstein, facet_measures, total, with_midpoints
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """The displacement.
+
+    Attributes:
+        coefficients: Shape (cells, d + 1, coefficients, d).
+        off: Coefficients of |e|g − v·N on the facets of Γ_C, ≥ 0, shape (facets, coefficients).
+    """
+
+    coefficients: Interval
+    off: Interval
+
+    @property
+    def values(self) -> Interval:
+        """Values in the nodes of P2."""
+        dim, c = self.coefficients.lo.shape[-1], self.coefficients
+        columns = [at(c, np.s_[:, :, k]) for k in range(c.lo.shape[2])]
+        for number, (i, j) in enumerate(EDGES[dim]):
+            columns[dim + 1 + number] = columns[dim + 1 + number] / 2.0 + (columns[i] + columns[j]) / 4.0
+        return Interval(*(np.stack([getattr(each, end) for each in columns], axis=2) for end in ("lo", "hi")))
+
+
+def nodes_on_facet(dim: int) -> Indices:
+    """Places of the coefficients on the facet opposite to the last vertex of a subcell, in the order on facets."""
+    number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
+    return np.array([*range(dim), *(number[edge] for edge in EDGES[dim - 1])])
+
+
+def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Displacement:
+    """The displacement near that of a solution.
+
+    Args:
+        discrete: The solution.
+        given: Its data.
+        areas: N of the facets of Γ_C, shape (facets, d).
+
+    Raises:
+        InputError: If u_D or g are not quadratic, or if it is not certain that u_D is off the foundation.
+    """
+    names, first, numbers = np.unique(discrete.nodes, return_index=True, return_inverse=True)
+    numbers, dim = numbers.reshape(discrete.nodes.shape), discrete.dim
+    v = discrete.v.reshape(-1, dim)[first]
+    at_nodes = Interval(v, v.copy())
+    fixed = np.zeros((len(names), dim), dtype=bool)
+    for component in range(dim):
+        for tree, mask in given.each(discrete.displacement[..., component]):
+            _give(at_nodes, fixed, component, *_on_facets(discrete, given, "u_D", tree, mask, numbers))
+    on = discrete.gap != NONE
+    cells, local = np.nonzero(on)
+    nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(dim)]
+    x = _facet_vertices(discrete, on)
+    g = enclosing(np.zeros(nodes.shape))
+    for tree, mask in given.each(discrete.gap):
+        _, found = _on_facets(discrete, given, "gap", tree, mask, numbers)
+        where = mask[on]
+        lo, hi = g.lo.copy(), g.hi.copy()
+        lo[where], hi[where] = found.lo, found.hi
+        g = Interval(lo, hi)
+    wide = g * at(facet_measures(x), np.s_[:, None])
+    off = wide - _along(at_nodes, nodes, areas)
+    rho, away = _moves(off, nodes, areas, fixed, x)
+    at_nodes = at_nodes - away * rho[:, None]
+    off = wide - _along(at_nodes, nodes, areas)
+    return Displacement(at(at_nodes, numbers), Interval(np.maximum(off.lo, 0.0), np.maximum(off.hi, 0.0)))
+
+
+def _facet_vertices(discrete: ElasticDiscrete, mask: Mask) -> Array:
+    """Vertices of the facets at which a mask is True, shape (facets, d, d)."""
+    cells, local = np.nonzero(mask)
+    others = np.array([[k for k in range(discrete.dim + 1) if k != i] for i in range(discrete.dim + 1)])
+    return discrete.vertices[cells[:, None], others[local]]
+
+
+def _on_facets(
+    discrete: ElasticDiscrete, given: Given, name: str, tree: Tree, mask: Mask, numbers: Indices
+) -> tuple[Indices, Interval]:
+    """The nodes of some facets, and the coefficients of a quadratic there, shape (facets, coefficients) each.
+
+    Raises:
+        InputError: If the tree is not quadratic.
+    """
+    degree = polynomial_degree(tree)
+    if degree is None or degree > 2:
+        raise InputError(f"the proof is for quadratic {name} alone")
+    cells, local = np.nonzero(mask)
+    nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(discrete.dim)]
+    x = with_midpoints(enclosing(_facet_vertices(discrete, mask)))
+    point = {axis: at(x, np.s_[..., k]) for k, axis in enumerate("xyz"[: discrete.dim])}
+    return nodes, bernstein(interval(tree, point, given.elementary).on(nodes.shape), discrete.dim - 1)
+
+
+def _give(at_nodes: Interval, fixed: Mask, component: int, nodes: Indices, found: Interval) -> None:
+    """Set a component at some nodes.
+
+    Raises:
+        InputError: If it was set before, and is not certainly the same.
+    """
+    before = fixed[nodes, component]
+    known = Interval(at_nodes.lo[nodes, component], at_nodes.hi[nodes, component])
+    same = (known.lo == known.hi) & (known.lo == found.lo) & (known.lo == found.hi)
+    if (before & ~same).any():
+        raise InputError("where parts with different u_D meet, it is not certain that these are the same")
+    at_nodes.lo[nodes, component], at_nodes.hi[nodes, component] = found.lo, found.hi
+    fixed[nodes, component] = True
+
+
+def _along(at_nodes: Interval, nodes: Indices, areas: Interval) -> Interval:
+    """The coefficients of v·N on facets."""
+    return total(at(at_nodes, nodes) * at(areas, np.s_[:, None]))
+
+
+def _moves(off: Interval, nodes: Indices, areas: Interval, fixed: Mask, x: Array) -> tuple[Array, Array]:
+    """How far each node has to move, and its direction, so that no coefficient is < 0.
+
+    Raises:
+        InputError: If there is no such motion.
+    """
+    lack = np.maximum(-off.lo, 0.0)
+    away = np.zeros(fixed.shape)
+    middle = (areas.lo + areas.hi) / 2
+    np.add.at(away, nodes, np.broadcast_to(middle[:, None], (*nodes.shape, fixed.shape[1])))
+    away[fixed] = 0.0
+    size = np.linalg.norm(away, axis=1, keepdims=True)
+    away = np.where(size > 0, away / np.where(size > 0, size, 1.0), 0.0)
+    down = total(enclosing(away[nodes]) * at(areas, np.s_[:, None]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = np.where(lack > 0, (enclosing(lack) / enclosing(down.lo)).hi, 0.0)
+    rho = np.zeros(len(fixed))
+    np.maximum.at(rho, nodes, np.where(down.lo > 0, wanted, np.where(lack > 0, np.inf, 0.0)))
+    moving = rho[nodes] > 0
+    if not np.isfinite(rho).all() or (moving & (down.lo < 0)).any():
+        facet = np.argmax((~np.isfinite(rho[nodes]) | (moving & (down.lo < 0))).any(axis=1))
+        where = ", ".join(f"{each:.4g}" for each in x[facet].mean(axis=0))
+        raise InputError(f"where u is given, u_n ≤ gap is not certain near ({where})")
+    return rho, away

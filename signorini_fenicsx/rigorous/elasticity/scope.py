@@ -1,0 +1,35 @@
+"""For which elastic problems there is a theorem."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
+
+
+def outside(problem: ElasticProblem, *, touching: bool) -> str:
+    """Why the proof is not for a problem, in words; empty if it is.
+
+    Args:
+        problem: The problem.
+        touching: Whether there is contact inside the domain.
+    """
+    along_axes = _has_list(problem.young) or _has_list(problem.poisson)
+    reasons = {
+        "with friction": len(problem.laws) > len(problem.normal),
+        "with other laws than contact": bool(problem.normal),
+        "with rigid tools under a force or from a surface": bool(problem.surface or problem.force or problem.moment),
+        "on elastic supports": bool(problem.support),
+        "of bodies in contact with each other": touching,
+        "of orthotropic bodies": along_axes or problem.shear is not None or problem.axes is not None,
+        "with strain or stress of their own": problem.eigenstrain is not None or problem.initial_stress is not None,
+    }
+    found = [reason for reason, holds in reasons.items() if holds]
+    return f"the proof is not for elastic problems {found[0]}" if found else ""
+
+
+def _has_list(given: Any) -> bool:
+    """Whether a modulus has three values somewhere."""
+    each = given.values() if isinstance(given, Mapping) else [given]
+    return any(isinstance(value, list | tuple) for value in each)

@@ -1,0 +1,264 @@
+"""Stresses of Johnson and Mercier as real numbers: symmetric, with continuous tractions, in balance with moments.
+
+A stress y of this element, see `forms/elasticity.py`, is given by its tractions at the vertices of facets and the
+moments of its load. With q = |e| yn for the facet e_i opposite to vertex i it is y∇λ_i = −q/(d|T|), as n = −∇λ_i
+|T|d/|e|. On a cell y = FŷFᵀ with F = (x_k − x_0)_k, ŷ is a stress on the reference simplex, and
+
+    ŷ∇̂λ_i = (∇λ_k·y∇λ_i)_k,        ∫ŷ/|T̂| = (∇λ_k·W_l/|T|)_kl,    W_l = ∫ yn λ_l over ∂T + ∫ f λ_l,
+
+the latter because W_l = ∫ y∇λ_l + ∫(∇·y + f)λ_l. Its values at the vertices of subcells are linear in these numbers,
+with rational coefficients, which `_coefficients` solves for exactly. So y is enclosed in real arithmetic, and −∇·y is
+the load that is constant on subcells and has the moments of f, if forces and moments on the cell are in balance: these
+make ∫ŷ symmetric. `equilibrated` makes them so. What force and moment a facet of a tree lacks, see `balance`, it gets
+by the traction q = α + β×(x − x_e) with this force and moment.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+from flint import fmpq, fmpq_mat
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.forms.elasticity import pairs
+from signorini_fenicsx.rigorous.balance import balanced
+from signorini_fenicsx.rigorous.discrete import Cells
+from signorini_fenicsx.rigorous.simplices import Simplices, at, stacked, total
+
+
+def opposite(dim: int) -> Indices:
+    """The vertices of each facet, shape (d + 1, d)."""
+    return np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
+
+
+def facet_mass(dim: int) -> Array:
+    """The means of φ_a φ_b over a facet of a simplex of this dimension, times d(d + 1)."""
+    return 1.0 + np.eye(dim)
+
+
+@lru_cache
+def _coefficients(dim: int) -> Interval:
+    """ŷ at the vertices of subcells from ŷ∇̂λ_i at the vertices of facets and the entries of ∫ŷ/|T̂|.
+
+    Shape ((d + 1)² entries, (d + 1) d² + entries).
+    """
+    size, entries = dim + 1, pairs(dim)
+    gradients = [[-1] * dim, *(np.eye(dim, dtype=int).tolist())]
+    places = {(i, k): n for i in range(size) for n, k in enumerate([k for k in range(size) if k != i])}
+
+    def pull(subcell: int, place: int, row: int, direction: list[int]) -> dict[int, int]:
+        """The component `row` of ŷ times a direction, as coefficients of the values of ŷ."""
+        found = {}
+        for column, factor in enumerate(direction):
+            entry = entries.index((min(row, column), max(row, column)))
+            found[(subcell * size + place) * len(entries) + entry] = factor
+        return found
+
+    rows = [pull(i, a, r, gradients[i]) for i in range(size) for a in range(dim) for r in range(dim)]
+    rows += [{vertex * len(entries) + n: 1 for vertex in range(size * size)} for n in range(len(entries))]
+    number = len(rows)
+    for i, j in combinations(range(size), 2):
+        across = [a - b for a, b in zip(gradients[i], gradients[j], strict=True)]
+        shared = [(places[i, k], places[j, k]) for k in range(size) if k not in (i, j)]
+        for mine, other in [*shared, (dim, dim)]:
+            for r in range(dim):
+                row = pull(i, mine, r, across)
+                for place, factor in pull(j, other, r, across).items():
+                    row[place] = row.get(place, 0) - factor
+                rows.append(row)
+    unknowns = size * size * len(entries)
+    matrix = fmpq_mat(unknowns, unknowns, [fmpq(row.get(k, 0)) for row in rows for k in range(unknowns)])
+    means = [size * size if n >= size * dim * dim else 1 for n in range(number)]  # a mean is a sum over this number
+    right = fmpq_mat(unknowns, number, [fmpq(means[m] * (n == m)) for n in range(unknowns) for m in range(number)])
+    exact = [Fraction(int(each.p), int(each.q)) for each in matrix.solve(right).entries()]
+    near = np.array([float(each) for each in exact])
+    below = np.array([Fraction(x) > each for x, each in zip(near.tolist(), exact, strict=True)])
+    beyond = np.array([Fraction(x) < each for x, each in zip(near.tolist(), exact, strict=True)])
+    lo, hi = np.where(below, np.nextafter(near, -np.inf), near), np.where(beyond, np.nextafter(near, np.inf), near)
+    return Interval(lo.reshape(unknowns, number), hi.reshape(unknowns, number))
+
+
+def stresses_of(cells: Simplices, pulls: Interval, moments: Interval) -> Interval:
+    """Y at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d).
+
+    Args:
+        cells: The cells.
+        pulls: q at the vertices of facets, shape (cells, d + 1, d, d).
+        moments: ∫ f λ_k, shape (cells, d + 1, d).
+    """
+    dim, count = cells.dim, len(cells.vertices)
+    inputs = stacked([*_tractions(cells, pulls), *_means(cells, pulls, moments)])
+    coefficients = _coefficients(dim)
+    hatted = enclosing(np.zeros((count, len(coefficients.lo))))
+    for n in range(inputs.lo.shape[1]):
+        column = at(coefficients, np.s_[:, n])
+        some = np.flatnonzero((column.lo != 0) | (column.hi != 0))
+        more = at(hatted, np.s_[:, some]) + at(inputs, np.s_[:, n, None]) * at(column, some)
+        lo, hi = hatted.lo.copy(), hatted.hi.copy()
+        lo[:, some], hi[:, some] = more.lo, more.hi
+        hatted = Interval(lo, hi)
+    entries = pairs(dim)
+    hatted = Interval(*(each.reshape(count, dim + 1, dim + 1, len(entries)) for each in (hatted.lo, hatted.hi)))
+    x = enclosing(cells.vertices)
+    arms = [at(x, np.s_[:, k]) - at(x, np.s_[:, 0]) for k in range(1, dim + 1)]
+    found: dict[tuple[int, int], Interval] = {}
+    for i, j in entries:
+        terms = []
+        for n, (k, m) in enumerate(entries):
+            factor = at(arms[k], np.s_[:, i]) * at(arms[m], np.s_[:, j])
+            factor = factor if k == m else factor + at(arms[m], np.s_[:, i]) * at(arms[k], np.s_[:, j])
+            terms.append(at(hatted, np.s_[..., n]) * at(factor, np.s_[:, None, None]))
+        found[i, j] = found[j, i] = sum(terms[1:], terms[0])
+    rows = [stacked([found[i, j] for j in range(dim)]) for i in range(dim)]
+    return stacked(rows, axis=-2)
+
+
+def _tractions(cells: Simplices, pulls: Interval) -> list[Interval]:
+    """ŷ∇̂λ_i at the vertices of facets, one column for each facet, vertex and component."""
+    dim = cells.dim
+    across = cells.measure * -float(dim)
+    slopes = [at(cells.gradients, np.s_[:, k]) for k in range(1, dim + 1)]
+    columns = []
+    for i in range(dim + 1):
+        for a in range(dim):
+            pull = at(pulls, np.s_[:, i, a])
+            columns += [total(slope * pull) / across for slope in slopes]
+    return columns
+
+
+def _means(cells: Simplices, pulls: Interval, moments: Interval) -> list[Interval]:
+    """The entries of ∫ŷ/|T̂|, one column each."""
+    dim, mass, facets = cells.dim, facet_mass(cells.dim) / 1.0, opposite(cells.dim)
+    of_hats = []
+    for l_ in range(1, dim + 1):
+        force = at(moments, np.s_[:, l_])
+        for i in range(dim + 1):
+            if i != l_:
+                b = facets[i].tolist().index(l_)
+                pulled = total(at(pulls, np.s_[:, i]) * mass[b][:, None], axis=1)
+                force = force + pulled / float(dim * (dim + 1))
+        of_hats.append(force)
+    slopes = [at(cells.gradients, np.s_[:, k]) for k in range(1, dim + 1)]
+    columns = []
+    for k, m in pairs(dim):
+        both = total(slopes[k] * of_hats[m]) + total(slopes[m] * of_hats[k])
+        columns.append(both / (cells.measure * 2.0))
+    return columns
+
+
+def wrenches(x: Interval, pulls: Interval, origin: Array) -> Interval:
+    """Forces and moments about a point of fields on simplices, linear and given by q = |e| times their values.
+
+    Args:
+        x: Vertices of the simplices, shape (…, k, d).
+        pulls: q there, shape (…, k, d).
+        origin: The point.
+
+    Returns:
+        The d components of the force, then the moments r_i q_j − r_j q_i for i < j, shape (…, d + d(d − 1)/2).
+    """
+    corners, dim = pulls.lo.shape[-2:]
+    force = total(pulls, axis=-2) / float(corners)
+    arms = x - origin
+    sums = total(arms, axis=-2)
+    # ∫ r q over a simplex with k vertices, of measure 1, is (Σ_a r_a q_a + Σ_a r_a Σ_b q_b)/(k(k + 1))
+    columns = [at(force, np.s_[..., i]) for i in range(dim)]
+    for i, j in combinations(range(dim), 2):
+        own = total(_turning(arms, pulls, i, j))
+        together = _turning(sums, force * float(corners), i, j)
+        columns.append((own + together) / float(corners * (corners + 1)))
+    return stacked(columns)
+
+
+def _turning(arm: Interval, force: Interval, i: int, j: int) -> Interval:
+    """The component ij of the moment of a force."""
+    return at(arm, np.s_[..., i]) * at(force, np.s_[..., j]) - at(arm, np.s_[..., j]) * at(force, np.s_[..., i])
+
+
+def pulls_with(x: Interval, wrench: Interval, origin: Array) -> Interval:
+    """Fields q = α + β×(x − x_e) on facets with these forces and moments, at their vertices, shape (facets, d, d).
+
+    Args:
+        x: Vertices of the facets, shape (facets, d, d).
+        wrench: As `wrenches` gives them, shape (facets, d + d(d − 1)/2).
+        origin: The point about which the moments are.
+    """
+    dim = x.lo.shape[-1]
+    turns = list(combinations(range(dim), 2))
+    middle = total(x, axis=1) / float(dim)
+    arms = x - at(middle, np.s_[:, None])
+    force = at(wrench, np.s_[:, :dim])
+    lever = middle - origin
+    moments = [at(wrench, np.s_[:, dim + n]) - _turning(lever, force, i, j) for n, (i, j) in enumerate(turns)]
+
+    def turned(n: int) -> Interval:
+        """The field of the turn n alone: its component j is r_i, its component i −r_j."""
+        i, j = turns[n]
+        zero = enclosing(np.zeros(arms.lo.shape[:2]))
+        columns = [zero] * dim
+        columns[i], columns[j] = -at(arms, np.s_[..., j]), at(arms, np.s_[..., i])
+        return stacked(columns)
+
+    fields = [turned(n) for n in range(len(turns))]
+    share = float(dim * (dim + 1))
+    matrix = [[total(_turning(arms, field, i, j)) / share for field in fields] for i, j in turns]
+    rates = _solved(matrix, moments)
+    found = at(force, np.s_[:, None])
+    for field, rate in zip(fields, rates, strict=True):
+        found = found + field * at(rate, np.s_[:, None, None])
+    return found
+
+
+def _solved(matrix: list[list[Interval]], right: list[Interval]) -> list[Interval]:
+    """The solution of linear systems with one or three unknowns, by Cramer's rule."""
+    if len(matrix) == 1:
+        return [right[0] / matrix[0][0]]
+    columns = [[row[k] for row in matrix] for k in range(3)]
+    whole = _determinant(*columns)
+    return [_determinant(*(right if k == n else columns[k] for k in range(3))) / whole for n in range(3)]
+
+
+def _determinant(a: list[Interval], b: list[Interval], c: list[Interval]) -> Interval:
+    cross = [b[(i + 1) % 3] * c[(i + 2) % 3] - b[(i + 2) % 3] * c[(i + 1) % 3] for i in range(3)]
+    return a[0] * cross[0] + a[1] * cross[1] + a[2] * cross[2]
+
+
+def equilibrated(cells_of_mesh: Cells, outlets: Mask, pulls: Interval, moments: Interval) -> Interval:
+    """The tractions q with forces and moments on each cell in balance, corrected along a tree, see `balance`.
+
+    Args:
+        cells_of_mesh: The cells.
+        outlets: For each facet of each cell, whether any traction may act there on the boundary.
+        pulls: q at the vertices of facets, opposite for two cells that share one, shape (cells, d + 1, d, d).
+        moments: ∫ f λ_k, shape (cells, d + 1, d).
+
+    Raises:
+        InputError: If a part of the domain has no outlet.
+    """
+    vertices, dim = cells_of_mesh.vertices, cells_of_mesh.dim
+    origin = vertices.reshape(-1, dim).mean(axis=0)
+    x = enclosing(vertices)
+    on_facets = at(x, np.s_[:, opposite(dim)])
+    of_facets = wrenches(on_facets, pulls, origin)
+    surplus = total(of_facets, axis=1) + _wrench_of_load(x, moments, origin)
+    none = enclosing(np.zeros(of_facets.lo.shape))
+    lacking = balanced(cells_of_mesh.facets, outlets, none, surplus)
+    changed = np.nonzero(~lacking.is_zero.all(axis=2))
+    more = pulls_with(at(on_facets, changed), at(lacking, changed), origin)
+    lo, hi = pulls.lo.copy(), pulls.hi.copy()
+    corrected = at(pulls, changed) + more
+    lo[changed], hi[changed] = corrected.lo, corrected.hi
+    return Interval(lo, hi)
+
+
+def _wrench_of_load(x: Interval, moments: Interval, origin: Array) -> Interval:
+    """Force and moment of loads with these moments against the hats."""
+    dim = x.lo.shape[-1]
+    arms = x - origin
+    columns = [total(at(moments, np.s_[..., i])) for i in range(dim)]
+    columns += [total(_turning(arms, moments, i, j)) for i, j in combinations(range(dim), 2)]
+    return stacked(columns)

@@ -1,0 +1,261 @@
+"""The error bound of elastic contact as a theorem: the gap identity with every number in it enclosed.
+
+What is proved. Ω is the union of the simplices whose vertices are the stored floats. f, E, ν, u_D, g_N, the pressures
+and g are the functions written in the case file, with exact literals and exact pi. u solves the problem of contact
+without friction, and σ = ℂε(u). σ_h is the field that is linear on each subcell, where the stored floats are its values
+at the vertices. Then `Proven.sigma_bound` is an upper bound of ‖σ − σ_h‖, and `Proven.bound` one of ‖σ − σ_h‖ and of
+|v − u|, in energy norms. It does not matter how σ_h and v were computed.
+
+Proof. The argument is that of `forms.elasticity`, here with exact ingredients.
+
+- *Stress.* y is a stress of Johnson and Mercier that is in balance with f in all cells, as real numbers, see `stress`.
+  On Γ_N it has the traction that is given, on Γ_C a pressure ≥ 0 and no shear. ‖y − σ_h‖ is enclosed. So there is no
+  constant of Korn, and it does not matter what solvers leave.
+- *Displacement.* See `displacement`: v = u_D where u is given, and v_n ≤ g on Γ_C.
+- *Material.* 𝔸 stands in the place of κ in `tensor`, and ℂ in that of κ⁻¹: with LᵀAL ≥ θ > 0 it is ‖ε(v) − 𝔸y‖_ℂ ≤
+  θ^-½‖Lᵀ(ε(v) − 𝔸y)‖, and ‖τ‖_𝔸 = ‖𝔸τ‖_ℂ.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.expressions import Binary, Tree, interval, polynomial_degree
+from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.tree import Negative, exactly
+from signorini_fenicsx.forms.elasticity import pairs
+from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, split_vertices
+from signorini_fenicsx.rigorous.data import deviation
+from signorini_fenicsx.rigorous.discrete import opposite as opposed
+from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
+from signorini_fenicsx.rigorous.elasticity.displacement import admissible
+from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, opposite, stresses_of
+from signorini_fenicsx.rigorous.proven import Proven
+from signorini_fenicsx.rigorous.simplices import (
+    EDGES,
+    Simplices,
+    at,
+    facet_measures,
+    gradient_in_vertices,
+    root,
+    root_above,
+    simplices,
+    square_norm,
+    squared,
+    stacked,
+    total,
+    total_above,
+    with_midpoints,
+)
+from signorini_fenicsx.rigorous.tensor import Tensor
+
+PRESSED = 1e-9
+"""Pressures below this share of the largest one are 0."""
+
+
+def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
+    """Bound the error of any discrete stress and displacement.
+
+    Raises:
+        InputError: If the argument gives no bound for these data or this mesh.
+    """
+    cells = simplices(discrete.vertices)
+    subcells = _split(cells)
+    compliance = _compliance(discrete, given, subcells)
+    areas = cells.gradients * at(cells.measure, np.s_[:, None, None]) * -float(cells.dim)  # |e|n
+    moments = _moments(discrete, given, cells)
+    pulls, pressure = _tractions(discrete, given, areas)
+    outlets = (discrete.displacement != NONE).all(axis=2)
+    y = stresses_of(cells, equilibrated(discrete, outlets, pulls, moments), moments)
+    contact = discrete.gap != NONE
+    v = admissible(discrete, given, at(areas, contact))
+
+    y_entries = _entries(y)
+    mismatch = _energy(compliance, subcells, y_entries, _strains(subcells, v.values))
+    left = _energy(compliance, subcells, y_entries - _entries(enclosing(discrete.stresses)))
+    on_contact = _work(pressure[contact], v.off)
+    twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi]))
+    remainder = root_above(total_above(squared(left).hi))
+    if not np.isfinite(twice_the_gap + remainder):
+        raise InputError("the data have no certain finite bounds")
+    bound = total_above(np.array([root_above(twice_the_gap), remainder]))
+    return Proven(bound, bound, twice_the_gap / 2, 0.0, remainder)
+
+
+def _split(cells: Simplices) -> Simplices:
+    """The subcells; their vertices are up to rounding, their measures and gradients are not."""
+    dim, facets = cells.dim, opposite(cells.dim)
+    gradients = []
+    for i in range(dim + 1):
+        own = at(cells.gradients, np.s_[:, i])
+        hats = [at(cells.gradients, np.s_[:, k]) - own for k in facets[i]]
+        gradients.append(stacked([*hats, own * float(dim + 1)], axis=1))
+    shape = len(cells.vertices) * (dim + 1), dim + 1, dim
+    joined = stacked(gradients, axis=1)
+    measure = cells.measure / float(dim + 1)
+    return Simplices(
+        split_vertices(cells.vertices).reshape(shape),
+        Interval(*(np.repeat(each, dim + 1) for each in (measure.lo, measure.hi))),
+        Interval(joined.lo.reshape(shape), joined.hi.reshape(shape)),
+    )
+
+
+def _compliance(discrete: ElasticDiscrete, given: Given, subcells: Simplices) -> Tensor:
+    """𝔸 on the subcells, (1 + ν)/E times the unit matrix, and the same number beside it for all normal stresses."""
+    dim, entries = discrete.dim, pairs(discrete.dim)
+    count = len(discrete.vertices)
+    corners = Interval(*np.zeros((2, count, dim + 1, len(entries), len(entries))))
+    deviations = np.zeros((count, len(entries), len(entries)))
+    for young, with_young in given.each(discrete.material[:, 0]):
+        for poisson, with_poisson in given.each(discrete.material[:, 1]):
+            chosen = np.flatnonzero(with_young & with_poisson)
+            beside = range(dim)
+            for tree, places in (
+                (_of_shear(young, poisson), [(k, k) for k in range(len(entries))]),
+                (
+                    _of_volume(young, poisson, in_strain=dim == 2 and given.in_strain),
+                    [(i, j) for i in beside for j in beside],
+                ),
+            ):
+                found = deviation(tree, discrete.vertices[chosen], given.elementary, name="young or poisson", degree=1)
+                hats = at(found.nodes, np.s_[:, : dim + 1])
+                for i, j in places:
+                    more = at(corners, np.s_[chosen, :, i, j]) + hats
+                    corners.lo[chosen, :, i, j], corners.hi[chosen, :, i, j] = more.lo, more.hi
+                    deviations[chosen, i, j] += found.largest * (1 + 1e-15)
+    deviations = root(total(total(squared(enclosing(deviations))))).hi
+    middle = total(corners, axis=1) / float(dim + 1)
+    on_subcells = [stacked([*(at(corners, np.s_[:, k]) for k in each), middle], axis=1) for each in opposite(dim)]
+    whole = stacked(on_subcells, axis=1)
+    shape = count * (dim + 1), dim + 1, len(entries), len(entries)
+    return Tensor(
+        subcells,
+        Interval(whole.lo.reshape(shape), whole.hi.reshape(shape)),
+        np.repeat(deviations, dim + 1),
+        name="the compliance of young and poisson",
+    )
+
+
+def _of_shear(young: Tree, poisson: Tree) -> Tree:
+    return Binary("/", Binary("+", exactly(1), poisson), young)
+
+
+def _of_volume(young: Tree, poisson: Tree, *, in_strain: bool) -> Tree:
+    """−ν/E, in plane strain −ν(1 + ν)/E."""
+    factor = Binary("*", poisson, Binary("+", exactly(1), poisson)) if in_strain else poisson
+    return Negative(Binary("/", factor, young))
+
+
+def _moments(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> Interval:
+    """∫ f λ_k, shape (cells, d + 1, d).
+
+    Raises:
+        InputError: If f is not constant.
+    """
+    lo, hi = np.zeros((2, len(cells.vertices), cells.dim))
+    for k in range(cells.dim):
+        for tree, mask in given.each(discrete.force[:, k]):
+            if polynomial_degree(tree) != 0:
+                raise InputError("the proof is for elastic loads f that are constant, perhaps in each region, alone")
+            value = _at(tree, discrete.vertices[mask, 0], given)
+            lo[mask, k], hi[mask, k] = value.lo, value.hi
+    share = Interval(lo, hi) * at(cells.measure / float(cells.dim + 1), np.s_[:, None])
+    return Interval(*(np.repeat(each[:, None], cells.dim + 1, axis=1) for each in (share.lo, share.hi)))
+
+
+def _tractions(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tuple[Interval, Array]:
+    """Q = |e| yn at the vertices of facets, before cells are in balance, and the pressures on Γ_C.
+
+    In directions in which u is given, and inside, they are those of σ_h, elsewhere what the data say.
+    """
+    dim = discrete.dim
+    outer = facet_normals(discrete.vertices)
+    own = np.einsum("niakl,nil->niak", discrete.stresses[:, :, :dim], outer)
+    inside = np.bincount(discrete.facets.ravel())[discrete.facets] == 2
+    own = np.where(inside[..., None, None], opposed(discrete.facets, own), own)
+    free = inside[..., None] | (discrete.displacement != NONE)
+    own = np.where(free[:, :, None], own, 0.0)
+    pulls = Interval(own, own.copy())
+    x = discrete.vertices[:, opposite(dim)]
+    for k in range(dim):
+        for tree, mask in given.each(np.where(free[..., k], NONE, discrete.traction[..., k])):
+            found = _linear(given, "g_N", tree, x[mask]) * at(facet_measures(x[mask]), np.s_[:, None])
+            pulls.lo[mask, :, k], pulls.hi[mask, :, k] = found.lo, found.hi
+    for tree, mask in given.each(discrete.pressure):
+        found = -at(_linear(given, "pressure", tree, x[mask]), np.s_[..., None]) * at(areas, np.s_[mask, None])
+        found = at(pulls, mask).where(free[mask][:, None], found)
+        pulls.lo[mask], pulls.hi[mask] = found.lo, found.hi
+    contact = discrete.gap != NONE
+    pressure = _pressures(discrete, outer) * contact[..., None]
+    pressure[pressure < PRESSED * pressure.max(initial=0.0)] = 0.0
+    found = enclosing(-pressure[contact][..., None]) * at(areas, np.s_[contact, None])
+    pulls.lo[contact], pulls.hi[contact] = found.lo, found.hi
+    return pulls, pressure
+
+
+def _pressures(discrete: ElasticDiscrete, outer: Array) -> Array:
+    """Numbers near −σ_nn at the vertices of all facets, from |e|n, shape (cells, d + 1, d)."""
+    found = np.einsum("nij,niajk,nik->nia", outer, discrete.stresses[:, :, : discrete.dim], outer)
+    return -found / (outer**2).sum(axis=2)[..., None]
+
+
+def _linear(given: Given, name: str, tree: Tree, x: Array) -> Interval:
+    """The values of a linear datum at the vertices of facets.
+
+    Raises:
+        InputError: If it is not linear.
+    """
+    degree = polynomial_degree(tree)
+    if degree is None or degree > 1:
+        raise InputError(f"the proof is for linear {name} alone")
+    return _at(tree, x, given)
+
+
+def _at(tree: Tree, x: Array, given: Given) -> Interval:
+    """The values of a tree in points, shape (…, d)."""
+    point = {axis: enclosing(x[..., k]) for k, axis in enumerate("xyz"[: x.shape[-1]])}
+    return interval(tree, point, given.elementary).on(x.shape[:-1])
+
+
+def _entries(matrices: Interval) -> Interval:
+    """The entries of symmetric matrices at the vertices of subcells, shape (subcells, d + 1, entries)."""
+    dim = matrices.lo.shape[-1]
+    twice = root(enclosing(2.0))
+    columns = [at(matrices, np.s_[..., i, j]) * (1.0 if i == j else twice) for i, j in pairs(dim)]
+    found = stacked(columns)
+    shape = -1, dim + 1, len(columns)
+    return Interval(found.lo.reshape(shape), found.hi.reshape(shape))
+
+
+def _strains(subcells: Simplices, values: Interval) -> Interval:
+    """The entries of ε(v) at the vertices of subcells, from values of v in the nodes of P2."""
+    dim = subcells.dim
+    flat = Interval(*(each.reshape(len(subcells.vertices), -1, dim) for each in (values.lo, values.hi)))
+    slopes = [gradient_in_vertices(subcells, at(flat, np.s_[..., i])) for i in range(dim)]
+    half = root(enclosing(2.0)) / 2.0
+    columns = [
+        at(slopes[i], np.s_[..., i]) if i == j else (at(slopes[i], np.s_[..., j]) + at(slopes[j], np.s_[..., i])) * half
+        for i, j in pairs(dim)
+    ]
+    return stacked(columns)
+
+
+def _energy(compliance: Tensor, subcells: Simplices, stress: Interval, strain: Interval | None = None) -> Interval:
+    """A bound of ‖𝔸y − ε‖_ℂ of each subcell, which without ε is ‖y‖_𝔸, from entries at the vertices."""
+    y = with_midpoints(stress)
+    off = compliance.times(y) if strain is None else compliance.times(y) - with_midpoints(strain)
+    size = root(square_norm(subcells, compliance.half(off))) + compliance.deviation_norm(square_norm(subcells, y))
+    return size / root(compliance.theta)
+
+
+def _work(pressure: Array, off: Interval) -> Interval:
+    """∫ (−y_nn)(g − v_n) over the facets of Γ_C, from pressures at their vertices and coefficients of |e|(g − v_n)."""
+    dim = pressure.shape[1]
+    ends = [(k,) for k in range(dim)] + list(EDGES[dim - 1])
+    share = (dim + 2) * math.comb(dim + 1, dim - 1)
+    weights = np.array([[1.0 + (2 if len(end) == 1 else 1) * (a in end) for end in ends] for a in range(dim)])
+    return total(off * total(enclosing(pressure[..., None]) * weights, axis=1)) / float(share)

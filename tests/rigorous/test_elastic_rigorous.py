@@ -1,0 +1,248 @@
+"""The rigorous bound of elastic contact: its stresses, its truth for any stress and displacement, and its refusals."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import signorini
+from elastic import box
+from mpi4py import MPI
+from test_rigorous import quadrature
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.expressions import exactly, read
+from signorini_fenicsx.expressions.evaluation import values_and_gradient
+from signorini_fenicsx.expressions.intervals import enclosing
+from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+    Cells,
+    facet_normals,
+    hats_in_subcells,
+    reference,
+    split_vertices,
+    to_matrices,
+)
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given, gathered
+from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, opposite, pulls_with, stresses_of, wrenches
+from signorini_fenicsx.rigorous.elasticity.theorem import prove
+from signorini_fenicsx.rigorous.elementary import FromArb
+from signorini_fenicsx.rigorous.proof import proof_of
+from signorini_fenicsx.rigorous.simplices import simplices
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+PRESSED = {
+    2: (["x^2/10", "y^2/20 - y/5"], ["-0.24", "-0.12"], {"x1": ["0.16 + 0.04*y", "0"]}),
+    3: (
+        ["x^2/10", "0", "z^2/20 - z/5"],
+        ["-0.24", "0", "-0.12"],
+        {"x1": ["0.16 + 0.04*z", "0", "0"], "y0": ["0", "0.08 - 0.08*x - 0.04*z", "0"]},
+    ),
+}
+"""u that presses onto the plane where the last coordinate is 0, f and g_N, for λ = μ = 2/5."""
+
+
+def pressed(comm: MPI.Comm, dim: int, n: int) -> ElasticSolution:
+    """The solution for a quadratic u, whose stress is in the discrete space."""
+    u, f, g_N = PRESSED[dim]
+    boundary = ElasticBoundary(["xyz"[dim - 1] + "0"], neumann=list(g_N))
+    problem = ElasticProblem(1.0, 0.25, f=f, u_D=u, g_N=g_N, gap=0.0)
+    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), (boundary, problem))
+
+
+def punched(comm: MPI.Comm, n: int, dim: int = 2, **changes: object) -> ElasticSolution:
+    """A block on a curved foundation, with tractions and pressures."""
+    bottom, loaded, free = ("y0", "x0", "x1") if dim == 2 else ("z0", "x0", "y1")
+    boundary = ElasticBoundary([bottom], neumann=[loaded, free, *(["x1", "y0"] if dim == 3 else [])])
+    down = [0, -0.1] if dim == 2 else [0, 0, -0.1]
+    data = {
+        "f": down,
+        "u_D": ["0.05*x", *down[1:]],
+        "g_N": {loaded: ["0.1*y", *down[1:]]},
+        "pressure": {free: "0.1 + 0.1*x"},
+        "gap": "0.02*x^2",
+    }
+    problem = ElasticProblem(1.0, 0.3, **(data | changes))  # type: ignore[arg-type]
+    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), (boundary, problem))
+
+
+def discrete_of(solution: ElasticSolution) -> tuple[ElasticDiscrete, Given]:
+    """The input of a proof on one process."""
+    found = gathered(solution, certify(solution).v, FromArb())
+    assert found is not None
+    return found
+
+
+def true_error(discrete: ElasticDiscrete, u: list[str]) -> float:
+    """‖σ − σ_h‖ for λ = μ = 2/5."""
+    dim = discrete.dim
+    lam, weights = quadrature(dim, 6)
+    corners = split_vertices(discrete.vertices)
+    points = np.einsum("pk,nskd->nspd", lam, corners)
+    x = dict(zip("xyz", np.moveaxis(points, 3, 0), strict=False))
+    gradient = np.stack([values_and_gradient(read(each, "xyz"[:dim]), x)[1] for each in u], axis=3)
+    strain = (gradient + gradient.swapaxes(3, 4)) / 2
+    sigma = 0.4 * np.trace(strain, axis1=3, axis2=4)[..., None, None] * np.eye(dim) + 0.8 * strain
+    off = sigma - np.einsum("pk,nskij->nspij", lam, discrete.stresses)
+    trace = np.trace(off, axis1=3, axis2=4)
+    energy = (off**2).sum(axis=(3, 4)) / 0.8 - trace**2 * 0.4 / (0.8 * (0.4 * dim + 0.8))
+    return math.sqrt(((energy @ weights) * Cells(discrete.vertices).measure[:, None]).sum() / (dim + 1))
+
+
+def shaken(discrete: ElasticDiscrete, size: float, seed: int) -> ElasticDiscrete:
+    """Another stress, with jumps and not in balance, and another displacement."""
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(size=discrete.stresses.shape)
+    at_nodes = rng.normal(size=(discrete.nodes.max() + 1, discrete.dim))[discrete.nodes]
+    stresses = discrete.stresses + size * (noise + noise.swapaxes(3, 4))
+    return dataclasses.replace(discrete, stresses=stresses, v=discrete.v + size * at_nodes)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_stresses_of_the_element(dim: int):
+    """Any stress of the element comes back from its tractions and moments; fields on facets have their wrenches."""
+    rng = np.random.default_rng(0)
+    vertices = np.eye(dim + 1, dim) + 0.1 * rng.normal(size=(9, dim + 1, dim))
+    cells, basis = Cells(vertices), reference(dim).stresses
+    shares = rng.normal(size=(9, basis.shape[2]))
+    y = to_matrices(np.einsum("nveb,nb->nve", cells.stresses(basis), shares))
+    y = y.reshape(9, dim + 1, dim + 1, dim, dim)
+    pulls = np.einsum("niakl,nil->niak", y[:, :, :dim], facet_normals(vertices))
+    slopes = -facet_normals(split_vertices(vertices).reshape(-1, dim + 1, dim)).reshape(9, dim + 1, dim + 1, dim)
+    divergence = np.einsum("nsvij,nsvj->nsi", y, slopes) / dim / cells.measure[:, None, None] * (dim + 1)
+    moments = -np.einsum("ks,nsi->nki", hats_in_subcells(dim), divergence) * cells.measure[:, None, None] / (dim + 1)
+    found = stresses_of(simplices(vertices), enclosing(pulls), enclosing(moments))
+    assert np.abs(found.lo - y).max() <= 1e-12 * np.abs(y).max()
+    assert (found.hi - found.lo).max() <= 1e-12 * np.abs(y).max()
+
+    facets, origin = enclosing(vertices[:, opposite(dim)].reshape(-1, dim, dim)), np.full(dim, 0.3)
+    wrench = rng.normal(size=(len(facets.lo), dim * (dim + 1) // 2))
+    again = wrenches(facets, pulls_with(facets, enclosing(wrench), origin), origin)
+    assert (again.lo <= wrench).all()
+    assert (wrench <= again.hi).all()
+    assert (again.hi - again.lo).max() < 1e-10
+
+
+@pytest.mark.parametrize(("dim", "n"), [(2, 3), (3, 2)])
+def test_any_stress_and_displacement(dim: int, n: int):
+    """The bound is rounding for an exact stress, above the exact error for any other, and near it for small ones."""
+    u = PRESSED[dim][0]
+    discrete, given = discrete_of(pressed(MPI.COMM_SELF, dim, n))
+    assert true_error(discrete, u) <= prove(discrete, given).sigma_bound <= 1e-9
+    for seed, size in enumerate((1e-6, 1e-2, 1e3)):
+        other = shaken(discrete, size, seed)
+        error, proven = true_error(other, u), prove(other, given)
+        assert error <= proven.sigma_bound <= 30 * (error + math.sqrt(size))  # v is off the foundation by the size
+        assert proven.remainder > 0.3 * error
+    softer = tuple(read("0.9", "x") if tree == exactly(1.0) else tree for tree in given.trees)
+    assert softer != given.trees
+    assert prove(discrete, dataclasses.replace(given, trees=softer)).sigma_bound > 1e-3
+
+
+def test_balance_of_what_is_not():
+    """Random tractions become those of stresses in balance: the divergence of these is that of the load."""
+    discrete, _ = discrete_of(pressed(MPI.COMM_SELF, 2, 3))
+    rng = np.random.default_rng(1)
+    inside = np.bincount(discrete.facets.ravel())[discrete.facets] == 2
+    sign = np.ones(discrete.facets.shape)
+    _, first = np.unique(discrete.facets, return_index=True)
+    sign.ravel()[np.setdiff1d(np.arange(sign.size), first)] = -1.0
+    pulls = rng.normal(size=(discrete.facets.max() + 1, 2, 2))[discrete.facets] * sign[..., None, None]
+    moments = rng.normal(size=discrete.vertices.shape)
+    outlets = ~inside & (discrete.displacement >= 0).all(axis=2)
+    balanced = equilibrated(discrete, outlets, enclosing(pulls), enclosing(moments))
+    y = stresses_of(simplices(discrete.vertices), balanced, enclosing(moments)).lo
+    slopes = -facet_normals(split_vertices(discrete.vertices).reshape(-1, 3, 2)).reshape(-1, 3, 3, 2)
+    forces = np.einsum("nsvij,nsvj->nsi", y, slopes) / 2  # ∫ ∇·y over each subcell
+    assert np.abs(np.einsum("ks,nsi->nki", hats_in_subcells(2), forces) + moments).max() < 1e-9
+    across = y[:, 0, 2] - y[:, 1, 2]  # at the centroid, across the line where λ_0 = λ_1
+    normal = facet_normals(discrete.vertices)[:, 0] - facet_normals(discrete.vertices)[:, 1]
+    assert np.abs(np.einsum("nij,nj->ni", across, normal)).max() < 1e-9
+
+
+def test_near_the_certificate():
+    """The gap is that of the certificate, which has a better displacement on a few cells, or a bit larger."""
+    for solution in (punched(MPI.COMM_SELF, 8), punched(MPI.COMM_SELF, 2, dim=3)):
+        certificate = certify(solution)
+        proof = proof_of(solution, certificate.v)
+        assert proof.proven is not None, proof.reason
+        assert certificate.gap * (1 - 1e-8) <= proof.proven.gap <= 1.5 * certificate.gap
+        assert proof.proven.remainder <= 1e-9
+
+
+@pytest.mark.parallel([2, 3])
+def test_on_ranks():
+    """The bound of several ranks is that of one."""
+    bounds = []
+    for comm in (COMM, MPI.COMM_SELF):
+        solution = punched(comm, 4)
+        proof = proof_of(solution, certify(solution).v)
+        assert proof.proven is not None
+        bounds.append(proof.proven)
+    assert bounds[0].bound == pytest.approx(bounds[1].bound, rel=1e-9)
+    assert bounds[0].gap == pytest.approx(bounds[1].gap, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"u_D": ["sin(x)", "-0.1"]}, "quadratic u_D"),
+        ({"gap": "0.02*x^4"}, "quadratic gap"),
+        ({"f": ["0", "-x"]}, "loads f that are constant"),
+        ({"g_N": {"x0": ["y^2", "0"]}}, "linear g_N"),
+        ({"young": "1 + 1e4*exp(-1000*((x - 0.5)^2 + (y - 0.5)^2))"}, r"varies too much .* near \(0\.[3-6]"),
+    ],
+)
+def test_refusals(changes: dict[str, object], reason: str):
+    """Data for which there is no theorem."""
+    changes = dict(changes)
+    young = changes.pop("young", None)
+    solution = punched(MPI.COMM_SELF, 4, **changes)
+    if young is not None:
+        problem = dataclasses.replace(solution.problem, young=young)
+        solution = solve(solution.spaces.domain, (solution.boundary, problem))
+    proof = proof_of(solution, certify(solution).v)
+    assert proof.proven is None
+    with pytest.raises(InputError, match=reason):
+        raise InputError(proof.reason)
+
+
+def test_command_line(tmp_path: Path):
+    """The bound in the output and the summary; what is refused is refused before the solve."""
+    case = tmp_path / "block.toml"
+    case.write_text(
+        """
+title = "A block on a curved foundation"
+physics = "elasticity"
+
+[geometry]
+shape = "square"
+
+[boundary]
+contact = ["bottom"]
+neumann = ["left", "right"]
+
+[problem]
+young = "1"
+poisson = "0.3"
+gap = "0.02*x^2"
+u_D = ["0", "-0.1"]
+
+[solve]
+h = "1/4"
+"""
+    )
+    done = signorini(tmp_path, "solve", str(case), "--rigorous", "--output", "done")
+    assert done.returncode == 0, done.stderr
+    assert "proved     energy error ≤ " in done.stdout
+    certificate = json.loads((tmp_path / "done/summary.json").read_text())["certificate"]
+    assert certificate["gap"] * (1 - 1e-8) <= certificate["proved"]["gap"] <= 1.6 * certificate["gap"]
+    done = signorini(tmp_path, "solve", "plate", "--rigorous", "--output", "rough")
+    assert done.returncode == 2
+    assert "--rigorous: the proof is not for elastic problems with friction" in done.stderr
+    assert not (tmp_path / "rough").exists()
