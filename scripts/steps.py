@@ -17,7 +17,6 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.api import evolve
-from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Wall
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.meshes.domain import Boundary
@@ -58,7 +57,7 @@ class LinearSolve:
         """The seconds of that of a solution (collective)."""
         spaces, data, conditions = solution.spaces, solution.data, solution.outcome.conditions
         if self._backend is None:
-            self._backend = HybridBackend(spaces, data, tuning=Tuning(condense_up_to=0))
+            self._backend = HybridBackend(spaces, data)
         backend = self._backend
         backend.solve(conditions)  # under new sets it sets up the preconditioner
         backend._system.x.set(0.0)

@@ -25,7 +25,6 @@ class Tuning:
         layers: For each dimension, number of cells between a site that changes and the edge of its patch.
         patch_share: A patch with at most this share of all unknowns costs little compared with a step of the solver.
         patch_steps: Largest number of set updates on a patch; sets that change for longer leave the patch.
-        condense_up_to: Largest number of facets of Γ_S for which repeated solves with the same κ share a factorisation.
         one_table_up_to: Largest number of facets of Γ_S whose table is one text file; of more each rank writes its own.
         on_one_rank_up_to: Largest number of cells for what one rank does with the whole mesh: the methods
             psor and qp. More are refused.
@@ -43,7 +42,6 @@ class Tuning:
     layers: Mapping[int, int] = MappingProxyType({2: 32, 3: 4})
     patch_share: float = 0.02
     patch_steps: int = 10
-    condense_up_to: int = 300
     one_table_up_to: int = 1_000_000
     on_one_rank_up_to: int = 2_000_000
     dense_up_to: int = 5_000

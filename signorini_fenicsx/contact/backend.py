@@ -52,13 +52,12 @@ class Iterate(Pairs):
 
 
 class Inexact(Protocol):
-    """What a backend may give beyond `Backend`: solves for p and σ·n alone that cost less, to predict the sets.
+    """What a backend may give beyond `Backend`: solves for p and σ·n alone that cost less, to predict the sets."""
 
-    Attributes:
-        cheap: Whether they cost so little that a prediction is worth it at any size.
-    """
-
-    cheap: bool
+    @property
+    def cheap(self) -> bool:
+        """Whether they cost so little that a prediction is worth it at any size."""
+        ...
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve from the last solution, to the tolerance or until `enough` returns True (collective).

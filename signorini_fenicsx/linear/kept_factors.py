@@ -5,14 +5,12 @@ under another set is w + Σ c_j d_j with one d_j for each site j that changes:
 
 - j is free now: d_j is 1 there, 0 where else the factorised set fixes, and without force elsewhere; c_j is such that
   the force at j is the load's.
-- j is fixed now: d_j is what a force at j alone does; c_j is such that the whole is 0 at j. Another load at j is
-  another c_j, too.
+- j is fixed now: d_j is what a force at j alone does; c_j is such that the whole is 0 at j. Another load at j, or
+  another spring, is another c_j, too.
 
 Of w and of the d_j only p and the forces at the sites are kept. So these need no solve under a set whose sites have all
 changed before, and the solution needs one, by the factors. The d_j of sites that change for the first time are solved
 for together, which costs a third of a solve for each, or less.
-
-`condensed` is this for the set with all sites free and every site changed.
 """
 
 from collections.abc import Sequence
@@ -29,8 +27,13 @@ from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.gmres import Added, coupled
 
+type Springs = Array | float
+"""The stiffness of a spring at each site, or of all; 0 for none."""
+
 MOST = {2: 40, 3: 64}
-"""For each dimension, with more changed sites a factorisation costs less. In space it costs far more."""
+"""For each dimension, if more sites change for the first time a factorisation costs less. In space it costs far more."""
+MOST_KEPT = 300
+"""So many sites at most have changed; their equations are on every rank."""
 
 
 class KeptFactors:
@@ -57,9 +60,9 @@ class KeptFactors:
         self._fixed, self._unknowns = fixed, sites
         self._comm: MPI.Comm = self._natural.getComm().tompi4py()
         self._x, self._b = self._natural.createVecs()
-        self._most = MOST[dim]
+        self._most = self._more = MOST[dim]
         self._held: Mask | None = None
-        self._plainly: Mask | None = None  # the sites held in the present matrix, if nothing is added to it
+        self._plainly: tuple[Mask, Springs] | None = None  # sites held, and springs, of a matrix without blocks
 
     def essential(self, held: Mask) -> npt.NDArray[np.int32]:
         """The unknowns that are fixed if these sites are held."""
@@ -70,7 +73,7 @@ class KeptFactors:
         load: Array,
         x: PETSc.Vec,
         held: Mask,
-        weak: tuple[Mask, Array],
+        springs: Springs,
         blocks: Sequence[tuple[npt.NDArray[np.int32], Array]],
     ) -> None:
         """Set the solver up and solve with 0 at the sites that are held (collective).
@@ -79,18 +82,17 @@ class KeptFactors:
             load: Right side without conditions, of the owned unknowns.
             x: Gets the solution; an iteration starts from it.
             held: Mask of these sites.
-            weak: Mask of sites that are held by springs, and the stiffness of these, per site.
+            springs: The stiffness of a spring at each site, 0 for none.
             blocks: What else is added to the matrix, see `ConstrainedMatrix.impose`.
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        essential, (sprung, stiffness) = self.essential(held), weak
-        plain = not self._comm.allreduce(bool(blocks) or bool(sprung.any()), MPI.LOR)
-        same = plain and self._plainly is not None and bool((self._plainly == held).all())
+        essential, plain = self.essential(held), not self._comm.allreduce(bool(blocks), MPI.LOR)
+        same = plain and self._plainly is not None and not self._differ(held, springs, *self._plainly).any()
         if not self._comm.allreduce(same, MPI.LAND):
-            self._plainly = held if plain else None
-            self._operator.impose(essential, self._unknowns[sprung], stiffness[sprung], blocks)
+            self._plainly = (held, springs) if plain else None
+            self._operator.impose(essential, self._unknowns, springs, blocks)
             if self._solver.levels is not None:
                 with self._solver.options():
                     self._solver.levels.update(self._fixed, essential)
@@ -99,7 +101,7 @@ class KeptFactors:
             vector.array_w[essential] = 0.0
         self._solver.solve(self._b, x)
         if plain and self._solver.factorises:
-            self._keep(essential, held)
+            self.keep(held, springs)
 
     def coupled(self, load: Array, held: Mask, added: Added, share: float) -> PETSc.Vec:
         """The solution by GMRES with the present preconditioner, where rows have shares of others added, see `coupled`.
@@ -120,24 +122,39 @@ class KeptFactors:
         """Space for a number per site."""
         return self._rows.createVecLeft()
 
+    @property
+    def present(self) -> bool:
+        """Whether a factorisation is kept."""
+        return self._held is not None
+
+    def serve_more(self) -> None:
+        """Another problem has the same K: as much again is worth it for factors that serve all sets."""
+        self._most += self._more
+
     def forget(self) -> None:
         """The matrix of the solver is another one."""
         self._held = None
 
-    def _keep(self, essential: npt.NDArray[np.int32], held: Mask) -> None:
-        """The solver has just factorised for this set."""
-        self._essential, self._held = essential, held
+    def keep(self, held: Mask, springs: Springs) -> None:
+        """Keep the factorisation that the solver has just made, with these sites held and these springs."""
+        self._essential, self._held, self._springs = self.essential(held), held, springs
         self._changed: Indices = np.empty(0, dtype=np.int64)  # own sites with a d_j, and the j of each
         self._number: Indices = np.empty(0, dtype=np.int64)
         self._of_moves: Array = np.empty((0, 2, len(held)))  # p and the forces at the sites for each j
         self._load: Array | None = None
 
-    def at_sites(self, load: Array, held: Mask) -> tuple[Array, Array] | None:
+    @staticmethod
+    def _differ(held: Mask, springs: Springs, held_before: Mask, springs_before: Springs) -> Mask:
+        """The sites that change from one set to another one; springs at sites that are held do nothing."""
+        return np.asarray((held != held_before) | (~held & (springs != springs_before)))
+
+    def at_sites(self, load: Array, held: Mask, springs: Springs = 0.0) -> tuple[Array, Array] | None:
         """The solution with 0 at the sites that are held, and K times it, at the sites alone (collective).
 
         Args:
             load: Right side without conditions, of the owned unknowns.
             held: Mask of these sites.
+            springs: The stiffness of a spring at each site, 0 for none.
 
         Returns:
             None if a factorisation costs less.
@@ -145,19 +162,20 @@ class KeptFactors:
         Raises:
             LinearSolveFailure: If PETSc gives up.
         """
-        if not self._serves(held):
+        if not self._serves(held, springs):
             return None
         self._take(load, held)
-        p, forces = self._of_load + np.tensordot(self._shares(load, held), self._of_moves, 1)
+        p, forces = self._of_load + np.tensordot(self._shares(load, held, springs), self._of_moves, 1)
         return np.where(held, 0.0, p), forces
 
-    def solve(self, load: Array, x: PETSc.Vec, held: Mask) -> bool:
+    def solve(self, load: Array, x: PETSc.Vec, held: Mask, springs: Springs = 0.0) -> bool:
         """Solve with 0 at the sites that are held, if that costs less than a factorisation (collective).
 
         Args:
             load: Right side without conditions, of the owned unknowns.
             x: Gets the solution.
             held: Mask of these sites.
+            springs: The stiffness of a spring at each site, 0 for none.
 
         Returns:
             Whether it was solved.
@@ -165,14 +183,14 @@ class KeptFactors:
         Raises:
             LinearSolveFailure: If PETSc gives up.
         """
-        if not self._serves(held):
+        if not self._serves(held, springs):
             return False
         assert self._held is not None
         shares = np.zeros(len(held))
-        if self._comm.allreduce(bool((held != self._held).any()), MPI.LOR):
+        if self._comm.allreduce(bool(self._differ(held, springs, self._held, self._springs).any()), MPI.LOR):
             self._take(load, held)
             assert self._load is not None
-            shares[self._changed] = self._shares(load, held)[self._number]
+            shares[self._changed] = self._shares(load, held, springs)[self._number]
             load = self._load
         moved, pulled = np.where(self._held, shares, 0.0), np.where(self._held, 0.0, shares)
         right = load - self._of_moved(moved)
@@ -189,13 +207,14 @@ class KeptFactors:
         """The entries of K that are the size of forces at the sites."""
         return np.array(self._natural.getDiagonal().array_r[self._unknowns])
 
-    def _serves(self, held: Mask) -> bool:
+    def _serves(self, held: Mask, springs: Springs) -> bool:
         """Whether the last factorisation serves; then there is a d_j for each changed site (collective)."""
         if self._held is None:
             return False
-        new = np.setdiff1d(np.flatnonzero(held != self._held), self._changed)
+        changed = self._differ(held, springs, self._held, self._springs)
+        new = np.setdiff1d(np.flatnonzero(changed), self._changed)
         counts = np.array(self._comm.allgather(len(new)))
-        if len(self._of_moves) + counts.sum() > self._most:
+        if counts.sum() > self._most or len(self._of_moves) + counts.sum() > MOST_KEPT:
             return False
         if counts.sum() > 0:
             self._add(new, int(counts[: self._comm.rank].sum()), int(counts.sum()))
@@ -257,14 +276,16 @@ class KeptFactors:
         self._number = np.append(self._number, first + before + np.arange(len(sites)))
         self._of_moves = np.concatenate([self._of_moves, traces])
 
-    def _shares(self, load: Array, held: Mask) -> Array:
+    def _shares(self, load: Array, held: Mask, springs: Springs) -> Array:
         """The coefficients c_j of all sites (collective)."""
         assert self._held is not None
         assert self._load is not None
         mine, released = self._changed, self._held[self._changed]
-        rows = np.where(released, self._of_moves[:, 1, mine], self._of_moves[:, 0, mine]).T
-        wanted = np.where(released, load[self._unknowns[mine]] - self._of_load[1, mine], -self._of_load[0, mine])
-        as_before = held[mine] == released
+        free, spring = ~held[mine], np.broadcast_to(springs, held.shape)[mine]
+        (p, forces), (own_p, own_forces) = np.swapaxes(self._of_moves[:, :, mine], 0, 1), self._of_load[:, mine]
+        rows = np.where(free, forces + spring * p, p).T
+        wanted = np.where(free, load[self._unknowns[mine]] - own_forces - spring * own_p, -own_p)
+        as_before = ~self._differ(held, springs, self._held, self._springs)[mine]
         more = (load - self._load)[self._unknowns[mine]] / self._diagonal[mine]
         rows[as_before] = np.eye(len(self._of_moves))[self._number[as_before]]
         wanted[as_before] = np.where(released, 0.0, more)[as_before]

@@ -63,10 +63,12 @@ class FacetSystem:
     Attributes:
         spaces: The discrete spaces.
         space: Crouzeix-Raviart functions.
+        operator: The Crouzeix-Raviart matrix without conditions on facets, and the next.
         matrix: The Crouzeix-Raviart matrix under the conditions last applied.
         b: Its right side.
         x: Its solution, u_CR minus the lift of u_D and ψ; the start of the next iterative solve.
         trace_dofs: The unknown of each Γ_S facet.
+        dirichlet_dofs: Those of Γ_D.
         dofs: Unknowns over all ranks.
         large: Whether an iterative solver is the default at this size.
         sources: Those of the cells under the conditions last applied.
@@ -84,15 +86,15 @@ class FacetSystem:
         self.space = spaces.crouzeix_raviart
         self.trace_dofs = cells_and_dofs(self.space, spaces.facets)[1]
         self._neumann_dofs = cells_and_dofs(self.space, spaces.neumann_facets)[1]
-        self._dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
+        self.dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = tuning.is_large(self.dofs, DIRECT_UP_TO)
         self._named = self.trace_dofs[spaces.inner.rows]
         self._across = cells_and_dofs(self.space, spaces.inner.facets)[1]
         self._facets = slice(len(spaces.facets))
         self.sources = sources(spaces, data)
-        self._operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
-        self.matrix = self._operator.matrix
+        self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
+        self.matrix = self.operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = create_vector(self.space), create_vector(self.space)
         self.x.set(0.0)
@@ -102,7 +104,7 @@ class FacetSystem:
     @property
     def natural(self) -> PETSc.Mat:
         """The matrix without conditions on facets."""
-        return self._operator.natural
+        return self.operator.natural
 
     @property
     def follows_cells(self) -> bool:
@@ -139,14 +141,14 @@ class FacetSystem:
         owned[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
         lift, image = self.matrix.createVecs()
         lift.array_w[:] = data.u_lift.x.array[: len(owned)]
-        self._operator.natural.mult(lift, image)
+        self.operator.natural.mult(lift, image)
         self._load = owned - image.array_r
         for vector in (lift, image):
             vector.destroy()
 
     def _assemble_again(self, data: Data) -> None:
         """Assemble the matrix with another κ, or other sources (collective)."""
-        self._operator.renew(self._form(data))
+        self.operator.renew(self._form(data))
         self._rows = None
 
     def renew(self, data: Data) -> bool:
@@ -180,10 +182,8 @@ class FacetSystem:
         if conditions.same(self._imposed, self.spaces.mesh.comm):
             return
         self._impose_in_cells(conditions.take(slice(self._facets.stop, None)))
-        on_facets = conditions.take(self._facets)
-        robin = on_facets.kind == Condition.ROBIN
-        added = on_facets.beta_where(robin) * self.spaces.facet_measure[robin]
-        self._operator.impose(self._fixed(on_facets), self.trace_dofs[robin], added)
+        fixed, (_, springs) = self._fixed(conditions.take(self._facets)), self.held_and_springs(conditions)
+        self.operator.impose(fixed, self.trace_dofs, springs)
         self._imposed = conditions
 
     def _impose_in_cells(self, conditions: SiteConditions) -> None:
@@ -198,35 +198,36 @@ class FacetSystem:
 
         Collective if the conditions have values.
         """
-        conditions = conditions.take(self._facets)
-        fixed = self._fixed(conditions)
-        self.b.array_w[:] = self._load
-        traces = np.zeros(len(fixed))
-        if conditions.has_values:
-            self._add_values(conditions)
-            held = conditions.kind == Condition.ZERO_TRACE
-            traces[len(self._dirichlet_dofs) :] = conditions.values_where(held)
-        self.b.array_w[fixed] = traces
-        self.x.array_w[fixed] = traces
+        fixed = self._fixed(conditions.take(self._facets))
+        self.b.array_w[:], held = self.posed(conditions)
+        self.b.array_w[fixed] = self.x.array_w[fixed] = held[fixed]
         return fixed
+
+    def posed(self, conditions: SiteConditions) -> tuple[Array, Array]:
+        """The right side of the system without conditions, and the part of the solution that they give.
+
+        Collective if the conditions have values.
+
+        Returns:
+            The right side for the rest of the solution, and the values of fixed unknowns, 0 elsewhere; both for the
+            owned unknowns.
+        """
+        conditions, load, held = conditions.take(self._facets), self._load.copy(), np.zeros(len(self._load))
+        if conditions.has_values:
+            is_held = conditions.kind == Condition.ZERO_TRACE
+            held[self.trace_dofs[is_held]] = conditions.values_where(is_held)
+            values, image = self.matrix.createVecs()
+            values.array_w[:] = held
+            self.operator.natural.mult(values, image)
+            load -= image.array_r
+            load[self.trace_dofs[~is_held]] += conditions.values_where(~is_held) * self.spaces.facet_measure[~is_held]
+            for vector in (values, image):
+                vector.destroy()
+        return load, held
 
     def _fixed(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         zero_trace = conditions.kind == Condition.ZERO_TRACE
-        return np.concatenate([self._dirichlet_dofs, self.trace_dofs[zero_trace]])
-
-    def _add_values(self, conditions: SiteConditions) -> None:
-        """The loads of fluxes that are not 0, and those of traces that are not, in `b` (collective)."""
-        zero_trace = conditions.kind == Condition.ZERO_TRACE
-        values, image = self.matrix.createVecs()
-        values.set(0.0)
-        values.array_w[self.trace_dofs[zero_trace]] = conditions.values_where(zero_trace)
-        self._operator.natural.mult(values, image)
-        self.b.array_w[:] -= image.array_r
-        self.b.array_w[self.trace_dofs[~zero_trace]] += (
-            conditions.values_where(~zero_trace) * self.spaces.facet_measure[~zero_trace]
-        )
-        for vector in (values, image):
-            vector.destroy()
+        return np.concatenate([self.dirichlet_dofs, self.trace_dofs[zero_trace]])
 
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
@@ -308,14 +309,22 @@ class FacetSystem:
         A facet of Γ_S has one cell, so its row of the system without conditions is |e|(σ·n − q_S).
         """
         if self._rows is None:
-            first, end = self._operator.natural.getOwnershipRange()
+            first, end = self.operator.natural.getOwnershipRange()
             rows = PETSc.IS().createGeneral(first + self.trace_dofs, comm=self.x.getComm())
             own = PETSc.IS().createStride(end - first, first, comm=self.x.getComm())
-            self._rows = self._operator.natural.createSubMatrix(rows, own)
+            self._rows = self.operator.natural.createSubMatrix(rows, own)
         loads = self._rows.createVecLeft()
         self._rows.mult(x, loads)
         flux: Array = (loads.array_r - self._load[self.trace_dofs]) / self.spaces.facet_measure
         return self._pairs(x, flux, conditions)
+
+    def held_and_springs(self, conditions: SiteConditions) -> tuple[Mask, Array]:
+        """Which facets of Γ_S are held under these conditions, and β|e| at each of the others."""
+        on_facets = conditions.take(self._facets)
+        robin = on_facets.kind == Condition.ROBIN
+        added = np.zeros(len(robin))
+        added[robin] = on_facets.beta_where(robin) * self.spaces.facet_measure[robin]
+        return on_facets.kind == Condition.ZERO_TRACE, added
 
     def _pairs(self, x: PETSc.Vec, flux: Array, conditions: SiteConditions) -> tuple[Array, Array]:
         """Pairs of all sites: p − ψ and σ·n − q_S of facets, u_T less its reference and −s_T of cells with laws."""

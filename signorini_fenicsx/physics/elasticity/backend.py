@@ -381,7 +381,7 @@ class ElasticBackend:
         if self._turns:
             along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
             blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
-        self._factors.solve_anew(load, x, contact, (sprung, self._weak), blocks)
+        self._factors.solve_anew(load, x, contact, np.where(sprung, self._weak, 0.0), blocks)
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces, iterations = self.spaces, self._solver.ksp.getIterationNumber()
