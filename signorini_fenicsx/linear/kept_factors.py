@@ -31,7 +31,7 @@ type Springs = Array | float
 """The stiffness of a spring at each site, or of all; 0 for none."""
 
 MOST = {2: 40, 3: 64}
-"""For each dimension, if more sites change for the first time a factorisation costs less. In space it costs far more."""
+"""For each dimension, where more sites change for the first time a factorisation costs less; in space it costs more."""
 MOST_KEPT = 300
 """So many sites at most have changed; their equations are on every rank."""
 
