@@ -10,7 +10,8 @@ the latter because W_l = ∫ y∇λ_l + ∫(∇·y + f)λ_l. Its values at the v
 with rational coefficients, which `_coefficients` solves for exactly. So y is enclosed in real arithmetic, and −∇·y is
 the load that is constant on subcells and has the moments of f, if forces and moments on the cell are in balance: these
 make ∫ŷ symmetric. `equilibrated` makes them so. What force and moment a facet of a tree lacks, see `balance`, it gets
-by the traction q = α + β×(x − x_e) with this force and moment.
+by the traction q = α + β×(x − x_e) with this force and moment. A body on whose boundary no facet may take any traction
+is first brought in balance as a whole, by tractions in directions in which u is given, and by pressures.
 """
 
 from __future__ import annotations
@@ -21,8 +22,11 @@ from itertools import combinations
 
 import numpy as np
 from flint import fmpq, fmpq_mat
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.rigorous.balance import balanced
@@ -205,54 +209,115 @@ def pulls_with(x: Interval, wrench: Interval, origin: Array) -> Interval:
 
     fields = [turned(n) for n in range(len(turns))]
     share = float(dim * (dim + 1))
-    matrix = [[total(_turning(arms, field, i, j)) / share for field in fields] for i, j in turns]
-    rates = _solved(matrix, moments)
+    rows = [stacked([total(_turning(arms, field, i, j)) / share for field in fields]) for i, j in turns]
+    rates = solved(stacked(rows, axis=1), stacked(moments))
     found = at(force, np.s_[:, None])
-    for field, rate in zip(fields, rates, strict=True):
-        found = found + field * at(rate, np.s_[:, None, None])
+    for n, field in enumerate(fields):
+        found = found + field * at(rates, np.s_[:, n, None, None])
     return found
 
 
-def _solved(matrix: list[list[Interval]], right: list[Interval]) -> list[Interval]:
-    """The solution of linear systems with one or three unknowns, by Cramer's rule."""
-    if len(matrix) == 1:
-        return [right[0] / matrix[0][0]]
-    columns = [[row[k] for row in matrix] for k in range(3)]
-    whole = _determinant(*columns)
-    return [_determinant(*(right if k == n else columns[k] for k in range(3))) / whole for n in range(3)]
+def solved(matrix: Interval, right: Interval) -> Interval:
+    """The solutions of linear systems with matrices of shape (…, m, m), enclosed.
+
+    With R near the inverse of A and ‖I − RA‖ < 1 it is |x − x̃| ≤ ‖R(b − Ax̃)‖/(1 − ‖I − RA‖) for any x̃.
+
+    Raises:
+        InputError: If a matrix may be singular.
+    """
+    middle = (matrix.lo + matrix.hi) / 2
+    with np.errstate(all="ignore"):
+        regular = np.isfinite(middle).all(axis=(-1, -2)) & (np.linalg.cond(middle) < 1 / np.finfo(float).eps)
+    inverse = np.linalg.inv(np.where(regular[..., None, None], middle, np.eye(middle.shape[-1])))
+    near = np.einsum("...ij,...j->...i", inverse, (right.lo + right.hi) / 2)
+    left = right - total(matrix * near[..., None, :])
+    off = total(enclosing(inverse[..., None]) * at(matrix, np.s_[..., None, :, :]), axis=-2) - np.eye(middle.shape[-1])
+    norm = total(enclosing(off.largest)).hi.max(axis=-1)
+    moved = total(enclosing(inverse) * at(left, np.s_[..., None, :])).largest.max(axis=-1)
+    if not (regular & (norm < 1)).all():
+        raise InputError("a cell is too flat, or what is given of u and contact do not hold the body")
+    radius = (enclosing(moved) / (1.0 - enclosing(norm))).hi[..., None]
+    return enclosing(near) + Interval(-radius, radius)
 
 
-def _determinant(a: list[Interval], b: list[Interval], c: list[Interval]) -> Interval:
-    cross = [b[(i + 1) % 3] * c[(i + 2) % 3] - b[(i + 2) % 3] * c[(i + 1) % 3] for i in range(3)]
-    return a[0] * cross[0] + a[1] * cross[1] + a[2] * cross[2]
-
-
-def equilibrated(cells_of_mesh: Cells, outlets: Mask, pulls: Interval, moments: Interval) -> Interval:
+def equilibrated(cells_of_mesh: Cells, outlets: Mask, holds: Interval, pulls: Interval, moments: Interval) -> Interval:
     """The tractions q with forces and moments on each cell in balance, corrected along a tree, see `balance`.
+
+    A body without outlets is first brought in balance as a whole, by q = Hr on its boundary with a rigid motion r.
 
     Args:
         cells_of_mesh: The cells.
         outlets: For each facet of each cell, whether any traction may act there on the boundary.
+        holds: H on the other facets, 0 where the traction is given, shape (cells, d + 1, d, d).
         pulls: q at the vertices of facets, opposite for two cells that share one, shape (cells, d + 1, d, d).
         moments: ∫ f λ_k, shape (cells, d + 1, d).
 
     Raises:
-        InputError: If a part of the domain has no outlet.
+        InputError: If a body is not held.
     """
     vertices, dim = cells_of_mesh.vertices, cells_of_mesh.dim
     origin = vertices.reshape(-1, dim).mean(axis=0)
     x = enclosing(vertices)
     on_facets = at(x, np.s_[:, opposite(dim)])
-    of_facets = wrenches(on_facets, pulls, origin)
-    surplus = total(of_facets, axis=1) + _wrench_of_load(x, moments, origin)
-    none = enclosing(np.zeros(of_facets.lo.shape))
-    lacking = balanced(cells_of_mesh.facets, outlets, none, surplus)
-    changed = np.nonzero(~lacking.is_zero.all(axis=2))
+    load = _wrench_of_load(x, moments, origin)
+    roots = np.zeros_like(outlets)
+    bodies = bodies_of(cells_of_mesh)
+    for body in np.setdiff1d(bodies, bodies[outlets.any(axis=1)]):
+        mine = np.flatnonzero(bodies == body)
+        pulls = _brought_in_balance(cells_of_mesh, mine, holds, pulls, at(load, mine), origin)
+        roots[mine[0], 0] = True
+    surplus = total(wrenches(on_facets, pulls, origin), axis=1) + load
+    none = enclosing(np.zeros((*outlets.shape, surplus.lo.shape[1])))
+    lacking = balanced(cells_of_mesh.facets, outlets | roots, none, surplus)
+    changed = np.nonzero(~lacking.is_zero.all(axis=2) & ~roots)  # what leaves at a root is 0
     more = pulls_with(at(on_facets, changed), at(lacking, changed), origin)
+    return _added(pulls, changed, more)
+
+
+def bodies_of(cells_of_mesh: Cells) -> Indices:
+    """The number of the body in which each cell is."""
+    facets = cells_of_mesh.facets
+    count, number = len(facets), int(facets.max()) + 1
+    cells = np.repeat(np.arange(count), facets.shape[1])
+    ones, shape = np.ones(facets.size, dtype=np.int8), (count + number, count + number)
+    graph = coo_array((ones, (cells, count + facets.ravel())), shape=shape)
+    return np.asarray(connected_components(graph, directed=False)[1][:count], dtype=np.int64)
+
+
+def _added(pulls: Interval, place: tuple[Indices, ...], more: Interval) -> Interval:
+    """The tractions with more at some facets."""
     lo, hi = pulls.lo.copy(), pulls.hi.copy()
-    corrected = at(pulls, changed) + more
-    lo[changed], hi[changed] = corrected.lo, corrected.hi
+    sums = at(pulls, place) + more
+    lo[place], hi[place] = sums.lo, sums.hi
     return Interval(lo, hi)
+
+
+def _brought_in_balance(
+    cells_of_mesh: Cells, body: Indices, holds: Interval, pulls: Interval, load: Interval, origin: Array
+) -> Interval:
+    """The tractions with those on one body in balance as a whole."""
+    facets, dim = cells_of_mesh.facets, cells_of_mesh.dim
+    mine = np.zeros(facets.shape, dtype=bool)
+    mine[body] = np.bincount(facets.ravel())[facets[body]] == 1
+    outer = np.nonzero(mine)
+    corners = cells_of_mesh.vertices[outer[0][:, None], opposite(dim)[outer[1]]]
+    size = 2.0 ** np.ceil(np.log2(np.ptp(corners.reshape(-1, dim), axis=0).max()))  # exact, so that units do not matter
+    scale = np.concatenate([np.ones(dim), np.full(dim * (dim - 1) // 2, size)])
+    x, arms = enclosing(corners), (enclosing(corners) - origin) / size
+    motions = [enclosing(np.broadcast_to(each, corners.shape)) for each in np.eye(dim)]
+    for i, j in combinations(range(dim), 2):
+        columns = [enclosing(np.zeros(corners.shape[:2]))] * dim
+        columns[i], columns[j] = -at(arms, np.s_[..., j]), at(arms, np.s_[..., i])
+        motions.append(stacked(columns))
+    hold = at(holds, outer)
+    answers = [total(at(hold, np.s_[:, None]) * at(motion, np.s_[..., None, :])) for motion in motions]
+    matrix = stacked([total(wrenches(x, each, origin), axis=0) / scale for each in answers])
+    lacking = total(wrenches(x, at(pulls, outer), origin), axis=0) + total(load, axis=0)
+    rates = solved(matrix, -lacking / scale)
+    more = enclosing(np.zeros(corners.shape))
+    for n, answer in enumerate(answers):
+        more = more + answer * at(rates, n)
+    return _added(pulls, outer, more)
 
 
 def _wrench_of_load(x: Interval, moments: Interval, origin: Array) -> Interval:

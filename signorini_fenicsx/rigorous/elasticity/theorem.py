@@ -55,6 +55,8 @@ from signorini_fenicsx.rigorous.tensor import Tensor
 
 PRESSED = 1e-9
 """Pressures below this share of the largest one are 0."""
+LARGE = 0.1
+"""Where contact has to hold a body, facets with pressures above this share of the largest one do."""
 
 
 def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
@@ -68,16 +70,18 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     compliance = _compliance(discrete, given, subcells)
     areas = cells.gradients * at(cells.measure, np.s_[:, None, None]) * -float(cells.dim)  # |e|n
     moments = _moments(discrete, given, cells)
-    pulls, pressure = _tractions(discrete, given, areas)
-    outlets = (discrete.displacement != NONE).all(axis=2)
-    y = stresses_of(cells, equilibrated(discrete, outlets, pulls, moments), moments)
+    pulls, pressures = _tractions(discrete, given, areas)
     contact = discrete.gap != NONE
+    outlets = (discrete.displacement != NONE).all(axis=2)
+    pulls = equilibrated(discrete, outlets, _holds(discrete, areas, pressures), pulls, moments)
+    y = stresses_of(cells, pulls, moments)
+    pressure = _pressure_of(at(pulls, contact), at(areas, contact))
     v = admissible(discrete, given, at(areas, contact))
 
     y_entries = _entries(y)
     mismatch = _energy(compliance, subcells, y_entries, _strains(subcells, v.values))
     left = _energy(compliance, subcells, y_entries - _entries(enclosing(discrete.stresses)))
-    on_contact = _work(pressure[contact], v.off)
+    on_contact = _work(pressure, v.off)
     twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi]))
     remainder = root_above(total_above(squared(left).hi))
     if not np.isfinite(twice_the_gap + remainder):
@@ -203,6 +207,28 @@ def _pressures(discrete: ElasticDiscrete, outer: Array) -> Array:
     return -found / (outer**2).sum(axis=2)[..., None]
 
 
+def _holds(discrete: ElasticDiscrete, areas: Interval, pressure: Array) -> Interval:
+    """H of `equilibrated`: directions in which u is given, and N where the pressure is large."""
+    given = np.where((discrete.displacement != NONE)[..., None], np.eye(discrete.dim), 0.0)
+    pressed = pressure.min(axis=2) > LARGE * pressure.max(initial=0.0)
+    middle = (areas.lo + areas.hi) / 2
+    normals = at(areas, np.s_[..., None]) * middle[..., None, :]
+    return normals.where(pressed[..., None, None], enclosing(given))
+
+
+def _pressure_of(pulls: Interval, areas: Interval) -> Interval:
+    """P ≥ 0 at the vertices of facets, from q = −pN.
+
+    Raises:
+        InputError: If a pressure may be < 0.
+    """
+    middle = ((areas.lo + areas.hi) / 2)[:, None]
+    pressure = -(total(pulls * middle) / total(at(areas, np.s_[:, None]) * middle))
+    if (pressure.lo < 0).any():
+        raise InputError("the stress cannot be balanced: what the solver leaves is larger than the pressure on Γ_C")
+    return pressure
+
+
 def _linear(given: Given, name: str, tree: Tree, x: Array) -> Interval:
     """The values of a linear datum at the vertices of facets.
 
@@ -252,10 +278,10 @@ def _energy(compliance: Tensor, subcells: Simplices, stress: Interval, strain: I
     return size / root(compliance.theta)
 
 
-def _work(pressure: Array, off: Interval) -> Interval:
+def _work(pressure: Interval, off: Interval) -> Interval:
     """∫ (−y_nn)(g − v_n) over the facets of Γ_C, from pressures at their vertices and coefficients of |e|(g − v_n)."""
-    dim = pressure.shape[1]
+    dim = pressure.lo.shape[1]
     ends = [(k,) for k in range(dim)] + list(EDGES[dim - 1])
     share = (dim + 2) * math.comb(dim + 1, dim - 1)
     weights = np.array([[1.0 + (2 if len(end) == 1 else 1) * (a in end) for end in ends] for a in range(dim)])
-    return total(off * total(enclosing(pressure[..., None]) * weights, axis=1)) / float(share)
+    return total(off * total(at(pressure, np.s_[..., None]) * weights, axis=1)) / float(share)
