@@ -14,6 +14,7 @@ from test_rigorous import quadrature
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.expressions import exactly, read
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import enclosing
@@ -25,7 +26,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     split_vertices,
     to_matrices,
 )
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given, gathered
 from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, opposite, pulls_with, stresses_of, wrenches
@@ -69,6 +70,14 @@ def punched(comm: MPI.Comm, n: int, dim: int = 2, **changes: object) -> ElasticS
     }
     problem = ElasticProblem(1.0, 0.3, **(data | changes))  # type: ignore[arg-type]
     return solve(box(comm, n, [0.0] * dim, [1.0] * dim), (boundary, problem))
+
+
+def rubbed(law: ElasticLaw, dim: int, n: int) -> ElasticSolution:
+    """A block that is pressed onto a curved foundation and pushed along it."""
+    bottom, sides = f"{'xyz'[dim - 1]}0", ["x0", "x1", *(["y0", "y1"] if dim == 3 else [])]
+    u_D = ["0.05", *["0.02"] * (dim - 2), "-0.1"]
+    problem = ElasticProblem(1.0, 0.3, u_D=u_D, gap="0.02*x^2", laws=(dataclasses.replace(law, parts=[bottom]),))
+    return solve(box(MPI.COMM_SELF, n, [0.0] * dim, [1.0] * dim), (ElasticBoundary([bottom], neumann=sides), problem))
 
 
 def held_by_contact(dim: int = 2) -> ElasticSolution:
@@ -191,6 +200,22 @@ def test_near_the_certificate():
         assert proof.proven.remainder <= 1e-9
 
 
+@pytest.mark.parametrize(("dim", "n"), [(2, 8), (3, 2)])
+def test_with_friction(dim: int, n: int, monkeypatch: pytest.MonkeyPatch):
+    """With the same displacement the gap is that of the certificate; a larger bound of the shear makes it larger."""
+    monkeypatch.setattr("signorini_fenicsx.physics.elasticity.bound.certify._with_most", lambda *_: np.empty(0, int))
+    for law in (Friction([], "0.01 + 0.02*x"), CoulombLaw([], 0.3)):
+        solution = rubbed(law, dim, n)
+        certificate = certify(solution)
+        found = gathered(solution, certificate.v, FromArb())
+        assert found is not None
+        assert prove(*found).gap == pytest.approx(certificate.gap, rel=1e-8)
+        discrete, given = found
+        larger = dataclasses.replace(discrete, bound=2 * discrete.bound)
+        doubled = tuple(read("0.02 + 0.04*x", "x") if t == read("0.01 + 0.02*x", "x") else t for t in given.trees)
+        assert prove(larger, dataclasses.replace(given, trees=doubled)).gap > 1.01 * certificate.gap
+
+
 @pytest.mark.parallel([2, 3])
 def test_on_ranks():
     """The bound of several ranks is that of one."""
@@ -258,7 +283,7 @@ h = "1/4"
     assert "proved     energy error ≤ " in done.stdout
     certificate = json.loads((tmp_path / "done/summary.json").read_text())["certificate"]
     assert certificate["gap"] * (1 - 1e-8) <= certificate["proved"]["gap"] <= 1.6 * certificate["gap"]
-    done = signorini(tmp_path, "solve", "plate", "--rigorous", "--output", "rough")
+    done = signorini(tmp_path, "solve", "two_cylinders", "--rigorous", "--output", "rough")
     assert done.returncode == 2
-    assert "--rigorous: the proof is not for elastic problems with friction" in done.stderr
+    assert "--rigorous: the proof is not for elastic problems of bodies in contact with each other" in done.stderr
     assert not (tmp_path / "rough").exists()

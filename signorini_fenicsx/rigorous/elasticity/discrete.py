@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,13 +12,15 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.expressions import TREES, Tree, exactly
+from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Elementary
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
+from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum
 from signorini_fenicsx.rigorous.discrete import Cells, alike, gathered_rows
 
@@ -43,6 +46,9 @@ class ElasticDiscrete(Cells):
         traction: g_N likewise.
         pressure: The pressure where that is given, shape (cells, d + 1).
         gap: g on Γ_C, shape (cells, d + 1).
+        rubbing: The bound of the shear where that is given, shape (cells, d + 1).
+        bound: Its values at the vertices of facets where it is by the pressure, 0 elsewhere, shape (cells, d + 1, d).
+        pair: Where two bodies touch a number of the two facets, of which the named one has a gap, shape (cells, d + 1).
     """
 
     stresses: Array
@@ -54,6 +60,15 @@ class ElasticDiscrete(Cells):
     traction: Indices
     pressure: Indices
     gap: Indices
+    rubbing: Indices
+    bound: Array
+    pair: Indices
+
+    def facet_vertices(self, mask: Mask) -> Array:
+        """Vertices of the facets at which a mask of the facets of all cells is True, shape (facets, d, d)."""
+        cells, local = np.nonzero(mask)
+        others = np.array([[k for k in range(self.dim + 1) if k != i] for i in range(self.dim + 1)])
+        return np.asarray(self.vertices[cells[:, None], others[local]])
 
 
 @dataclass(frozen=True)
@@ -129,17 +144,51 @@ def gathered(
     Raises:
         InputError: If a datum is not an expression.
     """
-    spaces, data = solution.spaces, solution.data
-    cells, dim, collected = len(spaces.order), spaces.dim, _Collected()
-    material = collected.in_cells((data.material.young[0], data.material.poisson[0]), "young or poisson", cells)
-    force = collected.in_cells(data.f.scalars, "f", cells)
-    on_facets = cells, dim + 1
-    displacement, traction = (np.full((*on_facets, dim), NONE) for _ in range(2))
-    pressure, gap = (np.full(on_facets, NONE) for _ in range(2))
-    for facets, datum in loads_of(spaces, data):
+    spaces, data, collected = solution.spaces, solution.data, _Collected()
+    cells, dim = len(spaces.order), spaces.dim
+    known: dict[str, npt.NDArray[Any]] = {
+        "material": collected.in_cells((data.material.young[0], data.material.poisson[0]), "young or poisson", cells),
+        "force": collected.in_cells(data.f.scalars, "f", cells),
+        **_loads(solution, collected),
+        **_given(solution, collected),
+        **_contact(solution, collected),
+    }
+    unread = sorted({name for names in spaces.mesh.comm.allgather(collected.unread) for name in names})
+    if unread:
+        raise InputError(f"{', '.join(unread)} must be an expression, as in a case file")
+    space = v.function_space
+    local = space.dofmap.list[spaces.split.cells]
+    known["nodes"] = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
+    known["v"] = v.x.array.reshape(-1, dim)[local]
+    known["stresses"] = solution.stresses
+    whole = gathered_rows(spaces, spaces.nodes, known)
+    if whole is None:
+        return None
+    whole["v"] = alike(whole["nodes"], whole["v"])
+    discrete = ElasticDiscrete(**{each.name: whole[each.name] for each in fields(ElasticDiscrete)})
+    return discrete, Given(tuple(collected.trees), dim == 3 or data.material.in_strain, elementary)
+
+
+def _nowhere(spaces: ElasticSpaces, *shape: int) -> Indices:
+    """No datum on any facet."""
+    return np.full((len(spaces.order), spaces.dim + 1, *shape), NONE)
+
+
+def _loads(solution: ElasticSolution, collected: _Collected) -> dict[str, npt.NDArray[Any]]:
+    """Tractions and pressures (collective)."""
+    spaces = solution.spaces
+    traction, pressure = _nowhere(spaces, spaces.dim), _nowhere(spaces)
+    for facets, datum in loads_of(spaces, solution.data):
         target = pressure[..., None] if isinstance(datum, PressureDatum) else traction
         for k, scalar in enumerate(datum.scalars):
             target[facets.cells, facets.local, k] = collected.on_facets(scalar, datum.name, facets.facets)
+    return {"traction": traction, "pressure": pressure}
+
+
+def _given(solution: ElasticSolution, collected: _Collected) -> dict[str, npt.NDArray[Any]]:
+    """What is given of u (collective)."""
+    spaces = solution.spaces
+    displacement = _nowhere(spaces, spaces.dim)
     for facets, _, letter in spaces.fixed:
         if letter == NORMAL:
             flat = np.ptp(facets.vertices, axis=1) == 0
@@ -147,36 +196,28 @@ def gathered(
             collected.unread += [] if flat.any(axis=1).all() else ["u_D along normals that are no axes"]
         else:
             along = np.full(len(facets.facets), AXES.index(letter))
-        for axis, component in enumerate(data.u_D.scalars):
+        for axis, component in enumerate(solution.data.u_D.scalars):
             mine = np.flatnonzero(along == axis)
             numbers = collected.on_facets(component, "u_D", facets.facets[mine])
             displacement[facets.cells[mine], facets.local[mine], axis] = numbers
-    contact = spaces.contact
+    return {"displacement": displacement}
+
+
+def _contact(solution: ElasticSolution, collected: _Collected) -> dict[str, npt.NDArray[Any]]:
+    """The gap, the bounds of friction, and which facets touch (collective)."""
+    spaces, data, dim = solution.spaces, solution.data, solution.spaces.dim
+    gap, rubbing, pair = (_nowhere(spaces) for _ in range(3))
+    contact, rough, coulomb = spaces.contact, spaces.rough, data.friction.coulomb
     gap[contact.cells, contact.local] = collected.on_facets(data.gap, "gap", contact.facets)
-    unread = sorted({name for names in spaces.mesh.comm.allgather(collected.unread) for name in names})
-    if unread:
-        raise InputError(f"{', '.join(unread)} must be an expression, as in a case file")
-    space = v.function_space
-    local = space.dofmap.list[spaces.split.cells]
-    numbers = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
-    whole = gathered_rows(
-        spaces,
-        spaces.nodes,
-        {
-            "stresses": solution.stresses,
-            "v": v.x.array.reshape(-1, dim)[local],
-            "nodes": numbers,
-            "material": material,
-            "force": force,
-            "displacement": displacement,
-            "traction": traction,
-            "pressure": pressure,
-            "gap": gap,
-        },
-    )
-    if whole is None:
-        return None
-    names = ("vertices", "corners", "facets", "stresses", "nodes", "material", "force", "displacement", "traction")
-    same = {name: whole[name] for name in (*names, "pressure", "gap")}
-    discrete = ElasticDiscrete(**same, v=alike(whole["nodes"], whole["v"]))
-    return discrete, Given(tuple(collected.trees), dim == 3 or data.material.in_strain, elementary)
+    for index, law in enumerate(solution.problem.laws):
+        for part in [] if isinstance(law, CoulombLaw) else law.parts:
+            facets, name = spaces.part(part), f"law.{index}.g"
+            most = datum_of(spaces, name, parsed(getattr(law, "g"), "xyz"[:dim], name))  # noqa: B009
+            rubbing[facets.cells, facets.local] = collected.on_facets(most, name, facets.facets)
+    bound = np.zeros((*gap.shape, dim))
+    bound[rough.cells[coulomb], rough.local[coulomb]] = data.friction.bound[coulomb]
+    named, comm = contact.take(spaces.inner.rows), spaces.mesh.comm
+    first = sum(comm.allgather(len(spaces.inner.rows))[: comm.rank])
+    for side in (named, spaces.across):
+        pair[side.cells, side.local] = first + np.arange(len(side.facets))
+    return {"gap": gap, "rubbing": rubbing, "bound": bound, "pair": pair}

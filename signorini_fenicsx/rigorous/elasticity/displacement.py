@@ -27,10 +27,12 @@ class Displacement:
     Attributes:
         coefficients: Shape (cells, d + 1, coefficients, d).
         off: Coefficients of |e|g − v·N on the facets of Γ_C, ≥ 0, shape (facets, coefficients).
+        on_contact: Those of v there, shape (facets, coefficients, d).
     """
 
     coefficients: Interval
     off: Interval
+    on_contact: Interval
 
     @property
     def values(self) -> Interval:
@@ -70,7 +72,7 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
     on = discrete.gap != NONE
     cells, local = np.nonzero(on)
     nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(dim)]
-    x = _facet_vertices(discrete, on)
+    x = discrete.facet_vertices(on)
     g = enclosing(np.zeros(nodes.shape))
     for tree, mask in given.each(discrete.gap):
         _, found = _on_facets(discrete, given, "gap", tree, mask, numbers)
@@ -83,14 +85,8 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
     rho, away = _moves(off, nodes, areas, fixed, x)
     at_nodes = at_nodes - away * rho[:, None]
     off = wide - _along(at_nodes, nodes, areas)
-    return Displacement(at(at_nodes, numbers), Interval(np.maximum(off.lo, 0.0), np.maximum(off.hi, 0.0)))
-
-
-def _facet_vertices(discrete: ElasticDiscrete, mask: Mask) -> Array:
-    """Vertices of the facets at which a mask is True, shape (facets, d, d)."""
-    cells, local = np.nonzero(mask)
-    others = np.array([[k for k in range(discrete.dim + 1) if k != i] for i in range(discrete.dim + 1)])
-    return discrete.vertices[cells[:, None], others[local]]
+    off = Interval(np.maximum(off.lo, 0.0), np.maximum(off.hi, 0.0))
+    return Displacement(at(at_nodes, numbers), off, at(at_nodes, nodes))
 
 
 def _on_facets(
@@ -106,7 +102,7 @@ def _on_facets(
         raise InputError(f"the proof is for quadratic {name} alone")
     cells, local = np.nonzero(mask)
     nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(discrete.dim)]
-    x = with_midpoints(enclosing(_facet_vertices(discrete, mask)))
+    x = with_midpoints(enclosing(discrete.facet_vertices(mask)))
     point = {axis: at(x, np.s_[..., k]) for k, axis in enumerate("xyz"[: discrete.dim])}
     return nodes, bernstein(interval(tree, point, given.elementary).on(nodes.shape), discrete.dim - 1)
 

@@ -17,8 +17,7 @@ def outside(problem: ElasticProblem, *, touching: bool) -> str:
     """
     along_axes = _has_list(problem.young) or _has_list(problem.poisson)
     reasons = {
-        "with friction": len(problem.laws) > len(problem.normal),
-        "with other laws than contact": bool(problem.normal),
+        "with other laws than contact and friction": bool(problem.normal),
         "with rigid tools under a force or from a surface": bool(problem.surface or problem.force or problem.moment),
         "on elastic supports": bool(problem.support),
         "of bodies in contact with each other": touching,

@@ -1,15 +1,17 @@
 """The error bound of elastic contact as a theorem: the gap identity with every number in it enclosed.
 
 What is proved. Ω is the union of the simplices whose vertices are the stored floats. f, E, ν, u_D, g_N, the pressures
-and g are the functions written in the case file, with exact literals and exact pi. u solves the problem of contact
-without friction, and σ = ℂε(u). σ_h is the field that is linear on each subcell, where the stored floats are its values
+and g are the functions written in the case file, with exact literals and exact pi. u solves the problem of contact,
+with friction that of Tresca; where the bound of the shear is by the pressure it is the stored linear function on each
+facet. σ = ℂε(u). σ_h is the field that is linear on each subcell, where the stored floats are its values
 at the vertices. Then `Proven.sigma_bound` is an upper bound of ‖σ − σ_h‖, and `Proven.bound` one of ‖σ − σ_h‖ and of
 |v − u|, in energy norms. It does not matter how σ_h and v were computed.
 
 Proof. The argument is that of `forms.elasticity`, here with exact ingredients.
 
 - *Stress.* y is a stress of Johnson and Mercier that is in balance with f in all cells, as real numbers, see `stress`.
-  On Γ_N it has the traction that is given, on Γ_C a pressure ≥ 0 and no shear. ‖y − σ_h‖ is enclosed. So there is no
+  On Γ_N it has the traction that is given, on Γ_C a pressure ≥ 0 and a shear within the bound, see `on_contact`. ‖y −
+  σ_h‖ is enclosed. So there is no
   constant of Korn, and it does not matter what solvers leave.
 - *Displacement.* See `displacement`: v = u_D where u is given, and v_n ≤ g on Γ_C.
 - *Material.* 𝔸 stands in the place of κ in `tensor`, and ℂ in that of κ⁻¹: with LᵀAL ≥ θ > 0 it is ‖ε(v) − 𝔸y‖_ℂ ≤
@@ -17,8 +19,6 @@ Proof. The argument is that of `forms.elasticity`, here with exact ingredients.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
@@ -33,10 +33,10 @@ from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.discrete import opposite as opposed
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
+from signorini_fenicsx.rigorous.elasticity.on_contact import pressed, rubbed, shear_near, tangential
 from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, opposite, stresses_of
 from signorini_fenicsx.rigorous.proven import Proven
 from signorini_fenicsx.rigorous.simplices import (
-    EDGES,
     Simplices,
     at,
     facet_measures,
@@ -70,24 +70,28 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     compliance = _compliance(discrete, given, subcells)
     areas = cells.gradients * at(cells.measure, np.s_[:, None, None]) * -float(cells.dim)  # |e|n
     moments = _moments(discrete, given, cells)
-    pulls, pressures = _tractions(discrete, given, areas)
     contact = discrete.gap != NONE
+    normal = at(areas, contact)
+    bound = _bound(discrete, given)
+    pulls, pressures, shear = _tractions(discrete, given, areas, bound)
     outlets = (discrete.displacement != NONE).all(axis=2)
-    pulls = equilibrated(discrete, outlets, _holds(discrete, areas, pressures), pulls, moments)
-    y = stresses_of(cells, pulls, moments)
-    pressure = _pressure_of(at(pulls, contact), at(areas, contact))
-    v = admissible(discrete, given, at(areas, contact))
+    in_balance = equilibrated(discrete, outlets, _holds(discrete, areas, pressures), pulls, moments)
+    y = stresses_of(cells, in_balance, moments)
+    pressure = _pressure(pressures[contact], at(pulls, contact), at(in_balance, contact), normal)
+    v = admissible(discrete, given, normal)
 
     y_entries = _entries(y)
     mismatch = _energy(compliance, subcells, y_entries, _strains(subcells, v.values))
     left = _energy(compliance, subcells, y_entries - _entries(enclosing(discrete.stresses)))
-    on_contact = _work(pressure, v.off)
-    twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi]))
+    on_contact = pressed(pressure, v.off)
+    rough = bound.hi.any(axis=1)
+    on_rough = rubbed(at(normal, rough), at(bound, rough), shear[rough], at(v.on_contact, rough))
+    twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi, 2 * on_rough.hi]))
     remainder = root_above(total_above(squared(left).hi))
     if not np.isfinite(twice_the_gap + remainder):
         raise InputError("the data have no certain finite bounds")
-    bound = total_above(np.array([root_above(twice_the_gap), remainder]))
-    return Proven(bound, bound, twice_the_gap / 2, 0.0, remainder)
+    most = total_above(np.array([root_above(twice_the_gap), remainder]))
+    return Proven(most, most, twice_the_gap / 2, 0.0, remainder)
 
 
 def _split(cells: Simplices) -> Simplices:
@@ -171,8 +175,21 @@ def _moments(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> Inter
     return Interval(*(np.repeat(each[:, None], cells.dim + 1, axis=1) for each in (share.lo, share.hi)))
 
 
-def _tractions(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tuple[Interval, Array]:
-    """Q = |e| yn at the vertices of facets, before cells are in balance, and the pressures on Γ_C.
+def _bound(discrete: ElasticDiscrete, given: Given) -> Interval:
+    """The bound of the shear at the vertices of the facets of Γ_C, shape (facets, d)."""
+    contact = discrete.gap != NONE
+    found = discrete.bound[contact]
+    bound, numbers, x = Interval(found, found.copy()), discrete.rubbing[contact], discrete.facet_vertices(contact)
+    for tree, mask in given.each(numbers):
+        values = _linear(given, "g of friction", tree, x[mask])
+        bound.lo[mask], bound.hi[mask] = np.maximum(values.lo, 0.0), values.hi
+    return bound
+
+
+def _tractions(
+    discrete: ElasticDiscrete, given: Given, areas: Interval, bound: Interval
+) -> tuple[Interval, Array, Array]:
+    """Q = |e| yn at the vertices of facets, before cells are in balance, with the pressures, and w on Γ_C.
 
     In directions in which u is given, and inside, they are those of σ_h, elsewhere what the data say.
     """
@@ -196,9 +213,12 @@ def _tractions(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tupl
     contact = discrete.gap != NONE
     pressure = _pressures(discrete, outer) * contact[..., None]
     pressure[pressure < PRESSED * pressure.max(initial=0.0)] = 0.0
-    found = enclosing(-pressure[contact][..., None]) * at(areas, np.s_[contact, None])
+    normals = outer[contact] / np.linalg.norm(outer[contact], axis=1, keepdims=True)
+    at_vertices = np.einsum("naij,nj->nai", discrete.stresses[:, :, :dim][contact], normals)
+    shear, across = shear_near(at_vertices, normals, bound.lo), at(areas, np.s_[contact, None])
+    found = enclosing(-pressure[contact][..., None]) * across + tangential(across, enclosing(shear))
     pulls.lo[contact], pulls.hi[contact] = found.lo, found.hi
-    return pulls, pressure
+    return pulls, pressure, shear
 
 
 def _pressures(discrete: ElasticDiscrete, outer: Array) -> Array:
@@ -216,17 +236,19 @@ def _holds(discrete: ElasticDiscrete, areas: Interval, pressure: Array) -> Inter
     return normals.where(pressed[..., None, None], enclosing(given))
 
 
-def _pressure_of(pulls: Interval, areas: Interval) -> Interval:
-    """P ≥ 0 at the vertices of facets, from q = −pN.
+def _pressure(pressure: Array, before: Interval, pulls: Interval, areas: Interval) -> Interval:
+    """P ≥ 0 at the vertices of facets, of tractions q that were changed by multiples of N.
 
     Raises:
         InputError: If a pressure may be < 0.
     """
     middle = ((areas.lo + areas.hi) / 2)[:, None]
-    pressure = -(total(pulls * middle) / total(at(areas, np.s_[:, None]) * middle))
-    if (pressure.lo < 0).any():
+    more = total((pulls - before) * middle) / total(at(areas, np.s_[:, None]) * middle)
+    same = ((pulls.lo == before.lo) & (pulls.hi == before.hi)).all(axis=2)
+    found = enclosing(pressure).where(same, enclosing(pressure) - more)
+    if (found.lo < 0).any():
         raise InputError("the stress cannot be balanced: what the solver leaves is larger than the pressure on Γ_C")
-    return pressure
+    return found
 
 
 def _linear(given: Given, name: str, tree: Tree, x: Array) -> Interval:
@@ -276,12 +298,3 @@ def _energy(compliance: Tensor, subcells: Simplices, stress: Interval, strain: I
     off = compliance.times(y) if strain is None else compliance.times(y) - with_midpoints(strain)
     size = root(square_norm(subcells, compliance.half(off))) + compliance.deviation_norm(square_norm(subcells, y))
     return size / root(compliance.theta)
-
-
-def _work(pressure: Interval, off: Interval) -> Interval:
-    """∫ (−y_nn)(g − v_n) over the facets of Γ_C, from pressures at their vertices and coefficients of |e|(g − v_n)."""
-    dim = pressure.lo.shape[1]
-    ends = [(k,) for k in range(dim)] + list(EDGES[dim - 1])
-    share = (dim + 2) * math.comb(dim + 1, dim - 1)
-    weights = np.array([[1.0 + (2 if len(end) == 1 else 1) * (a in end) for end in ends] for a in range(dim)])
-    return total(off * total(at(pressure, np.s_[..., None]) * weights, axis=1)) / float(share)

@@ -1,0 +1,107 @@
+"""What contact and friction add to the gap, enclosed, and tractions that they allow.
+
+With N = |e|n, the field N×w is tangential for any w, in the plane JN w with a number w, and |N×w| ≤ |e||w|. So the
+tractions q = −pN + N×w at the vertices of a facet with p ≥ 0 and |w| ≤ k are admissible for friction with the bound k
+that is linear on the facet, and |e||v_t| = |N×v|. |v_t| is at most the mean of the lengths of its coefficients in
+Bernstein's basis, in space of those on parts of the facet, as in `FacetCoefficients.lengths`.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.expressions.intervals import Interval, absolute, enclosing
+from signorini_fenicsx.physics.elasticity.boundary_nodes import HALVINGS
+from signorini_fenicsx.rigorous.simplices import EDGES, at, root, squared, stacked, total
+
+SHORTER = 1 - 1e-14
+"""Tractions are made shorter by this factor, so that rounding does not make them longer than the bound."""
+
+
+def tangential(areas: Interval, w: Interval) -> Interval:
+    """N×w, in the plane JN w, shape (…, d), from N of shape (…, d) and w of shape (…, d), in the plane (…, 1)."""
+    n, each = ([at(a, np.s_[..., i]) for i in range(a.lo.shape[-1])] for a in (areas, w))
+    if len(n) == 2:
+        return stacked([-n[1] * each[0], n[0] * each[0]])
+    return stacked([n[(i + 1) % 3] * each[(i + 2) % 3] - n[(i + 2) % 3] * each[(i + 1) % 3] for i in range(3)])
+
+
+def shear_near(tractions: Array, normals: Array, most: Array) -> Array:
+    """The w of tractions at the vertices of facets, cut to lengths that are certainly at most these.
+
+    Args:
+        tractions: σn, shape (facets, d, d).
+        normals: n, shape (facets, d).
+        most: Shape (facets, d).
+    """
+    n = normals[:, None]
+    if n.shape[2] == 2:
+        w = (tractions[..., 1] * n[..., 0] - tractions[..., 0] * n[..., 1])[..., None]
+    else:
+        w = np.cross(tractions, n)
+    size = np.linalg.norm(w, axis=2)
+    share = np.divide(most * SHORTER, size, out=np.ones_like(size), where=size > most * SHORTER)
+    return np.asarray(share[..., None] * w)
+
+
+def pressed(pressure: Interval, off: Interval) -> Interval:
+    """∫ (−y_nn)(g − v_n) over facets, from pressures at their vertices and coefficients of |e|(g − v_n)."""
+    return _integral(pressure, off)
+
+
+def rubbed(areas: Interval, bound: Interval, w: Array, v: Interval) -> Interval:
+    """∫ k|v_t| + y_t·v_t over facets, or a bit more.
+
+    Args:
+        areas: N, shape (facets, d).
+        bound: k at the vertices, shape (facets, d).
+        w: That of y_t, shape (facets, d, d), in the plane (facets, d, 1).
+        v: Coefficients of v, shape (facets, coefficients, d).
+    """
+    dim = v.lo.shape[2]
+    shear = tangential(at(areas, np.s_[:, None]), enclosing(w))
+    work = enclosing(np.zeros(len(w)))
+    for i in range(dim):
+        work = work + _integral(at(shear, np.s_[..., i]), at(v, np.s_[..., i]))
+    corners, on_parts = _parts(dim)
+    for corner, part in zip(corners, on_parts, strict=True):
+        there = total(enclosing(part[..., None]) * at(v, np.s_[:, None]), axis=2)
+        if dim == 2:
+            turned = stacked([-at(areas, np.s_[:, 1]), at(areas, np.s_[:, 0])])
+            size = absolute(total(there * at(turned, np.s_[:, None])))
+        else:
+            size = root(total(squared(tangential(at(areas, np.s_[:, None]), there))))
+        most = total(enclosing(corner) * at(bound, np.s_[:, None]))
+        work = work + _integral(most, size) / float(len(corners))
+    return Interval(np.maximum(work.lo, 0.0), np.maximum(work.hi, 0.0))
+
+
+def _integral(linear: Interval, quadratic: Interval) -> Interval:
+    """Means over facets of linear functions, by values at the vertices, times quadratic ones, by coefficients."""
+    dim = linear.lo.shape[1]
+    ends = [(k,) for k in range(dim)] + list(EDGES[dim - 1])
+    share = (dim + 2) * math.comb(dim + 1, dim - 1)
+    weights = np.array([[1.0 + (2 if len(end) == 1 else 1) * (a in end) for end in ends] for a in range(dim)])
+    return total(quadratic * total(at(linear, np.s_[..., None]) * weights, axis=1)) / float(share)
+
+
+@lru_cache
+def _parts(dim: int) -> tuple[Array, Array]:
+    """Hats at the corners of parts of a facet, and the coefficients there from those on the facet; all are exact.
+
+    Shapes (parts, d, d) and (parts, coefficients, coefficients). An edge is one part.
+    """
+    corners = np.eye(dim)[None]
+    for _ in range(HALVINGS if dim == 3 else 0):
+        a, b, c = (corners[:, i] for i in range(3))
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+        corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
+    ends = np.array([(k, k) for k in range(dim)] + list(EDGES[dim - 1]))
+    one, other = corners[:, ends[:, 0]], corners[:, ends[:, 1]]
+    columns = [(one[..., i] * other[..., j] + one[..., j] * other[..., i]) / (1 + (i == j)) for i, j in ends]
+    return corners, np.stack(columns, axis=-1)
