@@ -41,6 +41,11 @@ class ConstrainedMatrix:
         if self._basis is not None:
             self._assembled.ptap(self._basis, self.natural)
 
+    def rows(self, unknowns: npt.NDArray[np.int32]) -> PETSc.Mat:
+        """The rows of `natural` for some owned unknowns, each once (collective)."""
+        rows = (unknowns + self.natural.getOwnershipRange()[0]).astype(PETSc.IntType)
+        return self.natural.createSubMatrix(PETSc.IS().createGeneral(rows, comm=self.natural.getComm()))
+
     def impose(
         self,
         essential: npt.NDArray[np.int32],

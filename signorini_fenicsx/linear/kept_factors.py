@@ -114,8 +114,7 @@ class KeptFactors:
     @cached_property
     def _rows(self) -> PETSc.Mat:
         """The rows of K at the sites (collective when first used)."""
-        rows = (self._unknowns + self._natural.getOwnershipRange()[0]).astype(PETSc.IntType)
-        return self._natural.createSubMatrix(PETSc.IS().createGeneral(rows, comm=self._natural.getComm()))
+        return self._operator.rows(self._unknowns)
 
     @cached_property
     def _forces(self) -> PETSc.Vec:
@@ -237,8 +236,12 @@ class KeptFactors:
 
     def _traces(self, x: PETSc.Vec) -> Array:
         """A solution and K times it, at the sites (collective)."""
+        return np.array([x.array_r[self._unknowns], self.forces(x)])
+
+    def forces(self, x: PETSc.Vec) -> Array:
+        """K times x at the sites (collective)."""
         self._rows.mult(x, self._forces)
-        return np.array([x.array_r[self._unknowns], self._forces.array_r])
+        return np.array(self._forces.array_r)
 
     def _of_moved(self, moved: Array) -> Array:
         """K times what is this at the sites and 0 elsewhere, for the owned unknowns (collective)."""

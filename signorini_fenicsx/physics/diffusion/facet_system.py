@@ -309,10 +309,7 @@ class FacetSystem:
         A facet of Γ_S has one cell, so its row of the system without conditions is |e|(σ·n − q_S).
         """
         if self._rows is None:
-            first, end = self.operator.natural.getOwnershipRange()
-            rows = PETSc.IS().createGeneral(first + self.trace_dofs, comm=self.x.getComm())
-            own = PETSc.IS().createStride(end - first, first, comm=self.x.getComm())
-            self._rows = self.operator.natural.createSubMatrix(rows, own)
+            self._rows = self.operator.rows(self.trace_dofs)
         loads = self._rows.createVecLeft()
         self._rows.mult(x, loads)
         flux: Array = (loads.array_r - self._load[self.trace_dofs]) / self.spaces.facet_measure

@@ -170,7 +170,7 @@ class ElasticBackend:
 
     def flux(self, x: PETSc.Vec, load: Array) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
-        return np.asarray(self._signs * (self._image(x) - load)[self._unknowns] / self._measure)
+        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self._measure)
 
     def image(self, values: Array) -> Array:
         """K without conditions times the owned unknowns (collective)."""
@@ -229,7 +229,9 @@ class ElasticBackend:
         self._sprung = loose
         if self.tools:
             self._respond(conditions, free & loose)
-            rho, moved = self.tools.follow((self._image(self._x) - self.system.load)[self._unknowns], loaded=True)
+            rho, moved = self.tools.follow(
+                self._factors.forces(self._x) - self.system.load[self._unknowns], loaded=True
+            )
             self.tools.rho, self._x.array_w[:] = rho, self._x.array_r + moved
         self._applied = conditions
 
@@ -300,7 +302,7 @@ class ElasticBackend:
         if self.tools:
             if new:
                 self._respond(conditions, np.zeros(self.sites, dtype=bool))
-            x.array_w[:] += self.tools.follow(self._image(x)[self._unknowns], loaded=False)[1]
+            x.array_w[:] += self.tools.follow(self._factors.forces(x), loaded=False)[1]
         return x
 
     def _at_rest(self, conditions: SiteConditions, load: Array, lift: Array | float) -> PETSc.Vec:
