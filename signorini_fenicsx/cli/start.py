@@ -1,6 +1,7 @@
 """The start of `signorini`: if DOLFINx is not installed, it prints a sentence instead of a traceback."""
 
 import importlib.util
+import os
 import sys
 
 NEEDED = ("mpi4py", "petsc4py", "dolfinx")
@@ -8,7 +9,11 @@ EXIT_BAD_INPUT = 2
 
 
 def main() -> None:
-    """Entry point; exit status 2 without DOLFINx."""
+    """Entry point; exit status 2 without DOLFINx.
+
+    On several ranks NumPy and MUMPS have one thread each, unless OMP_NUM_THREADS says otherwise: the threads of one
+    rank would wait for those of another one.
+    """
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         sys.stderr.write(
@@ -17,6 +22,10 @@ def main() -> None:
             "python3-dolfinx\n"
         )
         sys.exit(EXIT_BAD_INPUT)
+    from mpi4py import MPI
+
+    if MPI.COMM_WORLD.size > 1:
+        os.environ.setdefault("OMP_NUM_THREADS", "1")  # is read when NumPy is imported
     from signorini_fenicsx.cli.main import main as run
 
     run()

@@ -9,10 +9,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from mpi4py import MPI
 from sizes import too_long
 
 import signorini_fenicsx
 from signorini_fenicsx import api
+from signorini_fenicsx.cli import main, start
 
 ROOT = Path(__file__).parents[2]
 
@@ -88,6 +90,18 @@ def test_without_dolfinx(tmp_path: Path):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: DOLFINx is not installed")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parallel([1, 2])
+def test_ranks_have_one_thread_each(monkeypatch: pytest.MonkeyPatch):
+    """On several ranks the command sets OMP_NUM_THREADS where the user did not; on one all cores are free."""
+    monkeypatch.setattr(main, "main", lambda: None)
+    for given in (None, "3"):
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+        if given is not None:
+            monkeypatch.setenv("OMP_NUM_THREADS", given)
+        start.main()
+        assert os.environ.get("OMP_NUM_THREADS") == (given or ("1" if MPI.COMM_WORLD.size > 1 else None))
 
 
 def test_files_that_the_documentation_names():
