@@ -28,6 +28,8 @@ CLOSE = 0.3
 """An upper bound of ‖∇d‖² is good enough if it is too large by at most this share of itself."""
 BESIDE = 4.5
 """If e is within ρ of a quadratic, it is within so many times ρ of `interpolated`, whose Lebesgue constant is 3.5."""
+DIGITS = 12
+"""Points of reference simplices are the same in so many digits."""
 SIMPLICES = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}
 """By their number of vertices."""
 
@@ -264,13 +266,21 @@ class _Projection:
         return cls(coefficients * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
 
     def at(self, own: Indices, x: Array) -> tuple[Array, Array]:
-        """Values and gradients in points of simplices with these numbers, shape (parts, points, dim)."""
-        inverse = self.inverse[own]
+        """Values and gradients in points of simplices with these numbers, shape (parts, points, dim).
+
+        Parts that lie alike in their simplices share what the basis is there, which takes most of the time.
+        """
+        inverse, (number, points, dim) = self.inverse[own], x.shape
         reference = np.einsum("nij,nqj->nqi", inverse, x - self.origin[own, None])
-        table = _basis(x.shape[2] + 1).tabulate(1, reference.reshape(-1, x.shape[2]))[:, :, :, 0]
-        table = table.reshape(len(table), *x.shape[:2], self.coefficients.shape[1])
-        value, *slopes = np.einsum("dnqb,nb->dnq", table, self.coefficients[own])
-        return value, np.einsum("inq,nij->nqj", np.stack(slopes), inverse)
+        rounded = np.round(reference, DIGITS).reshape(number, points * dim)
+        _, first, alike = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        tables = _basis(dim + 1).tabulate(1, reference[first].reshape(-1, dim))[:, :, :, 0]
+        tables = tables.reshape(dim + 1, len(first), points, self.coefficients.shape[1]).transpose(1, 0, 3, 2)
+        groups = np.split(np.argsort(alike), np.cumsum(np.bincount(alike))[:-1])
+        results = np.empty((dim + 1, number, points))
+        for table, rows in zip(tables, groups, strict=False):  # without parts there is an empty group and no table
+            results[:, rows] = self.coefficients[own[rows]] @ table
+        return results[0], np.einsum("inq,nij->nqj", results[1:], inverse)
 
     def distance(self, tree: Tree, vertices: Array, degree: int) -> Array:
         """Root mean squares of d and of |∇d| over the points of a quadrature of this degree."""
