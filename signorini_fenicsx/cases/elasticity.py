@@ -213,7 +213,7 @@ class ElasticCase(CaseFile):
         """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
         from signorini_fenicsx.rigorous.elasticity.scope import outside
 
-        return outside(self.data(), touching=bool(self.inner))
+        return outside(self.data())
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:

@@ -101,7 +101,7 @@ def _prepared_elastic(solution: ElasticSolution, v: fem.Function) -> Callable[[]
     Raises:
         InputError: If there is no theorem for the problem.
     """
-    reason = outside(solution.problem, touching=solution.spaces.inner.present)
+    reason = outside(solution.problem)
     if reason or solution.step is not None:
         raise InputError(reason or "the proof is not for steps in time")
     found = elastic.gathered(solution, v, FromArb())

@@ -64,9 +64,22 @@ class ElasticDiscrete(Cells):
     bound: Array
     pair: Indices
 
+    @property
+    def pairs(self) -> tuple[Mask, tuple[Indices, Indices]]:
+        """Which of the facets with a gap touch another body, and the facets of that: their cells and local numbers."""
+        named = self.gap != NONE
+        touching = self.pair[named] != NONE
+        other = np.nonzero((self.pair != NONE) & ~named)
+        order = np.argsort(self.pair[other])[np.argsort(np.argsort(self.pair[named][touching]))]
+        return touching, (other[0][order], other[1][order])
+
     def facet_vertices(self, mask: Mask) -> Array:
         """Vertices of the facets at which a mask of the facets of all cells is True, shape (facets, d, d)."""
-        cells, local = np.nonzero(mask)
+        return self.facet_vertices_of(np.nonzero(mask))
+
+    def facet_vertices_of(self, places: tuple[Indices, ...]) -> Array:
+        """Vertices of facets given by their cells and local numbers, shape (facets, d, d)."""
+        cells, local = places
         others = np.array([[k for k in range(self.dim + 1) if k != i] for i in range(self.dim + 1)])
         return np.asarray(self.vertices[cells[:, None], others[local]])
 

@@ -3,7 +3,7 @@
 It is quadratic on each subcell, by coefficients in Bernstein's basis. Those at the nodes of Γ_D are the coefficients of
 u_D, enclosed. On a facet of Γ_C with N = |e|n the displacement is off the foundation if all coefficients of |e|g − v·N
 are ≥ 0. Where this is not certain, up to rounding, the coefficient of v is moved against the mean normal of the facets
-at its node, along which u is not given.
+at its node, along which u is not given. Where two bodies touch v is the jump, and that of the named side is moved.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.simplices import EDGES, at, bernstein, facet_measures, total, with_midpoints
 
+ROUNDS = 20
+"""Rounds in which nodes are moved off foundations."""
+
 
 @dataclass(frozen=True)
 class Displacement:
@@ -27,7 +30,7 @@ class Displacement:
     Attributes:
         coefficients: Shape (cells, d + 1, coefficients, d).
         off: Coefficients of |e|g − v·N on the facets of Γ_C, ≥ 0, shape (facets, coefficients).
-        on_contact: Those of v there, shape (facets, coefficients, d).
+        on_contact: Those of v there, where two bodies touch of its jump, shape (facets, coefficients, d).
     """
 
     coefficients: Interval
@@ -71,8 +74,13 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
             _give(at_nodes, fixed, component, *_on_facets(discrete, given, "u_D", tree, mask, numbers))
     on = discrete.gap != NONE
     cells, local = np.nonzero(on)
-    nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(dim)]
+    places = nodes_on_facet(dim)
+    nodes = numbers[cells[:, None], local[:, None], places]
+    touching, across = discrete.pairs
+    other = numbers[across[0][:, None], across[1][:, None], places]
     x = discrete.facet_vertices(on)
+    if (discrete.facet_vertices_of(across) != x[touching]).any():
+        raise InputError("where two bodies touch, their facets are not certainly the same")
     g = enclosing(np.zeros(nodes.shape))
     for tree, mask in given.each(discrete.gap):
         _, found = _on_facets(discrete, given, "gap", tree, mask, numbers)
@@ -81,12 +89,22 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
         lo[where], hi[where] = found.lo, found.hi
         g = Interval(lo, hi)
     wide = g * at(facet_measures(x), np.s_[:, None])
-    off = wide - _along(at_nodes, nodes, areas)
-    rho, away = _moves(off, nodes, areas, fixed, x)
-    at_nodes = at_nodes - away * rho[:, None]
-    off = wide - _along(at_nodes, nodes, areas)
-    off = Interval(np.maximum(off.lo, 0.0), np.maximum(off.hi, 0.0))
-    return Displacement(at(at_nodes, numbers), off, at(at_nodes, nodes))
+    for _ in range(ROUNDS):
+        jump = _jump(at_nodes, nodes, touching, other)
+        off = wide - total(jump * at(areas, np.s_[:, None]))
+        if (off.lo >= 0).all():
+            return Displacement(at(at_nodes, numbers), off, jump)
+        at_nodes = at_nodes - _moves(off, nodes, areas, fixed, x)
+    raise InputError("v cannot be moved off the foundation")
+
+
+def _jump(at_nodes: Interval, nodes: Indices, touching: Mask, other: Indices) -> Interval:
+    """The coefficients of v on the facets of Γ_C, where two bodies touch of the jump."""
+    found = at(at_nodes, nodes)
+    jump = at(found, touching) - at(at_nodes, other)
+    lo, hi = found.lo.copy(), found.hi.copy()
+    lo[touching], hi[touching] = jump.lo, jump.hi
+    return Interval(lo, hi)
 
 
 def _on_facets(
@@ -122,32 +140,23 @@ def _give(at_nodes: Interval, fixed: Mask, component: int, nodes: Indices, found
     fixed[nodes, component] = True
 
 
-def _along(at_nodes: Interval, nodes: Indices, areas: Interval) -> Interval:
-    """The coefficients of v·N on facets."""
-    return total(at(at_nodes, nodes) * at(areas, np.s_[:, None]))
-
-
-def _moves(off: Interval, nodes: Indices, areas: Interval, fixed: Mask, x: Array) -> tuple[Array, Array]:
-    """How far each node has to move, and its direction, so that no coefficient is < 0.
+def _moves(off: Interval, nodes: Indices, areas: Interval, fixed: Mask, x: Array) -> Array:
+    """How far to move each node, so that no coefficient should be < 0: twice as far, because of rounding.
 
     Raises:
-        InputError: If there is no such motion.
+        InputError: If no motion helps.
     """
     lack = np.maximum(-off.lo, 0.0)
-    away = np.zeros(fixed.shape)
-    middle = (areas.lo + areas.hi) / 2
+    away, middle = np.zeros(fixed.shape), (areas.lo + areas.hi) / 2
     np.add.at(away, nodes, np.broadcast_to(middle[:, None], (*nodes.shape, fixed.shape[1])))
     away[fixed] = 0.0
     size = np.linalg.norm(away, axis=1, keepdims=True)
     away = np.where(size > 0, away / np.where(size > 0, size, 1.0), 0.0)
-    down = total(enclosing(away[nodes]) * at(areas, np.s_[:, None]))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = np.where(lack > 0, (enclosing(lack) / enclosing(down.lo)).hi, 0.0)
+    down = np.einsum("nki,ni->nk", away[nodes], middle)
     rho = np.zeros(len(fixed))
-    np.maximum.at(rho, nodes, np.where(down.lo > 0, wanted, np.where(lack > 0, np.inf, 0.0)))
-    moving = rho[nodes] > 0
-    if not np.isfinite(rho).all() or (moving & (down.lo < 0)).any():
-        facet = np.argmax((~np.isfinite(rho[nodes]) | (moving & (down.lo < 0))).any(axis=1))
+    np.maximum.at(rho, nodes, np.divide(2 * lack, down, out=np.where(lack > 0, np.inf, 0.0), where=down > 0))
+    if not np.isfinite(rho).all():
+        facet = np.argmax(np.isinf(rho[nodes]).any(axis=1))
         where = ", ".join(f"{each:.4g}" for each in x[facet].mean(axis=0))
         raise InputError(f"where u is given, u_n ≤ gap is not certain near ({where})")
-    return rho, away
+    return np.asarray(away * rho[:, None])

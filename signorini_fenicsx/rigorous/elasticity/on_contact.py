@@ -13,7 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Interval, absolute, enclosing
 from signorini_fenicsx.physics.elasticity.boundary_nodes import HALVINGS
 from signorini_fenicsx.rigorous.simplices import EDGES, at, root, squared, stacked, total
@@ -48,23 +49,62 @@ def shear_near(tractions: Array, normals: Array, most: Array) -> Array:
     return np.asarray(share[..., None] * w)
 
 
+def reactions(areas: Interval, sticks: Mask) -> Interval:
+    """Matrices from a vector to a traction along N, and where facets stick to any traction, shape (…, d, d)."""
+    dim, middle = areas.lo.shape[-1], (areas.lo + areas.hi) / 2
+    middle = middle / np.maximum((middle**2).sum(axis=-1, keepdims=True), np.finfo(float).tiny)
+    along = at(areas, np.s_[..., None]) * middle[..., None, :]
+    columns = []
+    for unit in np.eye(dim):
+        w = (middle[..., 0] * unit[1] - middle[..., 1] * unit[0])[..., None] if dim == 2 else np.cross(unit, middle)
+        columns.append(tangential(areas, enclosing(w)))
+    return along + stacked(columns) * np.where(sticks, 1.0, 0.0)[..., None, None]
+
+
+def changed(
+    areas: Interval, bound: Interval, pressure: Array, w: Array, more: Interval, sticks: Mask
+) -> tuple[Interval, Interval]:
+    """The pressures p ≥ 0 and |e|y_t at the vertices of facets after a change of q = −pN + N×w.
+
+    Args:
+        areas: N, shape (facets, d).
+        bound: k, shape (facets, d).
+        pressure: p before, shape (facets, d).
+        w: Shape (facets, d, d), in the plane (facets, d, 1).
+        more: The change, shape (facets, d, d).
+        sticks: Mask of the facets where it may have parts across N.
+
+    Raises:
+        InputError: If a pressure may be < 0, or a shear above its bound.
+    """
+    across = at(areas, np.s_[:, None])
+    normal = total(more * across) / total(squared(across))
+    found = enclosing(pressure) - normal
+    beside = more - at(normal, np.s_[..., None]) * across
+    wide = root(total(squared(enclosing(w)))) + root(total(squared(beside)) / total(squared(across)))
+    moved = sticks[:, None] & ~beside.is_zero.all(axis=2)
+    beside = beside.where(moved[..., None], enclosing(np.zeros(beside.lo.shape)))
+    if (found.lo < 0).any() or (moved & (wide.hi > bound.lo)).any():
+        raise InputError("the stress cannot be balanced: what the solver leaves is larger than the tractions on Γ_C")
+    return found, tangential(across, enclosing(w)) + beside
+
+
 def pressed(pressure: Interval, off: Interval) -> Interval:
     """∫ (−y_nn)(g − v_n) over facets, from pressures at their vertices and coefficients of |e|(g − v_n)."""
     return _integral(pressure, off)
 
 
-def rubbed(areas: Interval, bound: Interval, w: Array, v: Interval) -> Interval:
+def rubbed(areas: Interval, bound: Interval, shear: Interval, v: Interval) -> Interval:
     """∫ k|v_t| + y_t·v_t over facets, or a bit more.
 
     Args:
         areas: N, shape (facets, d).
         bound: k at the vertices, shape (facets, d).
-        w: That of y_t, shape (facets, d, d), in the plane (facets, d, 1).
+        shear: |e|y_t there, shape (facets, d, d).
         v: Coefficients of v, shape (facets, coefficients, d).
     """
     dim = v.lo.shape[2]
-    shear = tangential(at(areas, np.s_[:, None]), enclosing(w))
-    work = enclosing(np.zeros(len(w)))
+    work = enclosing(np.zeros(len(v.lo)))
     for i in range(dim):
         work = work + _integral(at(shear, np.s_[..., i]), at(v, np.s_[..., i]))
     corners, on_parts = _parts(dim)

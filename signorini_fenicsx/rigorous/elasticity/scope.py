@@ -8,19 +8,13 @@ from typing import Any
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 
 
-def outside(problem: ElasticProblem, *, touching: bool) -> str:
-    """Why the proof is not for a problem, in words; empty if it is.
-
-    Args:
-        problem: The problem.
-        touching: Whether there is contact inside the domain.
-    """
+def outside(problem: ElasticProblem) -> str:
+    """Why the proof is not for a problem, in words; empty if it is."""
     along_axes = _has_list(problem.young) or _has_list(problem.poisson)
     reasons = {
         "with other laws than contact and friction": bool(problem.normal),
         "with rigid tools under a force or from a surface": bool(problem.surface or problem.force or problem.moment),
         "on elastic supports": bool(problem.support),
-        "of bodies in contact with each other": touching,
         "of orthotropic bodies": along_axes or problem.shear is not None or problem.axes is not None,
         "with strain or stress of their own": problem.eigenstrain is not None or problem.initial_stress is not None,
     }

@@ -31,6 +31,7 @@ from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.discrete import Cells
+from signorini_fenicsx.rigorous.elasticity.discrete import NONE
 from signorini_fenicsx.rigorous.simplices import Simplices, at, stacked, total
 
 
@@ -240,16 +241,20 @@ def solved(matrix: Interval, right: Interval) -> Interval:
     return enclosing(near) + Interval(-radius, radius)
 
 
-def equilibrated(cells_of_mesh: Cells, outlets: Mask, holds: Interval, pulls: Interval, moments: Interval) -> Interval:
+def equilibrated(
+    cells_of_mesh: Cells, pair: Indices, outlets: Mask, holds: Interval, pulls: Interval, moments: Interval
+) -> Interval:
     """The tractions q with forces and moments on each cell in balance, corrected along a tree, see `balance`.
 
     A body without outlets is first brought in balance as a whole, by q = Hr on its boundary with a rigid motion r.
+    Where two bodies touch this is at the cost of the one that is nearer to outlets.
 
     Args:
         cells_of_mesh: The cells.
+        pair: Where two bodies touch a number of the two facets, NONE elsewhere, shape (cells, d + 1).
         outlets: For each facet of each cell, whether any traction may act there on the boundary.
         holds: H on the other facets, 0 where the traction is given, shape (cells, d + 1, d, d).
-        pulls: q at the vertices of facets, opposite for two cells that share one, shape (cells, d + 1, d, d).
+        pulls: q at the vertices of facets, opposite for two that are shared or touch, shape (cells, d + 1, d, d).
         moments: ∫ f λ_k, shape (cells, d + 1, d).
 
     Raises:
@@ -261,17 +266,52 @@ def equilibrated(cells_of_mesh: Cells, outlets: Mask, holds: Interval, pulls: In
     on_facets = at(x, np.s_[:, opposite(dim)])
     load = _wrench_of_load(x, moments, origin)
     roots = np.zeros_like(outlets)
-    bodies = bodies_of(cells_of_mesh)
-    for body in np.setdiff1d(bodies, bodies[outlets.any(axis=1)]):
-        mine = np.flatnonzero(bodies == body)
-        pulls = _brought_in_balance(cells_of_mesh, mine, holds, pulls, at(load, mine), origin)
-        roots[mine[0], 0] = True
+    bodies, across = bodies_of(cells_of_mesh), _across(pair)
+    level = _levels(bodies, across, outlets, ~holds.is_zero.all(axis=(2, 3)) & (pair == NONE))
+    for body in np.argsort(-level, kind="stable")[: np.count_nonzero(level)]:
+        mine = bodies == body
+        outer = mine[:, None] & (np.bincount(cells_of_mesh.facets.ravel())[cells_of_mesh.facets] == 1)
+        nearer = level[bodies[across[..., 0]]] < level[body]
+        outer &= (pair == NONE) | nearer
+        place = np.nonzero(outer)
+        more = _in_balance(cells_of_mesh, bodies == body, place, holds, pulls, at(load, mine), origin)
+        touching = pair[place] != NONE
+        pulls = _added(pulls, place, more)
+        other = across[place][touching]
+        pulls = _added(pulls, (other[:, 0], other[:, 1]), -at(more, touching))
+        roots[np.argmax(mine), 0] = True
     surplus = total(wrenches(on_facets, pulls, origin), axis=1) + load
     none = enclosing(np.zeros((*outlets.shape, surplus.lo.shape[1])))
     lacking = balanced(cells_of_mesh.facets, outlets | roots, none, surplus)
     changed = np.nonzero(~lacking.is_zero.all(axis=2) & ~roots)  # what leaves at a root is 0
     more = pulls_with(at(on_facets, changed), at(lacking, changed), origin)
     return _added(pulls, changed, more)
+
+
+def _across(pair: Indices) -> Indices:
+    """The cell and the local number of the facet that touches each facet; of others themselves."""
+    found: Indices = np.stack(list(np.indices(pair.shape)), axis=-1)
+    both = np.argwhere(pair != NONE)
+    places = both[np.argsort(pair[tuple(both.T)], kind="stable")].reshape(-1, 2, 2)
+    for one, other in ((0, 1), (1, 0)):
+        found[places[:, one, 0], places[:, one, 1]] = places[:, other]
+    return found
+
+
+def _levels(bodies: Indices, across: Indices, outlets: Mask, held: Mask) -> Indices:
+    """How far each body is from one with outlets, or where there is none from one with facets that hold it.
+
+    It is 0 for bodies with outlets alone.
+    """
+    count = int(bodies.max()) + 1
+    level = np.full(count, count + 1)
+    own, other = np.broadcast_to(bodies[:, None], across.shape[:2]), bodies[across[..., 0]]
+    for begin, mask in enumerate((outlets, held)):
+        some = np.unique(bodies[mask.any(axis=1)])
+        level[some[level[some] > count]] = begin
+        for _ in range(count):
+            np.minimum.at(level, own, level[other] + (own != other))
+    return level
 
 
 def bodies_of(cells_of_mesh: Cells) -> Indices:
@@ -292,15 +332,18 @@ def _added(pulls: Interval, place: tuple[Indices, ...], more: Interval) -> Inter
     return Interval(lo, hi)
 
 
-def _brought_in_balance(
-    cells_of_mesh: Cells, body: Indices, holds: Interval, pulls: Interval, load: Interval, origin: Array
+def _in_balance(
+    cells_of_mesh: Cells,
+    body: Mask,
+    place: tuple[Indices, ...],
+    holds: Interval,
+    pulls: Interval,
+    load: Interval,
+    origin: Array,
 ) -> Interval:
-    """The tractions with those on one body in balance as a whole."""
+    """Tractions Hr at some facets that bring a body in balance as a whole, shape (facets, d, d)."""
     facets, dim = cells_of_mesh.facets, cells_of_mesh.dim
-    mine = np.zeros(facets.shape, dtype=bool)
-    mine[body] = np.bincount(facets.ravel())[facets[body]] == 1
-    outer = np.nonzero(mine)
-    corners = cells_of_mesh.vertices[outer[0][:, None], opposite(dim)[outer[1]]]
+    corners = cells_of_mesh.vertices[place[0][:, None], opposite(dim)[place[1]]]
     size = 2.0 ** np.ceil(np.log2(np.ptp(corners.reshape(-1, dim), axis=0).max()))  # exact, so that units do not matter
     scale = np.concatenate([np.ones(dim), np.full(dim * (dim - 1) // 2, size)])
     x, arms = enclosing(corners), (enclosing(corners) - origin) / size
@@ -309,15 +352,17 @@ def _brought_in_balance(
         columns = [enclosing(np.zeros(corners.shape[:2]))] * dim
         columns[i], columns[j] = -at(arms, np.s_[..., j]), at(arms, np.s_[..., i])
         motions.append(stacked(columns))
-    hold = at(holds, outer)
+    hold = at(holds, place)
     answers = [total(at(hold, np.s_[:, None]) * at(motion, np.s_[..., None, :])) for motion in motions]
     matrix = stacked([total(wrenches(x, each, origin), axis=0) / scale for each in answers])
-    lacking = total(wrenches(x, at(pulls, outer), origin), axis=0) + total(load, axis=0)
+    outer = np.nonzero(body[:, None] & (np.bincount(facets.ravel())[facets] == 1))
+    around = enclosing(cells_of_mesh.vertices[outer[0][:, None], opposite(dim)[outer[1]]])
+    lacking = total(wrenches(around, at(pulls, outer), origin), axis=0) + total(load, axis=0)
     rates = solved(matrix, -lacking / scale)
     more = enclosing(np.zeros(corners.shape))
     for n, answer in enumerate(answers):
         more = more + answer * at(rates, n)
-    return _added(pulls, outer, more)
+    return more
 
 
 def _wrench_of_load(x: Interval, moments: Interval, origin: Array) -> Interval:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import Binary, Tree, interval, polynomial_degree
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
@@ -33,7 +33,7 @@ from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.discrete import opposite as opposed
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
-from signorini_fenicsx.rigorous.elasticity.on_contact import pressed, rubbed, shear_near, tangential
+from signorini_fenicsx.rigorous.elasticity.on_contact import changed, pressed, reactions, rubbed, shear_near, tangential
 from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, opposite, stresses_of
 from signorini_fenicsx.rigorous.proven import Proven
 from signorini_fenicsx.rigorous.simplices import (
@@ -57,6 +57,8 @@ PRESSED = 1e-9
 """Pressures below this share of the largest one are 0."""
 LARGE = 0.1
 """Where contact has to hold a body, facets with pressures above this share of the largest one do."""
+STICKS = 0.9
+"""Across their normal those do on which the shear is below this share of its bound."""
 
 
 def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
@@ -75,9 +77,12 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     bound = _bound(discrete, given)
     pulls, pressures, shear = _tractions(discrete, given, areas, bound)
     outlets = (discrete.displacement != NONE).all(axis=2)
-    in_balance = equilibrated(discrete, outlets, _holds(discrete, areas, pressures), pulls, moments)
+    sticks = _sticking(discrete, bound, shear)
+    holds = _holds(discrete, areas, pressures, sticks)
+    in_balance = equilibrated(discrete, discrete.pair, outlets, holds, pulls, moments)
     y = stresses_of(cells, in_balance, moments)
-    pressure = _pressure(pressures[contact], at(pulls, contact), at(in_balance, contact), normal)
+    more = _difference(at(pulls, contact), at(in_balance, contact))
+    pressure, rubbing = changed(normal, bound, pressures[contact], shear, more, sticks[contact])
     v = admissible(discrete, given, normal)
 
     y_entries = _entries(y)
@@ -85,7 +90,7 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     left = _energy(compliance, subcells, y_entries - _entries(enclosing(discrete.stresses)))
     on_contact = pressed(pressure, v.off)
     rough = bound.hi.any(axis=1)
-    on_rough = rubbed(at(normal, rough), at(bound, rough), shear[rough], at(v.on_contact, rough))
+    on_rough = rubbed(at(normal, rough), at(bound, rough), at(rubbing, rough), at(v.on_contact, rough))
     twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi, 2 * on_rough.hi]))
     remainder = root_above(total_above(squared(left).hi))
     if not np.isfinite(twice_the_gap + remainder):
@@ -218,6 +223,9 @@ def _tractions(
     shear, across = shear_near(at_vertices, normals, bound.lo), at(areas, np.s_[contact, None])
     found = enclosing(-pressure[contact][..., None]) * across + tangential(across, enclosing(shear))
     pulls.lo[contact], pulls.hi[contact] = found.lo, found.hi
+    touching, other = discrete.pairs
+    pulls.lo[other], pulls.hi[other] = -found.hi[touching], -found.lo[touching]
+    pressure[other] = pressure[contact][touching]
     return pulls, pressure, shear
 
 
@@ -227,28 +235,30 @@ def _pressures(discrete: ElasticDiscrete, outer: Array) -> Array:
     return -found / (outer**2).sum(axis=2)[..., None]
 
 
-def _holds(discrete: ElasticDiscrete, areas: Interval, pressure: Array) -> Interval:
-    """H of `equilibrated`: directions in which u is given, and N where the pressure is large."""
-    given = np.where((discrete.displacement != NONE)[..., None], np.eye(discrete.dim), 0.0)
-    pressed = pressure.min(axis=2) > LARGE * pressure.max(initial=0.0)
-    middle = (areas.lo + areas.hi) / 2
-    normals = at(areas, np.s_[..., None]) * middle[..., None, :]
-    return normals.where(pressed[..., None, None], enclosing(given))
+def _sticking(discrete: ElasticDiscrete, bound: Interval, shear: Array) -> Mask:
+    """Mask of the facets of Γ_C, on both sides where bodies touch, on which the shear is below its bound."""
+    contact = discrete.gap != NONE
+    sticks = np.zeros(contact.shape, dtype=bool)
+    sticks[contact] = ((bound.lo > 0) & (np.linalg.norm(shear, axis=2) <= STICKS * bound.lo)).all(axis=1)
+    touching, other = discrete.pairs
+    sticks[other] = sticks[contact][touching]
+    return sticks
 
 
-def _pressure(pressure: Array, before: Interval, pulls: Interval, areas: Interval) -> Interval:
-    """P ≥ 0 at the vertices of facets, of tractions q that were changed by multiples of N.
+def _holds(discrete: ElasticDiscrete, areas: Interval, pressure: Array, sticks: Mask) -> Interval:
+    """H of `equilibrated`: directions in which u is given, and on Γ_C along N and where it sticks across N.
 
-    Raises:
-        InputError: If a pressure may be < 0.
+    On Γ_C it is 0 where the pressure is not large.
     """
-    middle = ((areas.lo + areas.hi) / 2)[:, None]
-    more = total((pulls - before) * middle) / total(at(areas, np.s_[:, None]) * middle)
-    same = ((pulls.lo == before.lo) & (pulls.hi == before.hi)).all(axis=2)
-    found = enclosing(pressure).where(same, enclosing(pressure) - more)
-    if (found.lo < 0).any():
-        raise InputError("the stress cannot be balanced: what the solver leaves is larger than the pressure on Γ_C")
-    return found
+    pressed = pressure.min(axis=2) > LARGE * pressure.max(initial=0.0)
+    given = np.where((discrete.displacement != NONE)[..., None], np.eye(discrete.dim), 0.0)
+    return reactions(areas, sticks).where(pressed[..., None, None], enclosing(given))
+
+
+def _difference(before: Interval, after: Interval) -> Interval:
+    """By how much tractions on facets have changed, 0 where they are the same."""
+    same = ((before.lo == after.lo) & (before.hi == after.hi)).all(axis=(1, 2))
+    return enclosing(np.zeros(before.lo.shape)).where(same[:, None, None], after - before)
 
 
 def _linear(given: Given, name: str, tree: Tree, x: Array) -> Interval:
