@@ -57,7 +57,7 @@ def test_solutions():
     """Finer solutions are closer; order and ranks do not matter; a solution has no difference from itself."""
     case = load_case("example2")
     found = []
-    for comm in (COMM, MPI.COMM_SELF):
+    for comm in (COMM, MPI.COMM_SELF)[: COMM.size]:
         coarse, middle, fine = (solve_case(case.with_values({"solve.h": h}), comm) for h in (1 / 4, 1 / 8, 1 / 16))
         far, near, back = compare(coarse, fine), compare(middle, fine), compare(fine, middle)
         assert near.norms == back.norms
@@ -69,7 +69,7 @@ def test_solutions():
         assert same.jaccard == pytest.approx(1, abs=1e-13)
         assert max(same.hausdorff, *vars(same.norms).values()) < 1e-12
         found.append(near)
-    together, alone = found
+    together, alone = found[0], found[-1]
     assert vars(together.norms) == pytest.approx(vars(alone.norms), rel=1e-9)
     assert (together.jaccard, together.hausdorff) == pytest.approx((alone.jaccard, alone.hausdorff), rel=1e-10)
     with pytest.raises(InputError, match="the same domain and Γ_S"):
