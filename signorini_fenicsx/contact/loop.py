@@ -16,6 +16,7 @@ site at a time ends after finitely many steps, if it is always the last, in a fi
 hold as well for laws with several corners, where a site moves by one segment at a time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -61,6 +62,7 @@ def iterate_sets[I: Pairs](
     before: I | None = None,
     history: History | None = None,
     on_step: OnStep = lambda step: None,
+    follow: Callable[[I], None] = lambda iterate: None,
 ) -> Outcome:
     """Run an algorithm until the sets repeat (collective).
 
@@ -78,6 +80,7 @@ def iterate_sets[I: Pairs](
             none.
         history: The steps before, which goes on; None if there are none.
         on_step: Called on all ranks after each iteration, if there is no history.
+        follow: Called on all ranks with each solution; it may change the chains of the backend.
 
     Raises:
         LinearSolveFailure: If the start cannot be solved. Later failures end the loop; the outcome's reason tells them.
@@ -90,8 +93,9 @@ def iterate_sets[I: Pairs](
     most = len(history.steps) + parameters.max_iterations
     if before is None:
         history.start_from(solved_with)
-        before, conditions = iterate, _wanted(backend, rule, law, parameters, iterate, start)
-    safeguard = _Safeguard(backend, law, clips=rule.clip is not None)
+        follow(iterate)
+        before, conditions = iterate, _wanted(backend, rule, parameters, iterate, start)
+    safeguard = _Safeguard(backend, lambda: rule.law(backend.chains, parameters.eps), clips=rule.clip is not None)
 
     def end(reason: str, *, converged: bool) -> Outcome:
         mixed, of_facets = backend.in_mixed_spaces(iterate, solved_with)
@@ -121,7 +125,8 @@ def iterate_sets[I: Pairs](
         with reached(partial(backend.in_mixed_spaces, iterate, solved_with), history.steps):
             history.append(conditions, change, linear_iterations=iterate.linear_iterations, clipped=clipped)
 
-        wanted = _wanted(backend, rule, law, parameters, iterate, solved_with)
+        follow(iterate)
+        wanted = _wanted(backend, rule, parameters, iterate, solved_with)
         changing = safeguard.look(conditions, wanted, len(history.steps))
         if changing == 0:
             return end(f"the {site} sets repeat", converged=True)
@@ -134,13 +139,12 @@ def iterate_sets[I: Pairs](
 def _wanted[I: Pairs](
     backend: Backend[I],
     rule: SetRule,
-    law: Chains,
     parameters: Parameters,
     iterate: I,
     solved_with: SiteConditions | None,
 ) -> SiteConditions:
     """The next conditions by the rule. Ties keep theirs; after the own start they have none (collective)."""
-    scales = backend.scales(iterate)
+    law, scales = rule.law(backend.chains, parameters.eps), backend.scales(iterate)
     segment = None if solved_with is None else law.segments(solved_with)
     p, flux = iterate.p, iterate.flux
     if solved_with is None and rule.forgets_start:
@@ -164,13 +168,13 @@ class _Safeguard[I: Pairs]:
 
     Attributes:
         backend: The backend with the sites.
-        law: The law of each site.
+        law: Gives the law of each site.
         clips: Whether the algorithm still clips.
         remark: What was changed to end a cycle, in words; empty if nothing.
     """
 
     backend: Backend[I]
-    law: Chains
+    law: Callable[[], Chains]
     clips: bool
     remark: str = ""
     _seen: list[SiteConditions] = field(default_factory=list)
@@ -206,7 +210,8 @@ class _Safeguard[I: Pairs]:
         changing = [(*places[i], i) for i in np.flatnonzero(conditions.differ(wanted))]
         *place, index = max(changing, default=(-1,))
         last = max(self.backend.comm.allgather(place))
-        segment = self.law.segments(conditions)
+        law = self.law()
+        segment = law.segments(conditions)
         if place and place == last:
-            segment[index] = self.law.segments(wanted)[index]
-        return self.law.conditions(segment)
+            segment[index] = law.segments(wanted)[index]
+        return law.conditions(segment)

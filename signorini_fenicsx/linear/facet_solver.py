@@ -89,14 +89,14 @@ class FacetSolver[Levels](LinearSolver):
         finally:
             self._early_stop.asks = None
 
-    @contextlib.contextmanager
-    def until(self, share: float) -> Iterator[None]:
+    @property
+    def share(self) -> float:
         """Iterations stop when they leave this share of what there was at their start, or come to their tolerance."""
+        return self._early_stop.share
+
+    @share.setter
+    def share(self, share: float) -> None:
         self._early_stop.share = share
-        try:
-            yield
-        finally:
-            self._early_stop.share = 0.0
 
     @property
     def converged(self) -> bool:

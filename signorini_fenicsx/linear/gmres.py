@@ -41,8 +41,12 @@ def gmres(
     precondition: Product | None = None,
     restart: int = DIRECTIONS,
     share: float = EXACT,
-) -> Array:
-    """Solve with a matrix that is known by its products to a share of the right side (collective)."""
+) -> tuple[Array, int]:
+    """Solve with a matrix that is known by its products to a share of the right side (collective).
+
+    Returns:
+        The solution, and the number of steps.
+    """
     b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=comm)
     b.array_w[:] = right
     x = b.duplicate()
@@ -59,7 +63,7 @@ def gmres(
         solver.setPCSide(PETSc.PC.Side.RIGHT)
     solver.setTolerances(rtol=share, max_it=DIRECTIONS)
     solver.solve(b, x)
-    found = np.array(x.array_r)
+    found = np.array(x.array_r), solver.getIterationNumber()
     for each in (solver, matrix, b, x):
         each.destroy()
     return found
@@ -72,8 +76,10 @@ def coupled(
     load: Array,
     held: npt.NDArray[np.int32],
     added: Added,
-    share: float = EXACT,
-) -> PETSc.Vec:
+    start: PETSc.Vec,
+    share: float,
+    least: float,
+) -> int:
     """Solve with 0 at unknowns that are held, where rows of the matrix have shares of other rows added (collective).
 
     Args:
@@ -83,7 +89,12 @@ def coupled(
         load: The right side, of the owned unknowns.
         held: Those that are held.
         added: Owned rows, what rows are added to them, which may be held, and their shares.
-        share: GMRES stops at this share of the right side.
+        start: Where GMRES starts, with 0 at unknowns that are held; gets the solution.
+        share: GMRES leaves this share of what there is at its start,
+        least: or this share of the right side.
+
+    Returns:
+        The number of steps.
     """
     rows, others, shares = added
     x, image = matrix.createVecs()
@@ -101,7 +112,14 @@ def coupled(
         preconditioner.apply(x, image)
         return np.array(image.array_r)
 
-    right = load.copy()
-    right[held] = 0.0
-    x.array_w[:] = gmres(matrix.getComm().tompi4py(), product, right, precondition, RESTART, share)
-    return x
+    load = load.copy()
+    load[held] = 0.0
+    left = load - product(start.array_r)
+    left[held] = 0.0
+    comm = matrix.getComm().tompi4py()
+    size, at_start = np.sqrt(comm.allreduce(np.array([load @ load, left @ left]))).tolist()
+    if at_start <= least * size:
+        return 0
+    step, steps = gmres(comm, product, left, precondition, RESTART, max(share, least * size / at_start))
+    start.array_w[:] = start.array_r + step
+    return steps

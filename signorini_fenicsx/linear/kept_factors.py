@@ -24,7 +24,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.facet_solver import TO_THE_END, FacetSolver
 from signorini_fenicsx.linear.gmres import Added, coupled
 
 type Springs = Array | float
@@ -88,6 +88,18 @@ class KeptFactors:
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
+        essential, plain = self.impose(held, springs, blocks)
+        self._b.array_w[:] = load
+        for vector in (self._b, x):
+            vector.array_w[essential] = 0.0
+        self._solver.solve(self._b, x)
+        if plain and self._solver.factorises:
+            self.keep(held, springs)
+
+    def impose(
+        self, held: Mask, springs: Springs, blocks: Sequence[tuple[npt.NDArray[np.int32], Array]]
+    ) -> tuple[npt.NDArray[np.int32], bool]:
+        """Give the solver its matrix; return the unknowns that are fixed, and whether nothing is added (collective)."""
         essential, plain = self.essential(held), not self._comm.allreduce(bool(blocks), MPI.LOR)
         same = plain and self._plainly is not None and not self._differ(held, springs, *self._plainly).any()
         if not self._comm.allreduce(same, MPI.LAND):
@@ -96,20 +108,29 @@ class KeptFactors:
             if self._solver.levels is not None:
                 with self._solver.options():
                     self._solver.levels.update(self._fixed, essential)
-        self._b.array_w[:] = load
-        for vector in (self._b, x):
-            vector.array_w[essential] = 0.0
-        self._solver.solve(self._b, x)
-        if plain and self._solver.factorises:
-            self.keep(held, springs)
+        return essential, plain
 
-    def coupled(self, load: Array, held: Mask, added: Added, share: float) -> PETSc.Vec:
-        """The solution by GMRES with the present preconditioner, where rows have shares of others added, see `coupled`.
+    def coupled(self, load: Array, x: PETSc.Vec, held: Mask, added: Added, share: float) -> int:
+        """Solve by GMRES with the present preconditioner, where rows have shares of others added, see `coupled`.
 
         Collective.
+
+        Args:
+            load: Right side without conditions, of the owned unknowns.
+            x: Where GMRES starts; gets the solution.
+            held: Mask of the sites that are held.
+            added: What is added.
+            share: GMRES leaves this share of what there is at its start, or what solves to the end leave.
+
+        Returns:
+            The number of steps.
+
+        Raises:
+            LinearSolveFailure: If PETSc gives up.
         """
-        preconditioner, matrices = self._solver.ksp.getPC(), (self._operator.matrix, self._natural)
-        return coupled(*matrices, preconditioner, load, self.essential(held), added, share)
+        essential, matrices = self.essential(held), (self._operator.matrix, self._natural)
+        x.array_w[essential] = 0.0
+        return coupled(*matrices, self._solver.preconditioner(), load, essential, added, x, share, TO_THE_END)
 
     @cached_property
     def _rows(self) -> PETSc.Mat:

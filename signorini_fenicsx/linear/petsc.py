@@ -141,6 +141,17 @@ class LinearSolver:
             self.ksp.matSolve(right, solutions)
         return np.array(solutions.getDenseArray(readonly=True))
 
+    def preconditioner(self) -> PETSc.PC:
+        """The preconditioner, fitted to the present matrix (collective).
+
+        Raises:
+            InputError: If PETSc cannot do what the user's options ask for.
+            LinearSolveFailure: If PETSc gives up.
+        """
+        with self._errors():
+            self.ksp.setUp()
+        return self.ksp.getPC()
+
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
         """While it solves, with its options, PETSc's errors are those of the program."""

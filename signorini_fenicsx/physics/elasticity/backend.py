@@ -6,11 +6,11 @@ Where only contact holds the body, a set on the way may be too small for that. T
 under the load they give way so far that the next set is larger. No result has springs: its residuals would be large.
 """
 
-import contextlib
 from collections.abc import Callable
 from functools import cached_property, partial
 
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -26,17 +26,16 @@ from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
-from signorini_fenicsx.physics.elasticity.friction import law_of_sites
+from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, law_of_sites
 from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
 from signorini_fenicsx.physics.elasticity.normal_laws import Springs
+from signorini_fenicsx.physics.elasticity.rigid_motions import is_free
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.tools import Moving
 
 MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
-HELD = 1e-12
-"""Sites hold a motion of size 1 if the squares of its means add up to more."""
 REFINEMENTS = 3
 """Corrections of a stress at most."""
 SPRING = 1e-6
@@ -84,6 +83,7 @@ class ElasticBackend:
         self._measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
         self.sites = len(self._unknowns)
         self.friction = data.friction
+        self._turns = data.friction.slipping is not None  # σ_t turns with the slip, as in space
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = self._operator.matrix.getSize()[0]
@@ -101,6 +101,7 @@ class ElasticBackend:
         self._springs: Springs | None = None
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
+        self._iterations, self._to_the_end = 0, False
         self._applied: SiteConditions | None = None
         self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
         self._sprung = False
@@ -132,11 +133,11 @@ class ElasticBackend:
             LinearSolveFailure: If the linear solver fails.
         """
         self._solve(conditions)
-        return self._recovered(conditions, refine=self._solver.converged or not self.iterates)
+        return self._recovered(conditions, refine=self._to_the_end or not self.iterates)
 
-    def loosely(self, share: float) -> contextlib.AbstractContextManager[None]:
-        """Solves by CG leave this share of what there was at their start; with 0 they go to the end."""
-        return self._solver.until(share)
+    def leave(self, share: float) -> None:
+        """Iterative solves leave this share of what there was at their start from now on; with 0 they go to the end."""
+        self._solver.share = share
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
@@ -172,11 +173,6 @@ class ElasticBackend:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
         return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self._measure)
 
-    def image(self, values: Array) -> Array:
-        """K without conditions times the owned unknowns (collective)."""
-        self._b.array_w[:] = values
-        return self._image(self._b)
-
     def _image(self, x: PETSc.Vec) -> Array:
         """Kx (collective)."""
         image = x.duplicate()
@@ -191,29 +187,13 @@ class ElasticBackend:
         segment = laws.chains.segments(conditions.take(slice(normal)))
         p = np.append(laws.own(segment, p[:normal], flux[:normal]), p[normal:])
         p, flux = conditions.clean(p, flux, np.inf)
-        flux[normal:] -= self.turned(p[normal:])
+        flux[normal:] += self.friction.pressed(self.spaces.pressure_of(flux)) - self.friction.resisted(p[normal:])
         return p, flux
 
     @property
-    def _turns(self) -> bool:
-        """Whether the shear turns with the slip, as in space."""
-        return self.friction.slipping is not None
-
-    def turned(self, slip: Array) -> Array:
-        """What the linear law of friction in space adds to −σ_t, of u_t at the sites."""
-        if not self._turns:
-            return np.zeros_like(slip)
-        bends: Array = np.einsum("nakl,nal->nak", self.friction.stiffness, slip.reshape(-1, 3, 2))
-        return bends.ravel()
-
-    def _loose(self, contact: Mask) -> bool:
-        """Whether a rigid motion is left free by some sites and by those whose slip would turn (collective)."""
-        if self._motions.shape[1] == 0:
-            return False
-        rows = np.where(contact[:, None], self._motions, 0.0)
-        if self._turns:
-            rows[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
-        return bool(np.linalg.eigvalsh(self.comm.allreduce(rows.T @ rows))[0] <= HELD)
+    def _follows(self) -> bool:
+        """Whether the shear of the linear law in space follows the pressure (collective)."""
+        return self._turns and self.comm.allreduce(bool(self.friction.slopes.any()), MPI.LOR)
 
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
@@ -221,14 +201,21 @@ class ElasticBackend:
             return
         self._applied = None
         load, _, contact, loose = self._posed(conditions)
-        free = conditions.kind == Condition.NO_FLUX
-        if not self._factors.solve(load, self._x, contact):
-            self._solve_anew(load, self._x, contact, sprung=free & loose)
+        springs = np.where(sprung := loose & (conditions.kind == Condition.NO_FLUX), self._weak, 0.0)
+        if self._follows:
+            self._factors.impose(contact, springs, self._blocks())
+            pulls, slopes = self.system.load - self._image(self._held), self.friction.slopes.ravel()
+            self._iterations = self._couple(load, self._x, contact, pulls, slopes, self._solver.share)
+            self._to_the_end = self._solver.share == 0
+        else:
+            if not self._factors.solve(load, self._x, contact):
+                self._factors.solve_anew(load, self._x, contact, springs, self._blocks())
+            self._iterations, self._to_the_end = self._solver.ksp.getIterationNumber(), self._solver.converged
         self._imposed = conditions
         self._x.axpy(1.0, self._held)
         self._sprung = loose
         if self.tools:
-            self._respond(conditions, free & loose)
+            self._respond(conditions, sprung)
             rho, moved = self.tools.follow(
                 self._factors.forces(self._x) - self.system.load[self._unknowns], loaded=True
             )
@@ -237,7 +224,7 @@ class ElasticBackend:
 
     def _has_solved(self, conditions: SiteConditions) -> bool:
         """Whether the last solve was under these conditions, and converged (collective)."""
-        return conditions.same(self._applied, self.comm) and self._solver.converged
+        return conditions.same(self._applied, self.comm) and self._to_the_end
 
     def _posed(self, conditions: SiteConditions) -> tuple[Array, Array, Mask, bool]:
         """The problem under these conditions, of which `_held` is the part of the solution that is given (collective).
@@ -253,7 +240,9 @@ class ElasticBackend:
         if conditions.has_values:
             self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
             load -= self._image(self._held)
-        loose = self._loose(~free)
+        means = np.where(free[:, None], 0.0, self._motions)
+        means[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
+        loose = is_free(self.comm, means)
         if loose or self._sprung:
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
             self._factors.forget()
@@ -263,13 +252,13 @@ class ElasticBackend:
         """Find how the body follows the tools under the conditions of the present matrix (collective)."""
         contact, at_rest = conditions.kind == Condition.ZERO_TRACE, self._given_forces(conditions)
 
-        def response(move: Array) -> Array:
+        def response(move: Array) -> PETSc.Vec:
             load, lift = np.zeros((2, len(self.system.load)))
             pulled = self._given_forces(conditions, -self._signs * move) - at_rest + self._weak * sprung * move
             load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
-            return np.array(self._at_rest(conditions, load, lift).array_r)
+            return self._at_rest(conditions, load, lift)
 
-        self.tools.respond(response, lambda x: self.image(x)[self._unknowns])
+        self.tools.respond(response, self._factors.forces)
 
     def _take_springs(self, conditions: SiteConditions) -> None:
         """Take the springs under these conditions; no factors of other ones serve with springs (collective)."""
@@ -285,8 +274,7 @@ class ElasticBackend:
         flux = np.where(free, conditions.value, 0.0)
         if self._springs is not None:
             flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
-        if self._turns:
-            flux[normal:] -= self.turned(np.broadcast_to(p, self.sites)[normal:])
+        flux[normal:] -= self.friction.resisted(np.broadcast_to(p, self.sites)[normal:])
         return np.asarray(self._signs * self._measure * flux)
 
     def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
@@ -315,12 +303,14 @@ class ElasticBackend:
         if not present:
             self._applied = None
             self._take_springs(conditions)
-        if present and (self._springs is not None or self._turns or self._sprung or self._solver.iterates):
+        if present and self._follows:
+            self._couple(load, x, contact, load, self.friction.slopes.ravel(), 0.0)
+        elif present and (self._springs is not None or self._turns or self._sprung or self._solver.iterates):
             load[self._factors.essential(contact)] = 0.0
             self._b.array_w[:] = load
             self._solver.solve(self._b, x)
         elif not self._factors.solve(load, x, contact):
-            self._solve_anew(load, x, contact, sprung=np.zeros_like(contact))
+            self._factors.solve_anew(load, x, contact, 0.0, self._blocks())
             self._imposed = conditions
         x.axpy(1.0, given)
         given.destroy()
@@ -345,23 +335,18 @@ class ElasticBackend:
         σ_t also grows with the pressure of its vertex, with a slope. It is for the time after a solve by CG under the
         same conditions, and leaves a share. The result is the change of the flux at all sites.
         """
-        spaces, contact = self.spaces, conditions.kind == Condition.ZERO_TRACE
-        pressures = np.repeat(spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows], spaces.dim - 1)
-        load = np.zeros(len(self.system.load))
-        load[spaces.slip_sites] = spaces.slip_measure * forces
-        x = self._factors.coupled(load, contact, (spaces.slip_sites, pressures, slope), share)
+        load, x = np.zeros(len(self.system.load)), self._x.duplicate()
+        load[self.spaces.slip_sites] = self.spaces.slip_measure * forces
+        x.set(0.0)
+        self._couple(load, x, conditions.kind == Condition.ZERO_TRACE, np.zeros_like(load), slope, share)
         self._x.axpy(1.0, x)
         self._applied = None
         return self.flux(x, np.zeros_like(load))
 
-    def turn(self, slip: Array) -> None:
-        """Take the linear law of friction in space at this u_t, shape (facets, 3, 2)."""
-        self.friction = self.friction.turned(slip)
+    def turn(self, friction: FrictionBounds) -> None:
+        """Take another linear law of friction in space."""
+        self.friction = friction
         self._applied = self._imposed = None
-
-    def state(self) -> Array:
-        """The unknowns of the last solve, and the motions of tools."""
-        return np.append(self._x.array_r, self.tools.rho)
 
     @property
     def is_contact(self) -> bool:
@@ -373,8 +358,19 @@ class ElasticBackend:
         """−1 for normal sites, where p and the flux are those of −u_n and −σ_nn, and 1 for those with friction."""
         return np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
 
-    def _solve_anew(self, load: Array, x: PETSc.Vec, contact: Mask, *, sprung: Mask) -> None:
-        """Set the solver up and solve (collective)."""
+    def _couple(self, load: Array, x: PETSc.Vec, contact: Mask, pulls: Array, slopes: Array, share: float) -> int:
+        """Solve with the present matrix, from x, where the shear has slopes in the pressure (collective).
+
+        The pressure is what is left of the pulls in the rows of the sites. The result is the number of steps.
+        """
+        spaces = self.spaces
+        normal = np.repeat(spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows], spaces.dim - 1)
+        load = load.copy()
+        load[spaces.slip_sites] += slopes * pulls[normal]
+        return self._factors.coupled(load, x, contact, (spaces.slip_sites, normal, slopes), share)
+
+    def _blocks(self) -> list[tuple[npt.NDArray[np.int32], Array]]:
+        """What the springs of laws, and friction in space, add to the matrix."""
         blocks, number = [], len(self.spaces.sites)
         if self._springs is not None:
             normal = self._unknowns[:number].reshape(-1, self.spaces.dim)
@@ -383,17 +379,17 @@ class ElasticBackend:
         if self._turns:
             along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
             blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
-        self._factors.solve_anew(load, x, contact, np.where(sprung, self._weak, 0.0), blocks)
+        return blocks
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
-        spaces, iterations = self.spaces, self._solver.ksp.getIterationNumber()
+        spaces = self.spaces
         stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self._data.lift)
         if refine and not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
         reactions = self._data.reactions(spaces, stresses)
         p, flux = self._cleaned(conditions, self._beside_tools(self._x), reactions)
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
-        return Iterate(p, flux, iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
+        return Iterate(p, flux, self._iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
 
     def _refined(self, conditions: SiteConditions, stresses: Array, displacements: Array) -> tuple[Array, Array]:
         """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
@@ -401,13 +397,15 @@ class ElasticBackend:
         The stress that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much
         less than rounding. Corrections are small, so that their own errors are.
         """
-        contact = conditions.kind == Condition.ZERO_TRACE
+        contact, spaces = conditions.kind == Condition.ZERO_TRACE, self.spaces
         essential = self._factors.essential(contact)
         correction, before = self._x.duplicate(), np.inf
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
             left = self.system.tractions - self.system.of_supports(self._x.array_r) - forces
             left[self._unknowns] += self._given_forces(conditions, self._beside_tools(self._x))
+            pressure = spaces.pressure_of(self.flux(self._x, self.system.load))
+            left[spaces.slip_sites] += spaces.slip_measure * self.friction.pressed(pressure)
             left[essential] = 0.0
             size, scale = self._extent(np.abs(left), np.abs(forces))
             if size <= TIE * scale or not size < before:

@@ -26,7 +26,6 @@ from signorini_fenicsx.linear.gmres import EXACT, gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
 from signorini_fenicsx.physics.elasticity.friction import STICKS
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 
 CHANGE = 1e-9
 """The bound is found when it differs from μ times the pressure by this share of itself,"""
@@ -81,7 +80,7 @@ def balanced[S: Solved](
         outcome, present = tresca(), backend.friction
         if not present.by_pressure or not outcome.converged:
             return outcome
-        following = present.following(pressure_of(spaces, outcome.iterate.flux))
+        following = present.following(spaces.pressure_of(outcome.iterate.flux))
         changes.append(present.change(following, spaces))
         if changes[-1] <= CHANGE or len(changes) == MOST:
             return outcome
@@ -92,7 +91,7 @@ def balanced[S: Solved](
         elif left < least or share <= SHORTEST:
             accepted, least, share = present, left, 1.0
             segments = present.chains.segments(outcome.conditions.take(slice(len(spaces.sites), None)))
-            law = present.directions(segments), present.slope(pressure_of(spaces, outcome.iterate.flux))
+            law = present.directions(segments), present.slope(spaces.pressure_of(outcome.iterate.flux))
             enough = EXACT
             if roughly:
                 enough = max(EXACT, min(changes[-1] ** 2, ROUGH), CHANGE / (100 * changes[-1]))
@@ -156,12 +155,12 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
         return outcome.ended("no solution with this friction was found, neither by Newton's method nor along a path")
     own_sites = slice(first, first + backend.sites)
     state, p, flux = end[0][own_sites], end[1][own_sites], end[2][own_sites]
-    backend.friction = friction.following(pressure_of(backend.spaces, flux))
+    backend.friction = friction.following(backend.spaces.pressure_of(flux))
     segments = np.select([state == State.OPEN, state == State.STICK, state == State.PLUS], [1, 1, 2], 0)
     segments[normal:][(state[normal:] == State.FREE) & (p[normal:] > 0)] = 2
     outcome = tresca(segments)
     changes.append(
-        backend.friction.change(backend.friction.following(pressure_of(backend.spaces, outcome.iterate.flux)), spaces)
+        backend.friction.change(backend.friction.following(backend.spaces.pressure_of(outcome.iterate.flux)), spaces)
     )
     if changes[-1] > CHANGE:
         return outcome.ended(f"the bound of the friction still changes by {changes[-1]:.1e} at the end of a path")
@@ -197,11 +196,6 @@ def _shares(backend: ElasticBackend) -> Array:
     return found[first : first + backend.sites]
 
 
-def pressure_of(spaces: ElasticSpaces, flux: Array) -> Array:
-    """The pressure at the vertices of the facets with friction, of values at all sites."""
-    return flux[: len(spaces.sites)].reshape(-1, spaces.dim)[spaces.rough_rows]
-
-
 def _step(
     backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array, share: float
 ) -> Array:
@@ -212,7 +206,7 @@ def _step(
     left = np.where(friction.coulomb[:, None], left, 0.0)
     forces, slopes = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))
     flux = backend.follow_bounds(conditions, forces, slopes, share)
-    return left + slope * pressure_of(backend.spaces, flux)
+    return left + slope * backend.spaces.pressure_of(flux)
 
 
 def newton(
@@ -237,8 +231,8 @@ def newton(
     def without_response(values: Array) -> Array:
         load = none.copy()
         load[spaces.slip_sites] = directions * spaces.slip_measure * np.repeat(values, spaces.dim - 1)
-        pressure = pressure_of(spaces, backend.response(conditions, load))
+        pressure = spaces.pressure_of(backend.response(conditions, load))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 
     right = np.where(friction.coulomb[:, None], left, 0.0).ravel()
-    return gmres(backend.comm, without_response, right, share=share).reshape(left.shape)
+    return gmres(backend.comm, without_response, right, share=share)[0].reshape(left.shape)

@@ -33,18 +33,22 @@ SAMPLES = 8
 
 @dataclass(frozen=True)
 class Slipping:
-    """Newton's linear law at the vertices with friction in space: σ_t = −g s − (g/a)(I − ssᵀ)u_t, or u_t = 0.
+    """A linear law at the vertices with friction in space: σ_t = −gθs − (g/a)(I − θssᵀ)u_t, or u_t = 0.
+
+    With θ = 1 it is Newton's, with θ = 0 one whose energy is above that of friction, g|u_t|, and equal to it where
+    |u_t| = a. Where g follows the pressure λ, −(μλ − g)s is added.
 
     Attributes:
         direction: The unit vector s in the frame of the facet, 0 where nothing slips, shape (facets, 3, 2).
         size: a, the last |u_t|, shape (facets, 3).
-        cautious: Whether the law is σ_t = −(g/a)u_t instead, whose energy is above that of friction, g|u_t|, and equal
-            to it where |u_t| = a.
+        turning: θ, shape (facets, 3).
+        slope: μ where g follows the pressure, 0 elsewhere, shape (facets, 3).
     """
 
     direction: Array
     size: Array
-    cautious: bool = False
+    turning: Array | float = 1.0
+    slope: Array | float = 0.0
 
     @classmethod
     def nowhere(cls, facets: int) -> Slipping:
@@ -96,34 +100,52 @@ class FrictionBounds:
 
     @property
     def forces(self) -> Array:
-        """The shear −g s in space, shape (facets, 3, 2)."""
+        """The constant part of the linear law in space, shape (facets, 3, 2)."""
         assert self.slipping is not None
-        return -self.turning * np.where(self.sticks, 0.0, self.bound)[:, :, None] * self.slipping.direction
+        follows = np.asarray(self.slipping.slope) > 0
+        part = np.where(self.sticks, 0.0, self.bound) * (follows - self.slipping.turning)
+        return part[:, :, None] * self.slipping.direction
 
     @property
-    def turning(self) -> float:
-        """1, or 0 for the cautious law."""
-        assert self.slipping is not None
-        return 0.0 if self.slipping.cautious else 1.0
+    def slopes(self) -> Array:
+        """The derivative of σ_t by the pressure in the linear law in space, shape (facets, d, 2); 0 in the plane."""
+        if self.slipping is None:
+            return np.zeros((*self.bound.shape, 1))
+        slope = np.broadcast_to(self.slipping.slope, self.bound.shape)
+        return -slope[:, :, None] * self.slipping.direction
 
     @property
     def stiffness(self) -> Array:
-        """The derivative (g/a)(I − ssᵀ) of the shear in space, 0 where nothing slips, shape (facets, 3, 2, 2)."""
+        """(g/a)(I − θssᵀ) in space, 0 where nothing slips, shape (facets, 3, 2, 2)."""
         assert self.slipping is not None
         s, slope = self.slipping.direction, np.zeros(self.bound.shape)
         slips = s.any(axis=2)
         slope[slips] = (self.bound / self.slipping.size)[slips]
-        found: Array = slope[:, :, None, None] * (np.eye(2) - self.turning * s[:, :, :, None] * s[:, :, None])
+        turning = np.broadcast_to(self.slipping.turning, slope.shape)[:, :, None, None]
+        found: Array = slope[:, :, None, None] * (np.eye(2) - turning * s[:, :, :, None] * s[:, :, None])
         return found
+
+    def resisted(self, slip: Array) -> Array:
+        """What the linear law in space adds to −σ_t, of u_t at the sites."""
+        if self.slipping is None:
+            return np.zeros_like(slip)
+        found: Array = np.einsum("nakl,nal->nak", self.stiffness, slip.reshape(-1, 3, 2))
+        return found.ravel()
+
+    def pressed(self, pressure: Array) -> Array:
+        """What the linear law in space adds to σ_t at the sites, of the pressure at their vertices."""
+        return np.asarray((self.slopes * pressure[:, :, None]).ravel())
 
     def held_across(self, moves: Array) -> Array:
         """What of motions of the sites in space the linear law resists where vertices slip, shape (sites, motions)."""
-        assert self.slipping is not None
+        if self.slipping is None:
+            return np.zeros_like(moves)
         s = self.slipping.direction
         at = np.where(
             (s.any(axis=2) & (self.bound > 0))[:, :, None, None], moves.reshape(*s.shape, moves.shape[1]), 0.0
         )
-        found: Array = at - self.turning * s[:, :, :, None] * np.einsum("nak,nakm->nam", s, at)[:, :, None]
+        turning = np.broadcast_to(self.slipping.turning, self.bound.shape)[:, :, None, None]
+        found: Array = at - turning * s[:, :, :, None] * np.einsum("nak,nakm->nam", s, at)[:, :, None]
         return found.reshape(moves.shape)
 
     def directions(self, segments: Indices) -> Array:

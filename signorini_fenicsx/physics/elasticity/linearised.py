@@ -39,7 +39,6 @@ from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.coulomb import pressure_of
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, entries, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.moments import Moments, of_laws, on_boundary
@@ -213,7 +212,7 @@ class Linearised:
             x = backend.solve_homogeneous(self._conditions, load)
             if friction.by_pressure:
                 # w − T'ᵀw = ∂J/∂b
-                w = gmres(
+                w, _ = gmres(
                     backend.comm, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
                 )
                 x.axpy(1.0, self._of_pressure(w))
@@ -238,7 +237,9 @@ class Linearised:
             | {name: moments.sensitivities(by[kind]) for name, (kind, moments) in self._moments.items()}
             | {
                 "slipped": np.where(
-                    self._held[len(sites) :], of_stick, -spaces.slip_measure * backend.turned(x[spaces.slip_sites])
+                    self._held[len(sites) :],
+                    of_stick,
+                    -spaces.slip_measure * backend.friction.resisted(x[spaces.slip_sites]),
                 )
             }
         )
@@ -281,7 +282,7 @@ class Linearised:
     @property
     def _pressure(self) -> Array:
         """The pressure at the vertices with friction, 0 where there is none, shape (facets, d)."""
-        return np.maximum(pressure_of(self._spaces, self._solution.outcome.iterate.flux), 0.0)
+        return np.maximum(self._spaces.pressure_of(self._solution.outcome.iterate.flux), 0.0)
 
     def _by_bound(self, x: Array) -> Array:
         """The derivatives by the bounds at the vertices with friction, from λ_û."""
@@ -317,5 +318,6 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
         motions = check_rigid_motions(solution.spaces, solution.data)
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning, motions)
     if backend.friction.slipping is not None:
-        backend.turn(solution.outcome.iterate.p[len(solution.spaces.sites) :].reshape(-1, 3, 2))
+        slip = solution.outcome.iterate.p[len(solution.spaces.sites) :].reshape(-1, 3, 2)
+        backend.turn(backend.friction.turned(slip))
     return Linearised(solution, backend, tolerance)

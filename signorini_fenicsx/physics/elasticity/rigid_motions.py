@@ -30,6 +30,8 @@ FREE = 1e-8
 """A motion of size 1 that moves what is given by less is free."""
 SLACK = 1e-9
 """A motion is not into the foundation below this share of its size; loads do no work below this share of their most."""
+HELD = 1e-12
+"""Sites hold a motion of size 1 if the squares of its means add up to more."""
 SMALL = 1e-6
 """What the size of a motion costs, so that of several a short one is told."""
 MOST_CUTS = 200
@@ -116,6 +118,11 @@ def _limits(
 
 
 HELD_BY = "neither the parts where u is given nor springs nor contact under these loads prevent that"
+
+
+def is_free(comm: MPI.Comm, means: Array) -> bool:
+    """Whether a combination of motions has no means at the sites that hold, shape (sites, motions) (collective)."""
+    return means.shape[1] > 0 and bool(np.linalg.eigvalsh(comm.allreduce(means.T @ means))[0] <= HELD)
 
 
 def _motions(x: Array) -> Array:

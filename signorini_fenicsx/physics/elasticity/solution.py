@@ -64,8 +64,9 @@ class ElasticSolution(Solved):
         data: The data on the mesh.
         outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
         kkt: Residuals of the discrete problem.
-        bound_changes: With Coulomb's friction, by how much the bound of the shear changed in each step of the fixed
-            point, relative to itself.
+        bound_changes: With Coulomb's friction, in the plane by how much the bound of the shear changed in each step of
+            the fixed point, relative to itself; in space how far the shear was off the law, relative to the largest
+            bound.
         step: Number of the step of a problem in time, from 1; None for others.
         source: What the problem was read from; None if it was given in Python.
         system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from weakref import ref
@@ -32,7 +32,7 @@ from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps, spread
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
-from signorini_fenicsx.physics.elasticity.slipping import ROUGH, slipped
+from signorini_fenicsx.physics.elasticity.slipping import slipped
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.evolution import Evolution
@@ -44,10 +44,8 @@ PREDICT_FROM = 15_000
 """Number of unknowns from which a prediction saves more than it costs."""
 RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
 """What solves elastic contact."""
-AHEAD = 0.1
-"""Before Coulomb's bounds are found, CG finds the slip in space to this share of the square of their last change."""
 MORE_WITH_FRICTION = 4
-"""By default so many times the iterations of problems without friction are allowed for each bound."""
+"""By default so many times the iterations of problems without friction are allowed for each bound in the plane."""
 
 
 class System:
@@ -257,7 +255,7 @@ def _run(
     history, changes = History(backend.comm, on_step), list[float]()
     before: Iterate | None = None
     try:
-        if predict and backend.inexact is not None:
+        if predict and backend.inexact is not None and backend.friction.slipping is None:
             with watch.phase("prediction"):
                 first, before = _settled(backend, options, first, history)
         with watch.phase("solve"):
@@ -280,7 +278,7 @@ def _settled(
 ) -> tuple[SiteConditions, Iterate | None]:
     """Conditions from solves for traces, which stop as soon as the next ones are known, and the last iterate.
 
-    In the plane they are those of Coulomb's bounds, too. Collective.
+    They are those of Coulomb's bounds, too. Collective.
     """
     rule = RULES[str(options.algorithm)]
     prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
@@ -297,11 +295,7 @@ def _settled(
         wanted = prediction.wanted(chains, chains.segments(conditions), p, flux)
         return _Traces(Pairs(p, flux, 0), conditions, wanted.same(conditions, backend.comm))
 
-    if backend.friction.slipping is None:
-        balanced(backend, tresca, [], roughly=True)
-    else:
-        with backend.loosely(ROUGH):
-            tresca()
+    balanced(backend, tresca, [], roughly=True)
     return conditions, before
 
 
@@ -335,31 +329,24 @@ def _with_friction(
         The outcome with the iterations of all loops. How much the bound changed after each is added to the changes.
     """
     rule = RULES[str(options.algorithm)]
-    most = options.method.max_iterations * (MORE_WITH_FRICTION if backend.friction else 1)
+    in_space = backend.friction.slipping is not None
+    most = options.method.max_iterations * (MORE_WITH_FRICTION if backend.friction and not in_space else 1)
     parameters = Parameters(max_iterations=options.max_iterations or most)
     last: Indices | None = None
 
-    def loop(segments: Indices | None = None) -> Outcome:
+    def loop(segments: Indices | None = None, follow: Callable[[Pairs], None] = lambda iterate: None) -> Outcome:
         nonlocal before, last
         segments = last if segments is None else segments
         start = first if segments is None else backend.chains.conditions(segments)  # with the values of this bound
-        outcome = iterate_sets(backend, rule, parameters, start=start, before=before, history=history)
+        outcome = iterate_sets(backend, rule, parameters, start=start, before=before, history=history, follow=follow)
         before, last = outcome.iterate, backend.chains.segments(outcome.conditions)
         return outcome
 
-    if backend.friction.slipping is None:
+    if not in_space:
         outcome = balanced(backend, loop, changes)
         found = not changes or changes[-1] <= CHANGE
         return outcome if found or not outcome.converged else by_path(backend, loop, changes)
-
-    roughly = list[float]()
-    if backend.iterates and backend.friction.by_pressure:
-
-        def ahead() -> Outcome:
-            return slipped(backend, loop, AHEAD * min(roughly[-1], 1.0) ** 2 if roughly else AHEAD)
-
-        balanced(backend, ahead, roughly, roughly=True)
-    return balanced(backend, lambda: slipped(backend, loop), changes)
+    return slipped(backend, lambda follow: loop(None, follow), changes)
 
 
 def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_contact: bool) -> SiteConditions | None:

@@ -278,6 +278,10 @@ class ElasticSpaces(MeshSpaces):
         component = np.append(np.zeros(normal), np.tile(np.arange(1, dim), len(places) - normal))
         return np.column_stack([np.repeat(places, number, axis=0), component])
 
+    def pressure_of(self, flux: Array) -> Array:
+        """The pressure at the vertices of the facets with friction, of values at all sites, shape (facets, d)."""
+        return flux[: len(self.sites)].reshape(-1, self.dim)[self.rough_rows]
+
     def along(self, values: Array) -> Array:
         """Tangential vectors from values at the sites with friction, shape (facets, d, d)."""
         return np.einsum("nak,nki->nai", values.reshape(-1, self.dim, self.dim - 1), self.tangents)

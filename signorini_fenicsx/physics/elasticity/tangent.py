@@ -14,7 +14,7 @@ from signorini_fenicsx.contact.backend import Backend, Inexact, Pairs
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.coulomb import newton, pressure_of
+from signorini_fenicsx.physics.elasticity.coulomb import newton
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 
 
@@ -95,7 +95,7 @@ class Tangent:
         x = backend.solve_homogeneous(actual, load, lift)
         if friction.by_pressure:
             slope = friction.slope(np.where(self._touching, 1.0, self._pressure))
-            moved = pressure_of(spaces, backend.flux(x, self._load))
+            moved = spaces.pressure_of(backend.flux(x, self._load))
             left = self._numbers["mu"] * self._pressure.ravel() + (slope * moved).ravel()
             more = newton(backend, actual, (sides, slope), left.reshape(slope.shape)).ravel()
             load = np.zeros_like(load)

@@ -19,6 +19,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -201,11 +202,7 @@ class Moving:
         """The part of û at the sites that comes from the motion of the tools."""
         return np.asarray(self.moves @ self.rho)
 
-    def work(self, step: Array) -> float:
-        """What the loads do on a step."""
-        return float(self._load @ step)
-
-    def respond(self, response: Callable[[Array], Array], pulls: Callable[[Array], Array]) -> None:
+    def respond(self, response: Callable[[Array], PETSc.Vec], pulls: Callable[[PETSc.Vec], Array]) -> None:
         """Find the responses of the body under new conditions (collective).
 
         Args:
@@ -213,7 +210,7 @@ class Moving:
             pulls: The forces at the sites that belong to x, Kx.
         """
         columns = [response(column) for column in self.moves.T]
-        self._responses = np.stack(columns, axis=1)
+        self._responses = np.stack([np.array(column.array_r) for column in columns], axis=1)
         forces = np.stack([pulls(column) for column in columns], axis=1)
         self._stiffness = self._comm.allreduce(self.moves.T @ forces)
 
