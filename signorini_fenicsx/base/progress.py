@@ -15,7 +15,7 @@ COMPILING = "compiling"
 
 @dataclass
 class Activity:
-    """Something under way.
+    """A part of the work that is under way.
 
     Attributes:
         name: What.

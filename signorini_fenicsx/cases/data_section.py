@@ -77,7 +77,7 @@ class KindSection(Section):
         return self.of_kind[self.kind].model_validate(self.model_extra or {})
 
     def made(self) -> Any:
-        """What the section gives.
+        """The object that the section describes.
 
         Raises:
             InputError: If its data are not what they have to be.

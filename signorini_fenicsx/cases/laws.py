@@ -42,6 +42,6 @@ class LawTexts(KindSection):
         return self
 
     def made(self) -> Law:
-        """The law."""
+        """The law that the section describes."""
         place: dict[str, Any] = {"region": self.region} if self.region else {"parts": self.parts}
         return KINDS[self.kind](**place, **(self.model_extra or {}))

@@ -32,5 +32,5 @@ class QuantityTexts(KindSection):
     name: Annotated[str, Field(pattern=r"^\w[\w -]*$", max_length=60)]
 
     def made(self) -> Kind:
-        """The quantity."""
+        """The quantity that the section describes."""
         return KINDS[self.kind](**(self.model_extra or {}))

@@ -86,11 +86,11 @@ class Measured(Protocol):
 
     @property
     def lower(self) -> float:
-        """Lower bound."""
+        """The lower end of the interval."""
 
     @property
     def upper(self) -> float:
-        """Upper bound."""
+        """The upper end of the interval."""
 
     @property
     def width(self) -> float:

@@ -42,7 +42,7 @@ RAISES = 60
 
 @dataclass(frozen=True)
 class Frame:
-    """The domain.
+    """The box of the domain of expressions, and how many simplices share it.
 
     Attributes:
         box: Its lower and upper corner, shape (2, dim).

@@ -62,7 +62,7 @@ class _Logic:
 
 
 class Numeric(_Logic):
-    """Arrays. What depends on NaN is NaN: also a power that IEEE makes 1, and a choice by a comparison with NaN."""
+    """The algebra of arrays. What depends on NaN is NaN: also a power that IEEE makes 1, and a choice by a comparison with NaN."""
 
     def __init__(self, names: Mapping[str, Array]):
         self._names = names
@@ -97,7 +97,7 @@ class Numeric(_Logic):
 
 
 class Intervals(_Logic):
-    """Intervals."""
+    """The algebra of intervals."""
 
     def __init__(self, names: Mapping[str, Interval], elementary: Elementary):
         self._names = names

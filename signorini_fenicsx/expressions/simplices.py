@@ -72,12 +72,13 @@ class Parts:
 
 @dataclass(frozen=True)
 class Places:
-    """Where parts are. The exact vertices of a part come from exact bisection of the simplex with its stored floats.
+    """The places of parts of simplices.
 
-    Rounding of a midpoint is at most one unit in the last place of the simplex's largest coordinate, so stored vertices
-    differ from the exact ones by at most one unit per generation. The pad has four units more for rounding of the
-    centroid. The box of the stored vertices, enlarged by the pad and cut to the box of the simplex, contains the exact
-    part.
+    The exact vertices of a part come from exact bisection of the simplex with its stored floats. Rounding of a
+    midpoint is at most one unit in the last place of the simplex's largest coordinate, so stored vertices differ
+    from the exact ones by at most one unit per generation. The pad has four units more for rounding of the
+    centroid. The box of the stored vertices, enlarged by the pad and cut to the box of the simplex, contains the
+    exact part.
 
     Attributes:
         centre: Floats in the box, at most the pad from the exact centroid, shape (n, d).

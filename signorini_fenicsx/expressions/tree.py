@@ -69,14 +69,14 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class And:
-    """All of these conditions hold."""
+    """A condition that holds where all of its operands hold."""
 
     operands: tuple[Condition, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Or:
-    """At least one of these conditions holds."""
+    """A condition that holds where at least one of its operands holds."""
 
     operands: tuple[Condition, ...]
 

@@ -188,7 +188,7 @@ def _count(number: int, what: str) -> str:
 
 
 def left_over(mesh: FileMesh, listed: Collection[str]) -> dict[str, int]:
-    """How many facets of the boundary that no listed part has each other part has, and "", which is for no part."""
+    """The number of facets of the boundary outside the listed parts, by the part that has them, "" for none."""
     rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
     left, named = times == 1, np.zeros(len(rows), dtype=bool)
     of_parts = {name: found[found >= 0] for name, found in _rows_of_parts(mesh, rows).items()}

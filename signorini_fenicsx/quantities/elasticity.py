@@ -229,7 +229,7 @@ class Fluxes(_Beside):
         return moved(self.domain, self.given, self.kind, tau)
 
     def memory(self, tau: float) -> FromBefore:
-        """Foundations on the parts have moved."""
+        """The memory of the solution, with the motion of foundations on the parts."""
         return replace(super().memory(tau), moved=foundations(self.domain, self.given, self.kind, tau))
 
     def value(self, of_v: _Side, of_y: _Side) -> float:
@@ -263,7 +263,7 @@ class Integrals(_Beside, beside.Integrals[_Side]):
         return _loaded(self.domain, self.given, self.kind, tau)
 
     def memory(self, tau: float) -> FromBefore:
-        """On parts there are tractions besides."""
+        """The memory of the solution, with more tractions on the parts."""
         return replace(super().memory(tau), pulls=_pulls(self.domain, self.given, self.kind, tau))
 
     def integral(self, of: _Side | None = None, power: int = 1) -> float:

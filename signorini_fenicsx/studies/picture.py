@@ -40,7 +40,7 @@ LINES = ("-", "--", ":", "-.")
 
 @dataclass(frozen=True)
 class Plan:
-    """What a picture shows.
+    """The plan of a picture of a study.
 
     Attributes:
         keys: What varies.

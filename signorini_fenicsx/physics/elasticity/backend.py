@@ -159,7 +159,7 @@ class ElasticBackend:
         return self._recovered(conditions, refine=False) if self.iterates else None
 
     def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
-        """None: there are no solves on patches."""
+        """Elastic contact has no solves on patches: None."""
 
     def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""

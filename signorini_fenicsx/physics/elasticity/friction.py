@@ -194,7 +194,7 @@ class FrictionBounds:
         return self.along(np.where(self.slipping.direction.any(axis=2)[:, :, None], slip, 0.0))
 
     def along(self, slip: Array) -> FrictionBounds:
-        """The same where vertices slip whose u_t is not 0."""
+        """The friction in space with Newton's linear law where this u_t is not 0, shape (facets, 3, 2)."""
         size = np.linalg.norm(slip, axis=2)
         size = np.where(size > 0, size, 1.0)
         return replace(self, slipping=Slipping(slip / size[:, :, None], size))

@@ -389,7 +389,7 @@ def _changed_in(index: int, change: Callable[[str, Any], Any], key: str, given: 
 
 
 def nothing_for_0(value: Any) -> Any:
-    """None for the number 0, which stands for a vector of zeros."""
+    """The value itself, and None for the number 0, which stands for a vector of zeros."""
     return None if isinstance(value, int | float) and value == 0 else value
 
 

@@ -56,7 +56,7 @@ class RaisedGap(Datum):
 
     @property
     def number(self) -> None:
-        """None: it is not one number."""
+        """The gap is not one number: None."""
         return
 
     @property
@@ -65,7 +65,7 @@ class RaisedGap(Datum):
         return None if self.gap.polynomial is None else max(self.gap.polynomial, 1)
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
-        """Those of the gap without the function, which is none of the data."""
+        """The data of the gap on facets; the function that raises it is none of the data."""
         return self.gap.by_facets(facets)
 
     def _values(self, points: Points) -> Array:

@@ -144,7 +144,7 @@ class ElasticRun:
     backend: ElasticBackend | None = None
 
     def remarks(self) -> list[str]:
-        """Nothing: gaps of parts that meet may differ, as their normals do."""
+        """Elastic contact has no remarks: gaps of parts that meet may differ, as their normals do."""
         return []
 
     def outcome(self) -> Outcome:

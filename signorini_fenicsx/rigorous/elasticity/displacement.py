@@ -25,7 +25,7 @@ ROUNDS = 20
 
 @dataclass(frozen=True)
 class Displacement:
-    """The displacement.
+    """The admissible displacement v.
 
     Attributes:
         coefficients: Shape (cells, d + 1, coefficients, d).

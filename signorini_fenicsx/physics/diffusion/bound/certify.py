@@ -263,7 +263,7 @@ class FluxOf:
         return scaled(self.kappa.values(points), points.quadratic(self.v, gradient=True)[:, :, 1:])
 
     def squares(self, _: float) -> Array:
-        """What changes with κ − κ̃: nothing."""
+        """The squares that κ − κ̃ changes: there are none."""
         return np.zeros(1)
 
 
