@@ -12,17 +12,17 @@ from signorini_fenicsx.methods.registry import Method
 class ComparisonReport(Report):
     """What `signorini compare` prints."""
 
-    def comparison(self, result: Comparison, first: Path, second: Path) -> None:
+    def comparison(self, comparison: Comparison, first: Path, second: Path) -> None:
         """Print the differences of two runs."""
-        one, other = result.contact
-        norms = "  ".join(f"{word(name)} {value:.4e}" for name, value in vars(result.norms).items())
+        one, other = comparison.contact
+        norms = "  ".join(f"{word(name)} {value:.4e}" for name, value in vars(comparison.norms).items())
         lines = {
             "A": str(first),
             "B": str(second),
             "contact": f"measure {one:.6g} and {other:.6g}",
-            "sets": f"Jaccard {result.jaccard:.6f}, Hausdorff distance {result.hausdorff:.4g}",
+            "sets": f"Jaccard {comparison.jaccard:.6f}, Hausdorff distance {comparison.hausdorff:.4g}",
             "norms": norms,
-            "relative": "  ".join(f"{word(name)} {value:.3e}" for name, value in result.relative.items()),
+            "relative": "  ".join(f"{word(name)} {value:.3e}" for name, value in comparison.relative.items()),
         }
         self.entries(lines)
 

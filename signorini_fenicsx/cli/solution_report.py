@@ -86,13 +86,13 @@ class SolutionReport(CaseReport):
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
 
-    def field(self, found: FieldBound) -> None:
+    def field(self, bound: FieldBound) -> None:
         """Print how wrong a function of the user is."""
-        share = f", {100 * found.relative:.3g} % of ‖σ_h‖" if found.relative < 1 else ""
-        repair = "" if found.repair is None else f"; it is {found.repair:.1e} from an admissible function"
-        trust = "" if found.guaranteed else f"; not guaranteed: {found.reason}"
-        words = f"{below(found.lower, 5)} ≤ energy error ≤ {above(found.bound, 5)}{share}{repair}{trust}"
-        self.entry("field", words if math.isfinite(found.bound) else f"no error bound: {found.reason}")
+        share = f", {100 * bound.relative:.3g} % of ‖σ_h‖" if bound.relative < 1 else ""
+        repair = "" if bound.repair is None else f"; it is {bound.repair:.1e} from an admissible function"
+        trust = "" if bound.guaranteed else f"; not guaranteed: {bound.reason}"
+        words = f"{below(bound.lower, 5)} ≤ energy error ≤ {above(bound.bound, 5)}{share}{repair}{trust}"
+        self.entry("field", words if math.isfinite(bound.bound) else f"no error bound: {bound.reason}")
 
 
 def bound(certificate: Certificate) -> str:
@@ -102,13 +102,13 @@ def bound(certificate: Certificate) -> str:
     return f"energy error{certificate.of} {bounds_in_words(certificate)}{_reservation(certificate)}"
 
 
-def interval(found: Quantity) -> str:
+def interval(quantity: Quantity) -> str:
     """A quantity with its interval, in words; if that is not guaranteed, the reason."""
-    if not math.isfinite(found.width):
-        return f"{found.value:.8g}, without bounds: {found.reason}"
-    words = f"{found.value:.8g}, in [{below(found.lower, 8)}, {above(found.upper, 8)}]"
-    words += f" for {found.of}" if found.of else ""
-    return words if found.guaranteed else f"{words}; not guaranteed: {found.reason}"
+    if not math.isfinite(quantity.width):
+        return f"{quantity.value:.8g}, without bounds: {quantity.reason}"
+    words = f"{quantity.value:.8g}, in [{below(quantity.lower, 8)}, {above(quantity.upper, 8)}]"
+    words += f" for {quantity.of}" if quantity.of else ""
+    return words if quantity.guaranteed else f"{words}; not guaranteed: {quantity.reason}"
 
 
 def bounds_in_words(certificate: Certificate) -> str:

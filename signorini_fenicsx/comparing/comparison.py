@@ -48,13 +48,13 @@ def compare(one: Solved, other: Solved) -> Comparison:
     """
     for solution in (one, other):
         check_kind("solution", solution, Solved)
-    here, there = (
+    first, second = (
         f"{solution.spaces.domain.name} with contact on {', '.join(sorted(solution.contact_parts)) or 'no part'}"
         for solution in (one, other)
     )
     domains = same_domain(one.spaces.domain, other.spaces.domain)
     if not domains or set(one.contact_parts) != set(other.contact_parts):
-        raise InputError(f"only solutions with the same domain and Γ_S can be compared, not {here} and {there}")
+        raise InputError(f"only solutions with the same domain and Γ_S can be compared, not {first} and {second}")
     coarse, fine = sorted((one, other), key=lambda solution: solution.spaces.domain.cells)
     norms, sizes = differences(coarse, fine), fine.sizes()
     return Comparison(

@@ -28,13 +28,13 @@ class Known:
 
     def get[T](self, name: str, given: Any, make: Callable[[], T]) -> T:
         """What `make` gives for these data, or what it gave if they are the same on all ranks (collective)."""
-        before, result = self._found.get(name, (None, None))
+        before, value = self._found.get(name, (None, None))
         same = name in self._found and is_fixed(given) and is_fixed(before) and before == given
         if self._comm.allreduce(bool(same), MPI.LAND):
-            return result
-        result = make()
-        self._found[name] = given, result
-        return result
+            return value
+        value = make()
+        self._found[name] = given, value
+        return value
 
     def combination(self, name: str, tree: Tree, make: Callable[[Tree], Array]) -> Array:
         """What `make`, which is linear, gives for a tree; no rank waits for others in `make`.

@@ -114,18 +114,18 @@ def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
         rho, middle = 2 * remainder.distance(), d @ rule
         return np.stack([middle, rho, np.sqrt(d**2 @ rule) + rho], axis=1)
 
-    def need(parts: Parts, known: Array) -> Array:
-        width = parts.share * known[:, 1]
+    def need(parts: Parts, of_parts: Array) -> Array:
+        width = parts.share * of_parts[:, 1]
         of_simplex = np.bincount(parts.own, np.where(np.isfinite(width), width, 0.0), number)[parts.own]
         return np.where(np.isfinite(width), weight[parts.own] * width * of_simplex, np.inf)
 
-    parts, known = in_parts(tree, vertices, frame, look, need)
-    share = parts.share[:, None] * np.column_stack([known[:, 0], known[:, 1], known[:, 2] ** 2])
+    parts, of_parts = in_parts(tree, vertices, frame, look, need)
+    share = parts.share[:, None] * np.column_stack([of_parts[:, 0], of_parts[:, 1], of_parts[:, 2] ** 2])
     share[np.isnan(share)] = np.inf
     middle, radius, square = (np.bincount(parts.own, column, number) for column in share.T)
     middle[~np.isfinite(middle)] = 0.0
     return Means(
-        Interval(middle - radius, middle + radius), np.sqrt(square), _place(parts, share[:, 1], vertices), len(known)
+        Interval(middle - radius, middle + radius), np.sqrt(square), _place(parts, share[:, 1], vertices), len(of_parts)
     )
 
 
@@ -168,12 +168,12 @@ def moments(
         rho = 2 * remainder.distance()
         return np.column_stack([rho**2, (np.sqrt(d**2 @ rule) + rho) ** 2, np.einsum("nq,q,nqv->nv", d, rule, hats)])
 
-    def need(parts: Parts, known: Array) -> Array:
-        wanted = weight[parts.own] * parts.share * known[:, 0]
+    def need(parts: Parts, of_parts: Array) -> Array:
+        wanted = weight[parts.own] * parts.share * of_parts[:, 0]
         return np.where(np.isnan(wanted), np.inf, wanted)
 
-    parts, known = in_parts(tree, vertices, frame, look, need)
-    share = parts.share[:, None] * known
+    parts, of_parts = in_parts(tree, vertices, frame, look, need)
+    share = parts.share[:, None] * of_parts
     share[np.isnan(share)] = np.inf
     unsure, square, *of_hats = (np.bincount(parts.own, column, number) for column in share.T)
     with np.errstate(invalid="ignore"):
@@ -225,14 +225,14 @@ def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int)
         steep = (seen + 2 * slope) ** 2
         return np.stack([(np.sqrt(d**2 @ rule) + 2 * rho) ** 2, steep, steep - seen**2], axis=1)
 
-    def need(parts: Parts, known: Array) -> Array:
-        steep, excess = (np.bincount(parts.own, parts.share * column, number) for column in known[:, 1:].T)
+    def need(parts: Parts, of_parts: Array) -> Array:
+        steep, excess = (np.bincount(parts.own, parts.share * column, number) for column in of_parts[:, 1:].T)
         close = (excess <= CLOSE * steep)[parts.own]
-        wanted = weight[parts.own] * parts.share * known[:, 2]
+        wanted = weight[parts.own] * parts.share * of_parts[:, 2]
         return np.where(close, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
 
-    parts, known = in_parts(tree, vertices, frame, look, need)
-    share = parts.share[:, None] * known
+    parts, of_parts = in_parts(tree, vertices, frame, look, need)
+    share = parts.share[:, None] * of_parts
     share[np.isnan(share)] = np.inf
     norm, tilt, _ = (np.sqrt(np.bincount(parts.own, column, number)) for column in share.T)
     return Tilts(norm, tilt, shown, _place(parts, share[:, 2], vertices))

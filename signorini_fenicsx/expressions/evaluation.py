@@ -62,7 +62,10 @@ class _Logic:
 
 
 class Numeric(_Logic):
-    """The algebra of arrays. What depends on NaN is NaN: also a power that IEEE makes 1, and a choice by a comparison with NaN."""
+    """The algebra of arrays.
+
+    What depends on NaN is NaN: also a power that IEEE makes 1, and a choice by a comparison with NaN.
+    """
 
     def __init__(self, names: Mapping[str, Array]):
         self._names = names

@@ -170,8 +170,8 @@ def _homogeneous(a: tuple[Array, Array], b: tuple[Array, Array], i: int, j: int)
 @cache
 def indices(dim: int, order: int) -> Indices:
     """The multi-indices of an order, shape (coefficients, dim)."""
-    found = itertools.product(range(order + 1), repeat=dim)
-    return np.array([index for index in found if sum(index) == order][::-1], dtype=np.int64)
+    exponents = itertools.product(range(order + 1), repeat=dim)
+    return np.array([index for index in exponents if sum(index) == order][::-1], dtype=np.int64)
 
 
 @cache
@@ -221,13 +221,13 @@ class Remainder:
     @np.errstate(over="ignore", invalid="ignore")  # far from the region nothing is known, which the result says
     def distance(self, degree: int = DEGREE) -> Array:
         """Bound of the distance to a polynomial of this degree ≤ K; infinite if none is known."""
-        found = (self.value.hi - self.value.lo) / 2
+        half_width = (self.value.hi - self.value.lo) / 2
         for order, layer in enumerate(self.layers[: degree + 1], 1):
             if layer is None:
-                return np.where(np.isfinite(found), 0.0, np.inf)
+                return np.where(np.isfinite(half_width), 0.0, np.inf)
             size = layer[1] if order <= degree else np.abs(layer[0]) + layer[1]
-            found = np.fmin(found, (size * self._monomials(indices(len(self.reach), order))).sum(axis=0))
-        return np.nan_to_num(found, nan=np.inf, posinf=np.inf)
+            half_width = np.fmin(half_width, (size * self._monomials(indices(len(self.reach), order))).sum(axis=0))
+        return np.nan_to_num(half_width, nan=np.inf, posinf=np.inf)
 
     @np.errstate(over="ignore", invalid="ignore")
     def slope(self) -> tuple[Array, Array]:

@@ -23,10 +23,10 @@ class EarlierSolutions:
 
     def add(self, x: PETSc.Vec) -> None:
         """Remember a solution."""
-        found = [x.array_r.copy()]
+        differences = [x.array_r.copy()]
         for before in self._differences[: MOST - 1]:
-            found.append(found[-1] - before)
-        self._differences = found
+            differences.append(differences[-1] - before)
+        self._differences = differences
 
     def combine(self, matrix: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, fixed: npt.NDArray[np.int32]) -> None:
         """Make of x, in place, the combination nearest in energy to the solution of a system (collective).
@@ -39,14 +39,14 @@ class EarlierSolutions:
             x: Has the values of what is fixed already; these stay.
             fixed: Owned unknowns that are fixed.
         """
-        given, free = x.array_r[fixed].copy(), b.array_r.copy()
+        fixed_values, free = x.array_r[fixed].copy(), b.array_r.copy()
         free[fixed] = 0.0
         products = [self._products(free)]
-        known, image = matrix.createVecs()
+        free_part, image = matrix.createVecs()
         for difference in self._differences:
-            known.array_w[:] = difference
-            known.array_w[fixed] = 0.0
-            matrix.mult(known, image)
+            free_part.array_w[:] = difference
+            free_part.array_w[fixed] = 0.0
+            matrix.mult(free_part, image)
             image.array_w[fixed] = 0.0
             products.append(self._products(image.array_r))
         loads, *energies = b.getComm().tompi4py().allreduce(np.array(products))
@@ -56,8 +56,8 @@ class EarlierSolutions:
         x.set(0.0)
         for share, difference in zip(shares, self._differences, strict=True):
             x.array_w[:] += share * difference
-        x.array_w[fixed] = given
-        for vector in (known, image):
+        x.array_w[fixed] = fixed_values
+        for vector in (free_part, image):
             vector.destroy()
 
     def _products(self, values: Array) -> list[float]:

@@ -37,9 +37,9 @@ def options_of(prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE) -> It
         defaults: Options that no call can set; the user's values override them.
     """
     options = PETSc.Options()
-    given = options.getAll()
-    put = {name: value for name, value in defaults.items() if name not in given}
-    put |= {name.removeprefix(prefix): value for name, value in given.items() if prefix and name.startswith(prefix)}
+    of_user = options.getAll()
+    put = {name: value for name, value in defaults.items() if name not in of_user}
+    put |= {name.removeprefix(prefix): value for name, value in of_user.items() if prefix and name.startswith(prefix)}
     for name, value in put.items():
         options.setValue(name, value or None)
         for used in (name, prefix + name):
@@ -48,8 +48,8 @@ def options_of(prefix: str, defaults: Mapping[str, str] = MUMPS_WORKSPACE) -> It
         yield
     finally:
         for name in put:
-            if name in given:
-                options.setValue(name, given[name] or None)
+            if name in of_user:
+                options.setValue(name, of_user[name] or None)
             else:
                 options.delValue(name)
 

@@ -191,12 +191,12 @@ def left_over(mesh: FileMesh, listed: Collection[str]) -> dict[str, int]:
     """The number of facets of the boundary outside the listed parts, by the part that has them, "" for none."""
     rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
     left, named = times == 1, np.zeros(len(rows), dtype=bool)
-    of_parts = {name: found[found >= 0] for name, found in _rows_of_parts(mesh, rows).items()}
-    for name, found in of_parts.items():
-        named[found] = True
+    of_parts = {name: rows_of_part[rows_of_part >= 0] for name, rows_of_part in _rows_of_parts(mesh, rows).items()}
+    for name, rows_of_part in of_parts.items():
+        named[rows_of_part] = True
         if name in listed:
-            left[found] = False
-    others = {name: int(left[found].sum()) for name, found in of_parts.items() if name not in listed}
+            left[rows_of_part] = False
+    others = {name: int(left[rows_of_part].sum()) for name, rows_of_part in of_parts.items() if name not in listed}
     return others | {"": int((left & ~named).sum())}
 
 
@@ -252,8 +252,8 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
 
 def _rows_of_parts(mesh: FileMesh, rows: Indices) -> dict[str, Indices]:
     """The number of each facet of each part among these rows, −1 if it is not there."""
-    found = rows_of(_joined(list(mesh.parts.values()), mesh.dim), rows)
-    return dict(zip(mesh.parts, np.split(found, np.cumsum([len(part) for part in mesh.parts.values()])), strict=False))
+    places = rows_of(_joined(list(mesh.parts.values()), mesh.dim), rows)
+    return dict(zip(mesh.parts, np.split(places, np.cumsum([len(part) for part in mesh.parts.values()])), strict=False))
 
 
 def key_of(section: str) -> str:

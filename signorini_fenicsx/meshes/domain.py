@@ -124,10 +124,10 @@ class Domain:
 
     def ancestor(self, factor: float) -> "Domain | None":
         """The mesh, coarser by about this factor, from which this one was refined uniformly; None if there is none."""
-        found = self.coarser
-        while found is not None and found.h < 0.75 * factor * self.h:
-            found = found.coarser
-        return found
+        coarser = self.coarser
+        while coarser is not None and coarser.h < 0.75 * factor * self.h:
+            coarser = coarser.coarser
+        return coarser
 
     @collector_off()
     def box(self) -> Array:

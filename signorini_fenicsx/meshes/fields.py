@@ -66,17 +66,17 @@ def _chosen(mesh: FileMesh, name: str | None, width: int) -> Array:
     Raises:
         InputError: If there are none, or several without a name.
     """
-    fitting = {key: found for key, values in mesh.values.items() if (found := _of_width(values, width)) is not None}
+    fitting = {key: chosen for key, values in mesh.values.items() if (chosen := _of_width(values, width)) is not None}
     kind = "a number" if width == 1 else "a vector"
     offers = f"it has {', '.join(map(repr, fitting))}" if fitting else f"it has no values with {kind} at each point"
     if name is not None and name not in fitting:
         raise InputError(f"has no values '{name}' with {kind} at each point; {offers}")
     if name is None and len(fitting) != 1:
         raise InputError(f"{offers}" + ("; choose one by --name" if fitting else ""))
-    found = fitting[name or next(iter(fitting))]
-    if not np.isfinite(found).all():
+    chosen = fitting[name or next(iter(fitting))]
+    if not np.isfinite(chosen).all():
         raise InputError("a value is not a number, or infinite")
-    return found
+    return chosen
 
 
 def _of_width(values: Array, width: int) -> Array | None:

@@ -151,13 +151,13 @@ def _gathered(
         inside[chosen, column] = True
     points = gather_rows(comm, mesh.geometry.x[: nodes.size_local, :dim])
     cells, rows = gather_rows(comm, numbers(cell_nodes(mesh))), gather_rows(comm, inside)
-    found = {name: gather_rows(comm, np.sort(chosen, axis=1)) for name, chosen in facets.items()}
+    vertices_of_parts = {name: gather_rows(comm, np.sort(chosen, axis=1)) for name, chosen in facets.items()}
     if points is None or cells is None or rows is None:
         return None
     return FileMesh(
         points=points,
         cells=cells,
-        parts={name: np.unique(chosen, axis=0) for name, chosen in found.items() if chosen is not None},
+        parts={name: np.unique(chosen, axis=0) for name, chosen in vertices_of_parts.items() if chosen is not None},
         regions={name: np.flatnonzero(rows[:, column]) for column, name in enumerate(regions)},
     )
 

@@ -90,12 +90,12 @@ def _check_hdf5(path: Path) -> None:
                     raise InputError(
                         f"'{name}' in {path.name} is a link to another file; an array has to be in the file"
                     )
-                thing = group[name]
-                address = h5py.h5o.get_info(thing.id).addr
-                if isinstance(thing, h5py.Group) and address not in seen:
-                    todo.append(thing)
+                item = group[name]
+                address = h5py.h5o.get_info(item.id).addr
+                if isinstance(item, h5py.Group) and address not in seen:
+                    todo.append(item)
                 seen.add(address)
-                if isinstance(thing, h5py.Dataset) and (thing.is_virtual or thing.external):
+                if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
                     raise InputError(
                         f"the values of '{name}' in {path.name} are in another file; an array has to be in the file"
                     )

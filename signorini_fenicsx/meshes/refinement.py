@@ -111,8 +111,8 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         sides = [np.flatnonzero(np.isin(boundary, facets)) for facets in (named, across)]
         together = np.stack([behind[rows[np.lexsort(places[rows].T)]] for rows in sides], axis=1).astype(np.int64)
         together += fine.topology.index_map(dim).local_range[0]
-    result = distribute(mesh.comm, points, children_of_cells, dim, together=together)
-    return descendant(domain, result, marks, "refined where the error is")
+    refined = distribute(mesh.comm, points, children_of_cells, dim, together=together)
+    return descendant(domain, refined, marks, "refined where the error is")
 
 
 def _uneven(
@@ -154,7 +154,7 @@ def descendant(
     Raises:
         NumericalFailure: If moving the vertices would flatten or invert a cell.
     """
-    result = marked_domain(
+    refined = marked_domain(
         mesh,
         domain.parts,
         marks,
@@ -166,15 +166,15 @@ def descendant(
     )
     nearest = {name: part.nearest for name, part in domain.parts.items() if part.nearest is not None}
     if not nearest:
-        return result
+        return refined
     before, dim = _volumes(mesh), mesh.topology.dim
     for name, moved in nearest.items():
-        nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, result.facets[name])
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, refined.facets[name])
         nodes = _on_all_ranks(mesh, nodes.ravel())
         mesh.geometry.x[nodes] = moved(mesh.geometry.x[nodes].T).T
     if not mesh.comm.allreduce(bool(np.all(_volumes(mesh) / before > FLAT)), MPI.LAND):
         raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
-    return replace(result, h=largest_diameter(mesh))
+    return replace(refined, h=largest_diameter(mesh))
 
 
 def _bisected(

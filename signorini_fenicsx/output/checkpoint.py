@@ -78,68 +78,68 @@ def load_solution(
     return solution
 
 
-def _stored(found: Checkpoint, options: Options, rows: Indices) -> Stored:
+def _stored(checkpoint: Checkpoint, options: Options, rows: Indices) -> Stored:
     """What the physics makes a solution of."""
-    about = found.about
+    about = checkpoint.about
     return Stored(
         options=options,
-        arrays=found.arrays,
+        arrays=checkpoint.arrays,
         rows=rows,
         outcome=partial(Outcome, history=about.history, **{key: getattr(about, key) for key in OUTCOME}),
-        about={"name": about.name, "title": found.title, "source": found.case}
+        about={"name": about.name, "title": checkpoint.title, "source": checkpoint.case}
         | {key: getattr(about, key) for key in COSTS},
-        own=found.own,
+        own=checkpoint.own,
         step=about.step,
     )
 
 
-def _read_domain(found: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequence[str]]) -> Domain:
+def _read_domain(checkpoint: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequence[str]]) -> Domain:
     """The mesh of a checkpoint with its parts (collective).
 
     Args:
-        found: The checkpoint.
+        checkpoint: The checkpoint.
         comm: Communicator.
         used: The parts of each kind of condition; those of "inner" are inside.
 
     Raises:
         InputError: If these parts are not on the boundary.
     """
-    about, arrays = found.about, found.arrays
-    mesh = distribute(comm, arrays["points"], arrays["cells"], found.dim, together=arrays.get("together"))
+    about, arrays = checkpoint.about, checkpoint.arrays
+    mesh = distribute(comm, arrays["points"], arrays["cells"], checkpoint.dim, together=arrays.get("together"))
     facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
     domain = marked_domain(
         mesh,
-        _parts(found),
+        _parts(checkpoint),
         Marks(facets, arrays.get("inside"), tuple(about.regions)),
         curvature=about.bend,
-        name=found.domain,
-        is_shape=found.shape is not None,
+        name=checkpoint.domain,
+        is_shape=checkpoint.shape is not None,
         made=about.made,
     )
     check_parts(domain, used)
     for index, name in enumerate(facets):
         on_boundary = any(name in parts for kind, parts in used.items() if kind != "inner")
-        if on_boundary and comm.allreduce(len(domain.facets[name])) != found.headers[f"part_{index}"].shape[0]:
+        if on_boundary and comm.allreduce(len(domain.facets[name])) != checkpoint.headers[f"part_{index}"].shape[0]:
             raise InputError(f"part '{name}' has facets that are not on the boundary")
     return domain
 
 
-def _parts(found: Checkpoint) -> Mapping[str, Part]:
-    if found.shape is not None:
-        return shape_of(found.shape).parts
-    return {name: axis_part(label) for name, label in found.about.parts.items()}
+def _parts(checkpoint: Checkpoint) -> Mapping[str, Part]:
+    if checkpoint.shape is not None:
+        return shape_of(checkpoint.shape).parts
+    return {name: axis_part(label) for name, label in checkpoint.about.parts.items()}
 
 
-def _rows_of_facets(found: Checkpoint, spaces: MeshSpaces) -> Indices:
+def _rows_of_facets(checkpoint: Checkpoint, spaces: MeshSpaces) -> Indices:
     """For each facet of Γ_S of this rank its row in the checkpoint (collective).
 
     Raises:
         InputError: If the facets with values are not those of Γ_S.
     """
     comm = spaces.mesh.comm
-    rows = find_rows(comm, facet_vertices(spaces.mesh, spaces.facets), [found.arrays["facet_vertices"]])[:, 0]
+    rows = find_rows(comm, facet_vertices(spaces.mesh, spaces.facets), [checkpoint.arrays["facet_vertices"]])[:, 0]
     missing, count = comm.allreduce(np.array([np.count_nonzero(rows < 0), len(rows)]))
-    if missing > 0 or count != found.headers["facet_vertices"].shape[0]:
+    if missing > 0 or count != checkpoint.headers["facet_vertices"].shape[0]:
         raise InputError("its facets with values are not those of Γ_S")
     return rows
 
@@ -158,26 +158,26 @@ def _damage_of(about: About, solution: Solved) -> str | None:
     return solution.contradiction() if about.converged and by_sets else None
 
 
-def _read_problem(found: Checkpoint) -> Any:
+def _read_problem(checkpoint: Checkpoint) -> Any:
     """The data of the file.
 
     Raises:
         InputError: If the file does not have all data.
     """
-    if found.case is not None:
-        return found.case.problem_at(found.dim, found.about.step)
-    given = _given(found)
-    laws = tuple(_law(found.keeping, table) for table in given.laws)
-    return _made(found.keeping.problem, given.problem | ({"laws": laws} if laws else {}))
+    if checkpoint.case is not None:
+        return checkpoint.case.problem_at(checkpoint.dim, checkpoint.about.step)
+    given = _given(checkpoint)
+    laws = tuple(_law(checkpoint.keeping, table) for table in given.laws)
+    return _made(checkpoint.keeping.problem, given.problem | ({"laws": laws} if laws else {}))
 
 
-def _given(found: Checkpoint) -> GivenInPython:
+def _given(checkpoint: Checkpoint) -> GivenInPython:
     """The problem that was given in Python.
 
     Raises:
         InputError: If the file does not have all data.
     """
-    given = found.about.given
+    given = checkpoint.about.given
     assert given is not None
     if given.missing:
         missing = ", ".join(given.missing)
@@ -198,16 +198,16 @@ def _law(keeping: Keeping, table: dict[str, Any]) -> Any:
     return _made(kind, {name: value for name, value in table.items() if name not in left_out})
 
 
-def _read_options(found: Checkpoint) -> Options:
+def _read_options(checkpoint: Checkpoint) -> Options:
     """The options of the file.
 
     Raises:
         InputError: If the algorithm was given in Python.
     """
-    if found.case is not None:
-        return options_of(found.case)
-    assert found.about.given is not None
-    values = found.about.given.options
+    if checkpoint.case is not None:
+        return options_of(checkpoint.case)
+    assert checkpoint.about.given is not None
+    values = checkpoint.about.given.options
     if values.get("algorithm") == OWN:
         raise InputError("the algorithm was given in Python; pass the options to load_solution")
     return _made(Options, values)

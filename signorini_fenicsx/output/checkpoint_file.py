@@ -293,21 +293,21 @@ def _case(about: About) -> CaseFile | None:
         raise InputError("its case is from another version") from None
 
 
-def _check_layout(found: Checkpoint) -> None:
+def _check_layout(checkpoint: Checkpoint) -> None:
     """Check the types and shapes of the arrays, and that parts, shape and dimension fit (rank 0)."""
-    about, headers = found.about, found.headers
-    layout = {**MESH, **found.keeping.layout} | {
+    about, headers = checkpoint.about, checkpoint.headers
+    layout = {**MESH, **checkpoint.keeping.layout} | {
         f"part_{index}": (np.int64, f"facets of {name}", "dim") for index, name in enumerate(about.parts)
     }
-    layout |= {name: form for name, form in found.keeping.of_some.items() if name in headers}
+    layout |= {name: form for name, form in checkpoint.keeping.of_some.items() if name in headers}
     if about.step is not None:
-        layout |= found.keeping.of_step
-        if found.case is None or about.step > found.case.steps:
+        layout |= checkpoint.keeping.of_step
+        if checkpoint.case is None or about.step > checkpoint.case.steps:
             raise InputError("is damaged: its case has no such step")
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
-    dim = found.dim if "points" in headers else 0
-    if dim and found.boundary.named.get("inner"):
+    dim = checkpoint.dim if "points" in headers else 0
+    if dim and checkpoint.boundary.named.get("inner"):
         layout["together"] = (np.int64, "pairs", "two")
     missing = [name for name in layout if name not in headers]
     if missing:
@@ -320,30 +320,30 @@ def _check_layout(found: Checkpoint) -> None:
             raise InputError(f"not a readable solution ({name} has type {headers[name].kind} and shape {shape})")
     for name in set(headers) - set(layout):
         del headers[name]
-    if found.shape is None:
+    if checkpoint.shape is None:
         suits_mesh = set(about.parts.values()) <= set(AXES[:dim])
     else:
-        suits_mesh = list(about.parts) == list(shape_of(found.shape).parts)
-        if shape_of(found.shape).dim != dim:
-            raise InputError(f"is damaged: its mesh has dimension {dim}, but '{found.domain}' has another one")
+        suits_mesh = list(about.parts) == list(shape_of(checkpoint.shape).parts)
+        if shape_of(checkpoint.shape).dim != dim:
+            raise InputError(f"is damaged: its mesh has dimension {dim}, but '{checkpoint.domain}' has another one")
     if not suits_mesh:
-        raise InputError(f"is damaged: its boundary parts are not those of '{found.domain}'")
-    if about.part_names != list(next(iter(found.boundary.named.values()))):
+        raise InputError(f"is damaged: its boundary parts are not those of '{checkpoint.domain}'")
+    if about.part_names != list(next(iter(checkpoint.boundary.named.values()))):
         raise InputError("is damaged: its parts of Γ_S are not those of its case")
-    if found.case is not None:
-        found.case.check_dimension(dim)
+    if checkpoint.case is not None:
+        checkpoint.case.check_dimension(dim)
 
 
-def _wrong_value(found: Checkpoint) -> str:
+def _wrong_value(checkpoint: Checkpoint) -> str:
     """What is wrong with the values that this rank has read; empty if nothing is."""
-    for name, rows in found.arrays.items():
-        may_fail = name != "points" and not found.about.converged
+    for name, rows in checkpoint.arrays.items():
+        may_fail = name != "points" and not checkpoint.about.converged
         if rows.dtype == np.float64 and not may_fail and not np.isfinite(rows).all():
             return f"is damaged: {name} is not finite everywhere"
-    for name, number in found.keeping.codes.items():
-        if not np.isin(found.arrays[name], range(number)).all():
+    for name, number in checkpoint.keeping.codes.items():
+        if not np.isin(checkpoint.arrays[name], range(number)).all():
             return f"is damaged: {name} has a value that is no {name.removeprefix('facet_')}"
-    if "together" in found.arrays and not _are_rows(found.arrays["together"], found.headers["cells"]):
+    if "together" in checkpoint.arrays and not _are_rows(checkpoint.arrays["together"], checkpoint.headers["cells"]):
         return "is damaged: together has a number that is no cell"
     return ""
 

@@ -71,17 +71,17 @@ class Beside[Fields](ABC):
         try:
             with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
                 below, above = self.fields(-tau), self.fields(tau)
-                found = []
+                bounds = []
                 for sign in (-1.0, 1.0):
                     of_v, of_y = (above, below) if (sign < 0) is not self.of_flux else (below, above)
                     half = self.half(of_v, of_y)
                     radius = half.value / tau + half.unseen + self._rounding
-                    found.append((self.value(of_v, of_y) + sign * radius, half.reason))
+                    bounds.append((self.value(of_v, of_y) + sign * radius, half.reason))
         except (NumericalFailure, InputError) as failure:
             return Ends(-math.inf, math.inf, 0.0, f"{FAILED}: {failure}")
         apart, size = self.apart(below, above) / (2 * tau), self.size()
         PETSc.garbage_cleanup(self.comm)
-        (lower, why), (upper, why_not) = found
+        (lower, why), (upper, why_not) = bounds
         return Ends(
             lower, upper, size / apart if apart > 0 else NEVER, why or why_not, lambda: self._shares(below, above, tau)
         )
@@ -89,8 +89,8 @@ class Beside[Fields](ABC):
     def _shares(self, below: Fields, above: Fields, tau: float) -> Array:
         """What each owned cell adds to the length of the interval: the gaps of both problems (collective)."""
         with np.errstate(all="ignore"):
-            found: Array = (self.half(below, below).of_cells + self.half(above, above).of_cells) / tau
-        return found
+            shares: Array = (self.half(below, below).of_cells + self.half(above, above).of_cells) / tau
+        return shares
 
     def solved(self, tau: float) -> Any:
         """The solution of the problem with data that differ by τ (collective).

@@ -89,16 +89,16 @@ class Quantity:
 
     def columns(self, name: str) -> dict[str, float | bool | str]:
         """All of it for a row of a table, whose columns are the same for each quantity."""
-        found = self.summary()
-        found.setdefault("guaranteed_for", "")
-        return {f"{QUANTITY}{name}.{key}": value for key, value in found.items()}
+        summary = self.summary()
+        summary.setdefault("guaranteed_for", "")
+        return {f"{QUANTITY}{name}.{key}": value for key, value in summary.items()}
 
     def summary(self) -> dict[str, float | bool | str]:
         """The quantity ready for JSON; an interval of another problem is guaranteed only with the name of that one."""
-        found = {key: value for key, value in vars(self).items() if key not in ("shares", "of")}
+        entries = {key: value for key, value in vars(self).items() if key not in ("shares", "of")}
         if not self.of:
-            return found
-        return found | {"guaranteed": False} | ({"guaranteed_for": self.of} if self.guaranteed else {})
+            return entries
+        return entries | {"guaranteed": False} | ({"guaranteed_for": self.of} if self.guaranteed else {})
 
 
 @dataclass(frozen=True)

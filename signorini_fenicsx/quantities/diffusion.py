@@ -104,8 +104,8 @@ class _Beside(Beside[Admissible]):
 
     def memory(self, tau: float) -> fem.Function | None:
         """The load that a step takes from those before, which is that of the solution."""
-        found: fem.Function | None = self.solution.data.memory
-        return found
+        earlier: fem.Function | None = self.solution.data.memory
+        return earlier
 
     def start(self, posed: Posed) -> Solution | None:
         """The solution, if its parts are those of the problem."""

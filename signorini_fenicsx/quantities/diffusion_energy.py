@@ -89,5 +89,5 @@ def _density(solution: Solution, trace: Trace, points: CellPoints, *, close: boo
     load = data.f.values(points)
     if data.memory is not None:
         load = load + data.memory.x.array[points.cells, None]
-    found: np.ndarray = (scaled(kappa, slope) * slope).sum(axis=2) / 2 + data.c.values(points) * v**2 / 2 - load * v
-    return found
+    density: np.ndarray = (scaled(kappa, slope) * slope).sum(axis=2) / 2 + data.c.values(points) * v**2 / 2 - load * v
+    return density

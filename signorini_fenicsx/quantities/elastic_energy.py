@@ -67,12 +67,12 @@ def indicator(
     """What is 1 on the subcells behind some parts, or in some regions, and 0 on others; 1 for neither (collective)."""
     if not parts and not region:
         return 1.0
-    found = fem.Function(fenicsx.function_space(mesh, ("DG", 0)))
+    function = fem.Function(fenicsx.function_space(mesh, ("DG", 0)))
     subcells = spaces.split.cells
     chosen = [subcells[facets.cells, facets.local] for facets in map(spaces.part, parts)]
     chosen += [subcells[spaces.domain.regions[name]].ravel() for name in region]
-    found.x.array[found.function_space.dofmap.list[np.concatenate(chosen)]] = 1.0
-    return found
+    function.x.array[function.function_space.dofmap.list[np.concatenate(chosen)]] = 1.0
+    return function
 
 
 def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function) -> float:

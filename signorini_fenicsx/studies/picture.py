@@ -178,11 +178,11 @@ def _map(sheet: Sheet, axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) 
 
 def numbers(row: Row, keys: Iterable[str]) -> Row:
     """A row in which texts of these keys that are numbers are numbers."""
-    found = dict(row)
+    columns = dict(row)
     for key in keys:
         with contextlib.suppress(ValueError):
-            found[key] = float(row[key]) if isinstance(row.get(key), str) else row.get(key)
-    return found
+            columns[key] = float(row[key]) if isinstance(row.get(key), str) else row.get(key)
+    return columns
 
 
 def _is_number(value: object) -> bool:

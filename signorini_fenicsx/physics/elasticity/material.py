@@ -180,13 +180,13 @@ class Material:
 
     def _own(self, points: CellPoints) -> Array:
         """ε₀ in space."""
-        found: Array = np.zeros((*points.shape, len(SPACE)))
+        entries: Array = np.zeros((*points.shape, len(SPACE)))
         for strain in self.own:
             values = strain.values(points)
             if strain.name == "initial_stress":
                 values = -np.einsum("nqij,nqj->nqi", self._in_space(points), values)
-            found = found + values
-        return found
+            entries = entries + values
+        return entries
 
     def _in_space(self, points: CellPoints) -> Array:
         """𝔸 in space, shape (cells, points, 6, 6)."""

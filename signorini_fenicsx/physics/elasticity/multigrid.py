@@ -93,13 +93,13 @@ class ElasticCoarse:
 
     def _galerkin(self, essential: npt.NDArray[np.int32]) -> PETSc.Mat:
         self._levels.leave_out(essential, np.empty(0, dtype=np.int32))
-        found = self._system.PtAP(self._levels.interpolation, result=self._matrix)
-        diagonal = found.getDiagonal()
+        product = self._system.PtAP(self._levels.interpolation, result=self._matrix)
+        diagonal = product.getDiagonal()
         largest = diagonal.max()[1]
         own = diagonal.array_r
         diagonal.array_w[:] = np.where(own > 1e-14 * largest, SHIFT * own, largest)
-        found.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
-        return found
+        product.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
+        return product
 
     def _rigid_motions(self) -> PETSc.NullSpace:
         dim = self._space.mesh.geometry.dim

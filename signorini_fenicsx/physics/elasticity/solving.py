@@ -233,8 +233,8 @@ def _on_coarser_mesh(
         return remesh(factor * further)
 
     with contextlib.suppress(InputError, NumericalFailure):
-        found: ElasticSolution = solve(remesh(factor), (boundary, problem), options, remesh=coarser)
-        return found
+        coarse: ElasticSolution = solve(remesh(factor), (boundary, problem), options, remesh=coarser)
+        return coarse
     return None
 
 

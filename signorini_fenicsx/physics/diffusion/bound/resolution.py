@@ -189,8 +189,8 @@ class Resolution:
         rho = 2 * distances(tree, vertices, self.spaces.frame, limit / 4)
         norm, mean = seen.norm + rho, np.stack([seen.mean - rho, seen.mean + rho])
         hidden = rho > limit / 2
-        found = means(tree, vertices[hidden], seen.p.of(hidden), self.spaces.frame, weight[hidden])
-        norm[hidden], mean[:, hidden] = found.norm, [found.mean.lo, found.mean.hi]
+        enclosed = means(tree, vertices[hidden], seen.p.of(hidden), self.spaces.frame, weight[hidden])
+        norm[hidden], mean[:, hidden] = enclosed.norm, [enclosed.mean.lo, enclosed.mean.hi]
         return norm, mean
 
     def _record(self, name: str, cells: AnyIndices, mean: Interval, squares: Array, metric: CellMetric) -> None:

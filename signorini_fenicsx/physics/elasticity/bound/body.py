@@ -126,8 +126,8 @@ def _is_positive(spaces: ElasticSpaces, compliance: Array, loaded: Mask, theta: 
     matrix = of_entries(comm, number, *entries, block=size)
     jumps = jumps_to_sides(spaces)
     matrix = matrix if jumps is None else matrix.ptap(jumps)
-    given = np.concatenate([spaces.unknowns(facets, k).ravel() for facets, k, _ in spaces.fixed])
-    matrix.zeroRowsColumns(given + size * index_map.local_range[0])
+    fixed = np.concatenate([spaces.unknowns(facets, k).ravel() for facets, k, _ in spaces.fixed])
+    matrix.zeroRowsColumns(fixed + size * index_map.local_range[0])
     return _negative(matrix) == 0
 
 

@@ -68,8 +68,8 @@ class Nodes:
     def unknowns(self, nodes: Indices) -> Indices:
         """The unknowns of nodes that are left, shape (…, d), numbered over all ranks."""
         first = self.numbers.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
-        found: Indices = self.dim * first[..., None] + np.arange(self.dim)
-        return found
+        numbers: Indices = self.dim * first[..., None] + np.arange(self.dim)
+        return numbers
 
     def triples(self, nodes: Indices, matrices: Array) -> Triples:
         """The entries of matrices of shape (n, d m, d m) that belong to some nodes, shape (n, m)."""
@@ -112,8 +112,8 @@ class Condensed:
     def coefficients(self, x: Array) -> Array:
         """The coefficients at the nodes inside, shape (cells, inner, d), from those of the others, ghosts too."""
         around = x.reshape(-1, self.nodes.dim)[self.around].reshape(self.share.shape[::2])
-        found = self.own - np.einsum("nio,no->ni", self.share, around)
-        return found.reshape(*self.inside.shape, self.nodes.dim)
+        inner = self.own - np.einsum("nio,no->ni", self.share, around)
+        return inner.reshape(*self.inside.shape, self.nodes.dim)
 
     def triples(self) -> Triples:
         """The entries of the stiffness."""

@@ -267,9 +267,9 @@ class BestDisplacement:
 
     def times(self, x: Array) -> Array:
         """Kx (collective)."""
-        known, image = self._natural.createVecs()
-        known.array_w[:] = x
-        self._natural.mult(known, image)
+        vector, image = self._natural.createVecs()
+        vector.array_w[:] = x
+        self._natural.mult(vector, image)
         return np.array(image.array_r)
 
     def along(self, x: Array) -> Array:
@@ -289,8 +289,8 @@ class BestDisplacement:
         sums = la.vector(self._numbers, size)
         add_at(sums, self._nodes, values)
         sums.scatter_reverse(la.InsertMode.add)
-        found: Array = sums.array[: size * self._numbers.size_local]
-        return found
+        summed: Array = sums.array[: size * self._numbers.size_local]
+        return summed
 
     def factorise(self, stiffness: Array) -> None:
         """Get ready to solve with K + Σ d aaᵀ (collective)."""

@@ -64,8 +64,8 @@ def loads_of(spaces: ElasticSpaces, data: ElasticData) -> list[tuple[BoundaryFac
 def fit(basis: Array, weights: Array) -> Array:
     """The matrix from values in points to the coefficients of their best approximation, shape (basis, points)."""
     weighted = weights[:, None] * basis
-    found: Array = np.linalg.solve(basis.T @ weighted, weighted.T)
-    return found
+    coefficients: Array = np.linalg.solve(basis.T @ weighted, weighted.T)
+    return coefficients
 
 
 @dataclass

@@ -72,8 +72,8 @@ def above(compliance: Array) -> Array:
     mean = compliance.mean(axis=1)
     root = np.linalg.inv(np.linalg.cholesky(mean))[:, None]
     largest = np.linalg.eigvalsh(root @ compliance @ root.swapaxes(-1, -2)).max(axis=(1, 2), initial=0.0)
-    found: Array = largest[:, None, None] * mean
-    return found
+    bounding: Array = largest[:, None, None] * mean
+    return bounding
 
 
 def _force(
