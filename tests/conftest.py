@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell_parent
 
+import signorini_fenicsx.api  # noqa: F401 - with DOLFINx, before a test loads adios2, which brings the same libraries
 from signorini_fenicsx.base.parallel import collect_garbage
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
