@@ -24,6 +24,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     Cells,
     facet_normals,
     hats_in_subcells,
+    opposite,
     reference,
     split_vertices,
     to_matrices,
@@ -31,7 +32,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given, gathered
-from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, opposite, pulls_with, stresses_of, wrenches
+from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, pulls_with, stresses_of, wrenches
 from signorini_fenicsx.rigorous.elasticity.theorem import prove
 from signorini_fenicsx.rigorous.elementary import FromArb
 from signorini_fenicsx.rigorous.proof import proof_of

@@ -29,15 +29,11 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.forms.elasticity import pairs
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.discrete import Cells
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE
 from signorini_fenicsx.rigorous.simplices import Simplices, at, stacked, total
-
-
-def opposite(dim: int) -> Indices:
-    """The vertices of each facet, shape (d + 1, d)."""
-    return np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
 
 
 def facet_mass(dim: int) -> Array:

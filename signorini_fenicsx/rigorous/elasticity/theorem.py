@@ -28,13 +28,13 @@ from signorini_fenicsx.expressions import Binary, Tree, interval, polynomial_deg
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.tree import Negative, exactly
 from signorini_fenicsx.forms.elasticity import pairs
-from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, split_vertices
+from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, opposite, split_vertices
 from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.discrete import opposite as opposed
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
 from signorini_fenicsx.rigorous.elasticity.on_contact import changed, pressed, reactions, rubbed, shear_near, tangential
-from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, opposite, stresses_of
+from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, stresses_of
 from signorini_fenicsx.rigorous.proven import Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
