@@ -67,6 +67,7 @@ def deviation(
     by: Literal["mean", "norm", "tilt"] = "norm",
     degree: int = 2,
     wanted: Array | None = None,
+    order: int = 1,
 ) -> Deviation:
     """Enclose an expression on simplices.
 
@@ -78,6 +79,7 @@ def deviation(
         by: The quantity for which simplices are bisected.
         degree: Degree of p, 1 or 2.
         wanted: Values of p in the nodes of P2; None for those of the expression.
+        order: Of the errors that the means are to be small beside.
 
     Raises:
         InputError: If there are no finite bounds.
@@ -94,7 +96,7 @@ def deviation(
     extent = float(np.ptp(vertices.reshape(-1, vertices.shape[-1]), axis=0).max()) if vertices.size else 1.0
     tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
     if by == "mean" and len(vertices):
-        tolerance += IN_MEANS * len(vertices) ** (-1 / dim) * np.nan_to_num(np.ptp(sampled, axis=1))
+        tolerance += IN_MEANS * len(vertices) ** (-order / dim) * np.nan_to_num(np.ptp(sampled, axis=1))
     found = enclose(tree, vertices, p, tolerance, elementary, by)
     known = found.norm + (found.tilt if by == "tilt" else 0.0)
     if not np.isfinite(known).all():

@@ -53,7 +53,8 @@ class Tensor:
         if not (self.theta.lo > 0).all():
             where = near(cells.vertices, self.theta.lo)
             raise InputError(f"{name} varies too much within a cell {where}; choose a smaller h")
-        largest = root(total(total(squared(corners)))).hi.max(axis=1)
+        of_rows = total(enclosing(corners.largest)).hi.max(axis=-1)
+        largest = np.minimum(root(total(total(squared(corners)))).hi, of_rows).max(axis=1)
         self.root_largest = root(enclosing(largest) + deviation)
         self._cells = cells
 

@@ -258,9 +258,7 @@ def equilibrated(
     """
     vertices, dim = cells_of_mesh.vertices, cells_of_mesh.dim
     origin = vertices.reshape(-1, dim).mean(axis=0)
-    x = enclosing(vertices)
-    on_facets = at(x, np.s_[:, opposite(dim)])
-    load = _wrench_of_load(x, moments, origin)
+    load = wrench_of_load(enclosing(vertices), moments, origin)
     roots = np.zeros_like(outlets)
     bodies, across = bodies_of(cells_of_mesh), _across(pair)
     level = _levels(bodies, across, outlets, ~holds.is_zero.all(axis=(2, 3)) & (pair == NONE))
@@ -276,12 +274,28 @@ def equilibrated(
         other = across[place][touching]
         pulls = _added(pulls, (other[:, 0], other[:, 1]), -at(more, touching))
         roots[np.argmax(mine), 0] = True
+    return along_tree(cells_of_mesh, outlets, roots, pulls, load, origin)
+
+
+def along_tree(
+    cells_of_mesh: Cells, outlets: Mask, roots: Mask, pulls: Interval, load: Interval, origin: Array
+) -> Interval:
+    """The tractions with a correction along a tree that begins at outlets, or in cells of bodies that are in balance.
+
+    Args:
+        cells_of_mesh: The cells.
+        outlets: Mask of the facets where any traction may act.
+        roots: Mask with one facet of each body that is in balance; nothing is changed there.
+        pulls: As for `equilibrated`.
+        load: Force and moment of the load of each cell, shape (cells, d + d(d − 1)/2).
+        origin: The point about which moments are.
+    """
+    on_facets = at(enclosing(cells_of_mesh.vertices), np.s_[:, opposite(cells_of_mesh.dim)])
     surplus = total(wrenches(on_facets, pulls, origin), axis=1) + load
     none = enclosing(np.zeros((*outlets.shape, surplus.lo.shape[1])))
     lacking = balanced(cells_of_mesh.facets, outlets | roots, none, surplus)
     changed = np.nonzero(~lacking.is_zero.all(axis=2) & ~roots)  # what leaves at a root is 0
-    more = pulls_with(at(on_facets, changed), at(lacking, changed), origin)
-    return _added(pulls, changed, more)
+    return _added(pulls, changed, pulls_with(at(on_facets, changed), at(lacking, changed), origin))
 
 
 def _across(pair: Indices) -> Indices:
@@ -361,7 +375,7 @@ def _in_balance(
     return more
 
 
-def _wrench_of_load(x: Interval, moments: Interval, origin: Array) -> Interval:
+def wrench_of_load(x: Interval, moments: Interval, origin: Array) -> Interval:
     """Force and moment of loads with these moments against the hats."""
     dim = x.lo.shape[-1]
     arms = x - origin

@@ -10,9 +10,9 @@ at the vertices. Then `Proven.sigma_bound` is an upper bound of ‖σ − σ_h�
 Proof. The argument is that of `forms.elasticity`, here with exact ingredients.
 
 - *Stress.* y is a stress of Johnson and Mercier that is in balance with f in all cells, as real numbers, see `stress`.
-  On Γ_N it has the traction that is given, on Γ_C a pressure ≥ 0 and a shear within the bound, see `on_contact`. ‖y −
-  σ_h‖ is enclosed. So there is no
-  constant of Korn, and it does not matter what solvers leave.
+  On Γ_N it has the linear part of the traction that is given, on Γ_C a pressure ≥ 0 and a shear within the bound, see
+  `on_contact`. ‖y − σ_h‖ is enclosed. So no constant of Korn of the body is needed, and it does not matter what solvers
+  leave. What is left of loads in cells and on facets is bounded by constants of these, see `loads`.
 - *Displacement.* See `displacement`: v = u_D where u is given, and v_n ≤ g on Γ_C.
 - *Material.* 𝔸 stands in the place of κ in `tensor`, and ℂ in that of κ⁻¹: with LᵀAL ≥ θ > 0 it is ‖ε(v) − 𝔸y‖_ℂ ≤
   θ^-½‖Lᵀ(ε(v) − 𝔸y)‖, and ‖τ‖_𝔸 = ‖𝔸τ‖_ℂ.
@@ -33,6 +33,7 @@ from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.discrete import opposite as opposed
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
+from signorini_fenicsx.rigorous.elasticity.loads import Moments, constants, force
 from signorini_fenicsx.rigorous.elasticity.on_contact import changed, pressed, reactions, rubbed, shear_near, tangential
 from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, stresses_of
 from signorini_fenicsx.rigorous.proven import Proven
@@ -71,11 +72,12 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     subcells = _split(cells)
     compliance = _compliance(discrete, given, subcells)
     areas = cells.gradients * at(cells.measure, np.s_[:, None, None]) * -float(cells.dim)  # |e|n
-    moments = _moments(discrete, given, cells)
+    moments, off = force(discrete, given, cells)
     contact = discrete.gap != NONE
     normal = at(areas, contact)
     bound = _bound(discrete, given)
-    pulls, pressures, shear = _tractions(discrete, given, areas, bound)
+    pulls, off_facets = _loads(discrete, given, areas)
+    pulls, pressures, shear = _on_contact(discrete, areas, bound, pulls)
     outlets = (discrete.displacement != NONE).all(axis=2)
     sticks = _sticking(discrete, bound, shear)
     holds = _holds(discrete, areas, pressures, sticks)
@@ -93,10 +95,29 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     on_rough = rubbed(at(normal, rough), at(bound, rough), at(rubbing, rough), at(v.on_contact, rough))
     twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi, 2 * on_rough.hi]))
     remainder = root_above(total_above(squared(left).hi))
-    if not np.isfinite(twice_the_gap + remainder):
+    square = total_above(squared(_oscillation(compliance, cells, off, off_facets)).hi)
+    if not np.isfinite(twice_the_gap + remainder + square):
         raise InputError("the data have no certain finite bounds")
-    most = total_above(np.array([root_above(twice_the_gap), remainder]))
-    return Proven(most, most, twice_the_gap / 2, 0.0, remainder)
+    return Proven(
+        bound=total_above(np.array([root_above(twice_the_gap), root_above(square), remainder])),
+        sigma_bound=total_above(np.array([root_above(total_above(np.array([twice_the_gap, square]))), remainder])),
+        gap=twice_the_gap / 2,
+        oscillation=root_above(square),
+        remainder=remainder,
+    )
+
+
+def _oscillation(compliance: Tensor, cells: Simplices, off: Interval, off_facets: Interval) -> Interval:
+    """How large (f − f_h, w)_T + ⟨g_N − Π₁g_N, w⟩ may be beside |w|_T, see `loads`."""
+    if off.is_zero.all() and off_facets.is_zero.all():
+        return off
+    of_cells, of_facets = constants(cells)
+    x = cells.vertices[:, opposite(cells.dim)]
+    measures = facet_measures(x.reshape(-1, *x.shape[2:]))
+    measures = Interval(*(each.reshape(x.shape[:2]) for each in (measures.lo, measures.hi)))
+    on_facets = total(off_facets * root(measures)) / root(cells.measure)
+    softness = compliance.root_largest.hi.reshape(len(cells.vertices), -1).max(axis=1)
+    return (of_cells * off + of_facets * on_facets) * softness
 
 
 def _split(cells: Simplices) -> Simplices:
@@ -163,23 +184,6 @@ def _of_volume(young: Tree, poisson: Tree, *, in_strain: bool) -> Tree:
     return Negative(Binary("/", factor, young))
 
 
-def _moments(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> Interval:
-    """∫ f λ_k, shape (cells, d + 1, d).
-
-    Raises:
-        InputError: If f is not constant.
-    """
-    lo, hi = np.zeros((2, len(cells.vertices), cells.dim))
-    for k in range(cells.dim):
-        for tree, mask in given.each(discrete.force[:, k]):
-            if polynomial_degree(tree) != 0:
-                raise InputError("the proof is for elastic loads f that are constant, perhaps in each region, alone")
-            value = _at(tree, discrete.vertices[mask, 0], given)
-            lo[mask, k], hi[mask, k] = value.lo, value.hi
-    share = Interval(lo, hi) * at(cells.measure / float(cells.dim + 1), np.s_[:, None])
-    return Interval(*(np.repeat(each[:, None], cells.dim + 1, axis=1) for each in (share.lo, share.hi)))
-
-
 def _bound(discrete: ElasticDiscrete, given: Given) -> Interval:
     """The bound of the shear at the vertices of the facets of Γ_C, shape (facets, d)."""
     contact = discrete.gap != NONE
@@ -191,10 +195,8 @@ def _bound(discrete: ElasticDiscrete, given: Given) -> Interval:
     return bound
 
 
-def _tractions(
-    discrete: ElasticDiscrete, given: Given, areas: Interval, bound: Interval
-) -> tuple[Interval, Array, Array]:
-    """Q = |e| yn at the vertices of facets, before cells are in balance, with the pressures, and w on Γ_C.
+def _loads(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tuple[Interval, Interval]:
+    """Q = |e| yn at the vertices of facets, before cells are in balance, and a bound of ‖g_N − Π₁g_N‖ on facets.
 
     In directions in which u is given, and inside, they are those of σ_h, elsewhere what the data say.
     """
@@ -207,14 +209,30 @@ def _tractions(
     own = np.where(free[:, :, None], own, 0.0)
     pulls = Interval(own, own.copy())
     x = discrete.vertices[:, opposite(dim)]
+    squares = Interval(*np.zeros((2, *inside.shape)))
     for k in range(dim):
         for tree, mask in given.each(np.where(free[..., k], NONE, discrete.traction[..., k])):
-            found = _linear(given, "g_N", tree, x[mask]) * at(facet_measures(x[mask]), np.s_[:, None])
+            data = Moments.of(tree, x[mask], given, "g_N")
+            found = data.linear() * at(facet_measures(x[mask]), np.s_[:, None])
             pulls.lo[mask, :, k], pulls.hi[mask, :, k] = found.lo, found.hi
+            more = at(squares, mask) + squared(data.off_linear())
+            squares.lo[mask], squares.hi[mask] = more.lo, more.hi
     for tree, mask in given.each(discrete.pressure):
-        found = -at(_linear(given, "pressure", tree, x[mask]), np.s_[..., None]) * at(areas, np.s_[mask, None])
+        data = Moments.of(tree, x[mask], given, "pressure")
+        found = at(-data.linear(), np.s_[..., None]) * at(areas, np.s_[mask, None])
         found = at(pulls, mask).where(free[mask][:, None], found)
         pulls.lo[mask], pulls.hi[mask] = found.lo, found.hi
+        more = squared(data.off_linear())
+        squares.lo[mask], squares.hi[mask] = more.lo, more.hi
+    measures = facet_measures(x.reshape(-1, dim, dim))
+    return pulls, root(squares * Interval(*(each.reshape(inside.shape) for each in (measures.lo, measures.hi))))
+
+
+def _on_contact(
+    discrete: ElasticDiscrete, areas: Interval, bound: Interval, pulls: Interval
+) -> tuple[Interval, Array, Array]:
+    """The tractions q with those on Γ_C, the pressures of these at the vertices of facets, and their w."""
+    outer, dim = facet_normals(discrete.vertices), discrete.dim
     contact = discrete.gap != NONE
     pressure = _pressures(discrete, outer) * contact[..., None]
     pressure[pressure < PRESSED * pressure.max(initial=0.0)] = 0.0

@@ -1,0 +1,230 @@
+"""Proves bounds of the constants of `bound/korn.py`, rounding included; `rigorous/elasticity/loads.py` uses them.
+
+For all v, linear on the cells of a mesh of the regular simplex and orthogonal to linear fields, stresses of Johnson and
+Mercier that balance Qv are found by least squares in floats, made exact along a tree, and enclosed. Their norms are
+≤ c_h‖v‖ if c_h²(v, v') − (τ(v), τ(v')) is positive definite, which is so if it is near the unit matrix after a change
+of the basis. Likewise for tractions. All is done on the simplex with vertices 0, e_1, …, by the map of Piola.
+
+uv run python scripts/proved_korn.py
+uv run python scripts/proved_korn.py --plane 4 --space 4
+"""
+
+from typing import Annotated
+
+import numpy as np
+import typer
+from korn_constants import bound_of, lattice
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.physics.elasticity.bound.korn import regular_simplex, stretch
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells as Shapes
+from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
+from signorini_fenicsx.rigorous.discrete import Cells
+from signorini_fenicsx.rigorous.elasticity.loads import MOMENTS, PROVED
+from signorini_fenicsx.rigorous.elasticity.stress import (
+    along_tree,
+    solved,
+    stresses_of,
+    wrench_of_load,
+    wrenches,
+)
+from signorini_fenicsx.rigorous.simplices import at, root, simplices, stacked, total
+
+LARGER = 1 + 1e-4
+"""The bounds of c_h and t_h are larger by this factor than the floats found for them."""
+MARGIN = 1e-6
+"""That of the stretch of cells, which is computed in floats."""
+
+
+def main(
+    plane: Annotated[int, typer.Option(min=2, help="Cells along an edge of the triangle.")] = 4,
+    space: Annotated[int, typer.Option(min=2, help="Cells along an edge of the tetrahedron.")] = 4,
+) -> None:
+    """Print proved bounds, and those in use."""
+    for dim, parts in ((2, plane), (3, space)):
+        problem = Loaded(dim, parts)
+        c_h, t_h = problem.constant(*problem.loads()), problem.constant(*problem.tractions())
+        korn, trace = bound_of(c_h, problem.stretch + MARGIN, MOMENTS[dim]), t_h / np.sqrt(1 - 1 / parts)
+        print(f"d = {dim}: c_h ≤ {c_h:.5f}, ĉ ≤ {korn:.5f}; t_h ≤ {t_h:.5f}, t̂ ≤ {trace:.5f}; in use {PROVED.get(dim)}")
+
+
+class Loaded:
+    """A mesh of the simplex, and what loads do to it."""
+
+    def __init__(self, dim: int, parts: int):
+        """Make the mesh."""
+        places, numbers = lattice(dim, parts)
+        self.dim, self.parts = dim, parts
+        self.stretch = float(stretch(Shapes(places[numbers]).derivative).max())
+        points = np.rint(places @ np.linalg.inv(regular_simplex(dim)).T * parts) / parts
+        facets = numbers[:, opposite(dim)].reshape(-1, dim)
+        _, facet = np.unique(facets, axis=0, return_inverse=True)
+        self.mesh = Cells(points[numbers], numbers, facet.reshape(len(numbers), dim + 1))
+        self.cells = simplices(self.mesh.vertices)
+        self.inside: Mask = np.bincount(facet)[self.mesh.facets] == 2
+        third = [enclosing(1.0), enclosing(0.0), enclosing(0.0)]
+        second = [enclosing(0.5), root(enclosing(3.0)) / 2.0, enclosing(0.0)]
+        last = [enclosing(0.5), root(enclosing(3.0)) / 6.0, root(enclosing(2.0) / 3.0)]
+        columns = [stacked(column[:dim]) for column in (third, second, last)[:dim]]
+        self.map = stacked(columns, axis=1)  # from the simplex to the regular one
+
+    def loads(self) -> tuple[Interval, Interval, Interval]:
+        """Tractions and moments of a basis of the v, and the matrix of their products, times that of all |T|."""
+        dim, cells = self.dim, self.cells
+        hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
+        values = self._orthogonal(self.mesh.vertices, cells.measure, hats)
+        scaled = total(at(values, np.s_[..., None, :]) * hats, axis=-1)
+        moments = scaled * at(cells.measure, np.s_[:, None])
+        size = (*values.lo.shape, dim)
+        none = enclosing(np.zeros((len(values.lo) * dim, *self.inside.shape, dim, dim)))
+        return none, self._by_component(moments, size), self._products(values, moments)
+
+    def tractions(self) -> tuple[Interval, Interval, Interval]:
+        """Likewise of tractions on the facet where the last coordinate is 0."""
+        dim, mesh = self.dim, self.mesh
+        corners = mesh.vertices[:, opposite(dim)]
+        cell, local = np.nonzero((corners[..., -1] == 0).all(axis=2))
+        hats = (1 + np.eye(dim)) / (dim * (dim + 1))
+        share = enclosing(np.full(len(cell), 1.0))
+        values = self._orthogonal(corners[cell, local][..., :-1], share, hats)  # those of q on each facet
+        scaled = total(at(values, np.s_[..., None, :]) * hats, axis=-1)
+        size = (*values.lo.shape, dim)
+        on_facets = self._by_component(values, size)
+        pulls = np.zeros((2, len(on_facets.lo), *self.inside.shape, dim, dim))
+        pulls[0][:, cell, local], pulls[1][:, cell, local] = on_facets.lo, on_facets.hi
+        none = enclosing(np.zeros((len(on_facets.lo), *mesh.vertices.shape)))
+        measure = {2: enclosing(1.0), 3: root(enclosing(3.0)) / 4.0}[dim] / float(len(cell))  # |e| of each facet
+        volume = {2: root(enclosing(3.0)) / 2.0, 3: root(enclosing(2.0)) / 2.0}[dim]  # the determinant of the map
+        return Interval(*pulls), none, self._products(values, scaled) * (volume / measure)
+
+    def _orthogonal(self, places: Array, share: Interval, hats: Array) -> Interval:
+        """A basis of the functions, linear on simplices, orthogonal to linear ones: (basis, simplices, vertices)."""
+        count, corners, _ = places.shape
+        linear = np.concatenate([np.ones((count, corners, 1)), places], axis=2)
+        weighted = total(enclosing(hats[..., None]) * linear[:, None], axis=2) * at(share, np.s_[:, None, None])
+        gram = total(total(at(weighted, np.s_[..., None]) * linear[:, :, None], axis=0), axis=0)
+        flat = Interval(*(each.reshape(count * corners, -1) for each in (weighted.lo, weighted.hi)))
+        own = at(flat, np.s_[corners:])
+        shares = solved(Interval(*(np.broadcast_to(e, (len(own.lo), *e.shape)) for e in (gram.lo, gram.hi))), own)
+        part = total(at(shares, np.s_[:, None, None]) * linear)
+        unit = np.eye(count * corners)[corners:].reshape(-1, count, corners)
+        return enclosing(unit) - part
+
+    def _by_component(self, values: Interval, size: tuple[int, ...]) -> Interval:
+        """Each function in each component: (basis and component, simplices, vertices, d)."""
+        found = np.zeros((2, size[0], self.dim, *size[1:]))
+        for k in range(self.dim):
+            found[0][:, k, ..., k], found[1][:, k, ..., k] = values.lo, values.hi
+        return Interval(*found.reshape(2, -1, *size[1:]))
+
+    def _products(self, values: Interval, weighted: Interval) -> Interval:
+        """(v, v') of all pairs, after the map."""
+        number = len(values.lo)
+        one, other = (Interval(*(x.reshape(number, -1) for x in (each.lo, each.hi))) for each in (values, weighted))
+        scalar = product(one, Interval(other.lo.T, other.hi.T))
+        metric = total(at(self.map, np.s_[:, :, None]) * at(self.map, np.s_[:, None]), axis=0)
+        lo, hi = (np.empty((number, self.dim, number, self.dim)) for _ in range(2))
+        for i in range(self.dim):
+            for j in range(self.dim):
+                block = scalar * at(metric, (i, j))
+                lo[:, i, :, j], hi[:, i, :, j] = block.lo, block.hi
+        return Interval(*(each.reshape(number * self.dim, -1) for each in (lo, hi)))
+
+    def constant(self, pulls: Interval, moments: Interval, norms: Interval) -> float:
+        """A proved bound of the root of the largest (τ(v), τ(v))/(v, v)."""
+        energies = self._energies(self._stresses(pulls, moments))
+        energy, norm = ((each.lo + each.hi) / 2 for each in (energies, norms))
+        lower = np.linalg.inv(np.linalg.cholesky(norm))
+        most = float(np.linalg.eigvalsh(lower @ energy @ lower.T).max()) * LARGER**2
+        left = norms * most - energies
+        basis = np.linalg.inv(np.linalg.cholesky((left.lo + left.hi) / 2)).T
+        unit = product(enclosing(basis.T), product(left, enclosing(basis)))
+        off = (unit - np.eye(len(basis))).largest.sum(axis=1).max() * (1 + 1e-9)
+        assert off < 1
+        return float(np.sqrt(most) * (1 + 1e-12))
+
+    def _stresses(self, pulls: Interval, moments: Interval) -> Interval:
+        """Stresses in balance with loads, of nearly the least norms, shape (loads, cells, d + 1, d + 1, d, d)."""
+        mesh, dim, inside = self.mesh, self.dim, np.nonzero(self.inside)
+        number = int(mesh.facets.max()) + 1
+        _, first = np.unique(mesh.facets, return_index=True)
+        sign = np.full(self.inside.size, -1.0)
+        sign[first] = 1.0
+        sign = sign.reshape(self.inside.shape)[inside]
+        unit = np.eye(number * dim * dim).reshape(-1, number, dim, dim)
+        units = np.zeros((len(unit), *self.inside.shape, dim, dim))
+        units[:, inside[0], inside[1]] = unit[:, mesh.facets[inside]] * sign[:, None, None]
+        units = units[units.any(axis=(1, 2, 3, 4))]
+        none = np.zeros((len(units), *mesh.vertices.shape))
+        of_units, wrench_of_units = self._floats(enclosing(units), enclosing(none))
+        own, wrench = self._floats(pulls, moments)
+        zero = np.zeros((wrench_of_units.shape[1],) * 2)
+        matrix = np.block([[of_units @ of_units.T, wrench_of_units], [wrench_of_units.T, zero]])
+        right = np.concatenate([-of_units @ own.T, -wrench.T])
+        shares = np.linalg.lstsq(matrix, right, rcond=1e-12)[0][: len(units)]
+        near = np.einsum("un,ucfai->ncfai", shares, units, optimize=True)
+        origin, roots = np.full(dim, 0.25), np.zeros_like(self.inside)
+        roots[0, 0] = True
+        x, closed = enclosing(mesh.vertices), np.zeros_like(self.inside)
+        exact = [
+            along_tree(mesh, closed, roots, at(pulls, n) + near[n], wrench_of_load(x, at(moments, n), origin), origin)
+            for n in range(len(near))
+        ]
+        return self._of(Interval(*(np.stack([getattr(each, end) for each in exact]) for end in ("lo", "hi"))), moments)
+
+    def _of(self, pulls: Interval, moments: Interval) -> Interval:
+        """The stresses with these tractions and moments, for each load."""
+        count, cells = len(pulls.lo), len(self.mesh.vertices)
+        repeated = self.cells.some(np.tile(np.arange(cells), count))
+        flat = [Interval(*(x.reshape(-1, *x.shape[2:]) for x in (each.lo, each.hi))) for each in (pulls, moments)]
+        found = stresses_of(repeated, *flat)
+        return Interval(*(x.reshape(count, cells, *x.shape[1:]) for x in (found.lo, found.hi)))
+
+    def _floats(self, pulls: Interval, moments: Interval) -> tuple[Array, Array]:
+        """Vectors whose squares are the energies of stresses, and forces and moments on all cells, per load."""
+        dim, count, origin = self.dim, len(pulls.lo), np.full(self.dim, 0.25)
+        y = self._of(pulls, moments)
+        entries = self._mapped(y)
+        size = dim + 1
+        hats = np.linalg.cholesky((1 + np.eye(size)) / (size * (size + 1)))
+        vectors = np.einsum("ncsve,vw->ncswe", (entries.lo + entries.hi) / 2, hats)
+        x = enclosing(self.mesh.vertices)
+        on_facets = at(x, (slice(None), opposite(dim)))
+        wrench = total(wrenches(on_facets, pulls, origin), axis=2) + wrench_of_load(x, moments, origin)
+        scale = np.sqrt(self.cells.measure.hi[0] / size)
+        return vectors.reshape(count, -1) * scale, ((wrench.lo + wrench.hi) / 2).reshape(count, -1)
+
+    def _mapped(self, y: Interval) -> Interval:
+        """The entries of AyAᵀ, those off the diagonal times √2, shape (…, entries)."""
+        dim, columns = self.dim, []
+        for i in range(dim):
+            for j in range(i, dim):
+                factor = at(self.map, np.s_[i, :, None]) * at(self.map, np.s_[j, None, :])
+                value = total(total(y * factor))
+                columns.append(value if i == j else value * root(enclosing(2.0)))
+        return stacked(columns)
+
+    def _energies(self, y: Interval) -> Interval:
+        """(τ, τ') of all pairs."""
+        size, entries = self.dim + 1, self._mapped(y)
+        hats = (1 + np.eye(size)) / (size * (size + 1))
+        weighted = stacked([total(entries * hats[v][:, None], axis=-2) for v in range(size)], axis=-2) * at(
+            self.cells.measure / float(size), np.s_[:, None, None, None]
+        )
+        one, other = (Interval(*(x.reshape(len(x), -1) for x in (each.lo, each.hi))) for each in (entries, weighted))
+        return product(one, Interval(other.lo.T, other.hi.T))
+
+
+def product(a: Interval, b: Interval) -> Interval:
+    """The product of matrices, by middles and radii: a sum of n products in floats is wrong by n units of its terms."""
+    (x, y), (r, s) = ((each.lo + each.hi) / 2 for each in (a, b)), ((each.hi - each.lo) * 0.500001 for each in (a, b))
+    r, s = r + np.abs(x) * 1e-15, s + np.abs(y) * 1e-15
+    length = (x.shape[1] + 4) * np.finfo(float).eps
+    radius = (np.abs(x) @ s + r @ (np.abs(y) + s) + length * (np.abs(x) @ np.abs(y))) * (1 + 1e-9)
+    middle = x @ y
+    return Interval(middle - radius * (1 + 1e-9), middle + radius * (1 + 1e-9))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,194 @@
+"""Loads of elastic bodies: their moments against linear fields, which stresses balance, and what is left of them.
+
+On a cell f = P + δ with a quadratic P and δ enclosed. The moments of P are exact, those of δ in bounds. f_h = Qf is
+constant on subcells and has these moments, and ‖f − f_h‖ ≤ ‖P − QP‖ + ‖δ‖ + ‖Qδ‖ with ‖Qδ‖ ≤ (1 + q)‖δ‖, q as in
+`bound.korn`. Tractions and pressures likewise, with the projection Π₁ to linear functions in the place of Q.
+
+(f − f_h, w)_T ≤ c_T‖f − f_h‖ ‖ε(w)‖_T and ⟨g − Π₁g, w⟩_e ≤ t_T‖g − Π₁g‖ ‖ε(w)‖_T, with c_T and t_T as in `bound.korn`,
+but ĉ and t̂ are those of `scripts/proved_korn.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.expressions import Tree, interval, polynomial_degree
+from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.rigorous.data import deviation
+from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given
+from signorini_fenicsx.rigorous.simplices import (
+    EDGES,
+    Simplices,
+    at,
+    bernstein,
+    root,
+    squared,
+    stacked,
+    total,
+    with_midpoints,
+)
+
+PROVED = {2: (0.40, 1.01)}
+"""Proved bounds of ĉ and t̂, by dimension."""
+MOMENTS = {2: 1.12, 3: 1.49}
+"""Upper bounds of q."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """A function on simplices.
+
+    Attributes:
+        hats: Its means times the hats of the vertices, shape (n, k + 1).
+        quadratic: Coefficients of P in Bernstein's basis.
+        beyond: Upper bound of the root mean square of δ.
+        degree: Of the function, if it is a polynomial.
+    """
+
+    hats: Interval
+    quadratic: Interval
+    beyond: Interval
+    degree: int | None
+
+    @classmethod
+    def of(cls, tree: Tree, vertices: Array, given: Given, name: str) -> Moments:
+        """Those of a tree on simplices with these vertices, shape (n, k + 1, d)."""
+        dim, degree = vertices.shape[1] - 1, polynomial_degree(tree)
+        if degree is not None and degree <= 2:
+            x = with_midpoints(enclosing(vertices))
+            point = {axis: at(x, np.s_[..., k]) for k, axis in enumerate("xyz"[: vertices.shape[2]])}
+            nodes, none = interval(tree, point, given.elementary).on(x.lo.shape[:2]), np.zeros(len(vertices))
+            mean, norm = enclosing(none), none
+        else:
+            found = deviation(tree, vertices, given.elementary, name=name, by="mean", order=2)
+            nodes, mean, norm = found.nodes, found.mean, found.norm
+        quadratic = bernstein(nodes, dim)
+        ends = _ends(dim)
+        weights = np.array([[1.0 + end.count(a) for end in ends] for a in range(dim + 1)])
+        share = float((dim + 3) * math.comb(dim + 2, dim))
+        exact = total(at(quadratic, np.s_[:, None]) * weights) / share
+        spread = root(enclosing(dim / (dim + 2.0))).hi * norm / (dim + 1) * (1 + 1e-14)
+        rest = mean / float(dim + 1) + Interval(-spread, spread)
+        return cls(exact + at(rest, np.s_[:, None]), quadratic, enclosing(norm), degree)
+
+    def linear(self) -> Interval:
+        """Values at the vertices of Π₁ of it."""
+        size = self.hats.lo.shape[1]
+        return (self.hats * float(size + 1) - at(total(self.hats), np.s_[:, None])) * float(size)
+
+    def off_linear(self) -> Interval:
+        """A bound of the root mean square of it less Π₁."""
+        if self.degree is not None and self.degree <= 1:
+            return enclosing(np.zeros(len(self.beyond.lo)))
+        size = self.hats.lo.shape[1]
+        weights = np.array([[1.0 + end.count(a) for end in _ends(size - 1)] for a in range(size)])
+        share = float((size + 2) * math.comb(size + 1, size - 1))
+        hats = total(at(self.quadratic, np.s_[:, None]) * weights) / share
+        linear = (hats * float(size + 1) - at(total(hats), np.s_[:, None])) * float(size)
+        columns = [at(linear, np.s_[:, k]) for k in range(size)]
+        raised = stacked([(columns[i] + columns[j]) / 2.0 for i, j in _ends(size - 1)])
+        return root(mean_square(self.quadratic - raised, size - 1)) + self.beyond
+
+
+def _ends(dim: int) -> list[tuple[int, int]]:
+    """The two vertices to which each coefficient of a quadratic belongs."""
+    return [(k, k) for k in range(dim + 1)] + list(EDGES[dim])
+
+
+def mean_square(coefficients: Interval, dim: int) -> Interval:
+    """Mean squares over simplices of quadratics, from their coefficients in Bernstein's basis."""
+    ends, found = _ends(dim), enclosing(np.zeros(len(coefficients.lo)))
+    share = float(24 * math.comb(dim + 4, dim))
+    for row, one in enumerate(ends):
+        weights = []
+        for other in ends:
+            powers = [one.count(a) + other.count(a) for a in range(dim + 1)]
+            products = math.prod(math.factorial(power) for power in powers)
+            weights.append(float(products * (1 + (one[0] != one[1])) * (1 + (other[0] != other[1]))))
+        found = found + at(coefficients, np.s_[:, row]) * total(coefficients * np.array(weights))
+    return Interval(np.maximum(found.lo, 0.0), np.maximum(found.hi, 0.0)) / share
+
+
+def force(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> tuple[Interval, Interval]:
+    """∫ f λ_k, shape (cells, d + 1, d), and a bound of ‖f − f_h‖ per cell."""
+    dim, count = cells.dim, len(cells.vertices)
+    moments = Interval(*np.zeros((2, count, dim + 1, dim)))
+    squares = Interval(*np.zeros((2, count)))
+    for k in range(dim):
+        for tree, mask in given.each(discrete.force[:, k]):
+            found = Moments.of(tree, discrete.vertices[mask], given, "f")
+            moments.lo[mask, :, k], moments.hi[mask, :, k] = found.hats.lo, found.hats.hi
+            if found.degree == 0:
+                continue
+            size = root(off_subcells(found, dim)) + found.beyond * (2 + MOMENTS[dim])
+            more = at(squares, mask) + squared(size)
+            squares.lo[mask], squares.hi[mask] = more.lo, more.hi
+    return moments * at(cells.measure, np.s_[:, None, None]), root(squares * cells.measure)
+
+
+def off_subcells(found: Moments, dim: int) -> Interval:
+    """The mean square of P − QP on cells."""
+    size = dim + 1
+    weights = np.array([[1.0 + end.count(a) for end in _ends(dim)] for a in range(size)])
+    hats = total(at(found.quadratic, np.s_[:, None]) * weights) / float((dim + 3) * math.comb(dim + 2, dim))
+    middle = total(hats)
+    columns = {end: at(found.quadratic, np.s_[:, n]) for n, end in enumerate(_ends(dim))}
+
+    def blossom(one: int, other: int) -> Interval:
+        """The polar form at two vertices, of which `size` is the centroid."""
+        if other == size:
+            terms = [blossom(one, k) for k in range(size)] if one != size else [blossom(k, size) for k in range(size)]
+            return sum(terms[1:], terms[0]) / float(size)
+        return columns[min(one, other), max(one, other)] if (one, other) not in columns else columns[one, other]
+
+    squares = []
+    for subcell in range(size):
+        corners = [k for k in range(size) if k != subcell] + [size]
+        constant = middle * float(dim + 2) - at(hats, np.s_[:, subcell]) * float(size**2)
+        own = stacked([blossom(*sorted((corners[i], corners[j]))) - constant for i, j in _ends(dim)])
+        squares.append(mean_square(own, dim))
+    return sum(squares[1:], squares[0]) / float(size)
+
+
+def constants(cells: Simplices) -> tuple[Interval, Interval]:
+    """c_T, and t_T but for (|e|/|T|)^½, of cells.
+
+    Raises:
+        InputError: If none are proved in this dimension.
+    """
+    if cells.dim not in PROVED:
+        raise InputError("the proof in space is for f that is constant and g_N and pressures that are linear alone")
+    korn, trace = PROVED[cells.dim]
+    half = root(enclosing(3.0)) / 2.0
+    one, zero = enclosing(1.0), enclosing(0.0)
+    edges = stacked([stacked([one, one / 2.0]), stacked([zero, half])], axis=0)  # of the regular simplex, as columns
+    slopes = at(cells.gradients, np.s_[:, 1:])
+    inverse = total(at(edges, np.s_[None, :, :, None]) * at(slopes, np.s_[:, None]), axis=2)  # F⁻¹
+    products = total(at(inverse, np.s_[:, :, None]) * at(inverse, np.s_[:, None]))
+    sizes = eigenvalues(products)
+    stretch = root(enclosing(sizes.hi)) / enclosing(sizes.lo)
+    return stretch * korn, stretch * root(half / 2.0) * trace
+
+
+def eigenvalues(matrices: Interval) -> Interval:
+    """Intervals that contain all eigenvalues of symmetric positive matrices, shape (n, d, d).
+
+    With vectors V near eigenvectors xᵀGx/xᵀx is for x = Vz between those of VᵀGV and VᵀV, by Gershgorin's circles.
+    """
+    _, vectors = np.linalg.eigh((matrices.lo + matrices.hi) / 2)
+    v = enclosing(vectors)
+    image = total(at(matrices, np.s_[..., None]) * at(v, np.s_[:, None]), axis=2)
+    turned = total(at(v, np.s_[:, :, :, None]) * at(image, np.s_[:, :, None]), axis=1)
+    unit = total(at(v, np.s_[:, :, :, None]) * at(v, np.s_[:, :, None]), axis=1) - np.eye(vectors.shape[-1])
+    near = total(enclosing(unit.largest)).hi.max(axis=1)
+    size = matrices.lo.shape[-1]
+    diagonal = at(turned, np.s_[:, range(size), range(size)])
+    beside = total(enclosing(np.where(np.eye(size, dtype=bool), 0.0, turned.largest)))
+    least, most = (diagonal - beside).lo.min(axis=1), (diagonal + beside).hi.max(axis=1)
+    lo = (enclosing(least) / (1.0 + enclosing(near))).lo
+    return Interval(np.maximum(lo, np.finfo(float).tiny), (enclosing(most) / (1.0 - enclosing(near))).hi)
