@@ -52,7 +52,7 @@ FREE = 1e-12
 SHIFT = 1e-13
 """Share of the diagonal that is added in factorisations: no motion is free, and nothing else is changed."""
 MANY = 20_000
-"""With more unknowns nearly the best displacement is enough if it is found in few solves, which are by CG."""
+"""With more unknowns the solves are by CG."""
 PUSHES = 20
 """Rounds in which nodes are pushed off foundations by what rounding leaves."""
 
@@ -251,14 +251,15 @@ class BestDisplacement:
         )
 
     @property
-    def _many(self) -> bool:
-        """Whether the whole mesh has so many unknowns that a factorisation takes long."""
-        return self.split is self.spaces.split and self.spaces.dim * self._numbers.size_global > MANY
+    def _few_solves_do(self) -> bool:
+        """Whether `nearly_minimal` costs less: on the whole mesh, without friction in space, whose slip turns."""
+        return self.split is self.spaces.split and (self.spaces.dim == 2 or not self.data.friction)
 
     @property
     def _iterates(self) -> bool:
         """Whether CG with multigrid is faster than factorisations: for many unknowns, unless they lock (collective)."""
-        return self._many and self.data.stiffness_of_volume(self.spaces) < STIFF
+        many = self.split is self.spaces.split and self.spaces.dim * self._numbers.size_global > MANY
+        return many and self.data.stiffness_of_volume(self.spaces) < STIFF
 
     @property
     def _numbers(self) -> common.IndexMap:
@@ -341,7 +342,7 @@ class BestDisplacement:
         self._left = Nodes.of(self.split, self.space)
         self._collect_terms()
         self._assemble()
-        x = nearly_minimal(self, self._forces, self._beginning()) if self._many else None
+        x = nearly_minimal(self, self._forces, self._beginning()) if self._few_solves_do else None
         x = self.pushed(minimise(self, self._forces)) if x is None else x
         turned = la.vector(self._numbers, self.spaces.dim)
         turned.array[: len(x)] = x + self._lift
