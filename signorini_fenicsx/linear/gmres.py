@@ -79,7 +79,7 @@ def coupled(
     start: PETSc.Vec,
     share: float,
     least: float,
-) -> int:
+) -> tuple[int, bool]:
     """Solve with 0 at unknowns that are held, where rows of the matrix have shares of other rows added (collective).
 
     Args:
@@ -94,7 +94,7 @@ def coupled(
         least: or this share of the right side.
 
     Returns:
-        The number of steps.
+        The number of steps, and whether no more than the least share is left.
     """
     rows, others, shares = added
     x, image = matrix.createVecs()
@@ -119,7 +119,8 @@ def coupled(
     comm = matrix.getComm().tompi4py()
     size, at_start = np.sqrt(comm.allreduce(np.array([load @ load, left @ left]))).tolist()
     if at_start <= least * size:
-        return 0
-    step, steps = gmres(comm, product, left, precondition, RESTART, max(share, least * size / at_start))
+        return 0, True
+    enough = least * size / at_start
+    step, steps = gmres(comm, product, left, precondition, RESTART, max(share, enough))
     start.array_w[:] = start.array_r + step
-    return steps
+    return steps, share <= enough

@@ -110,7 +110,7 @@ class KeptFactors:
                     self._solver.levels.update(self._fixed, essential)
         return essential, plain
 
-    def coupled(self, load: Array, x: PETSc.Vec, held: Mask, added: Added, share: float) -> int:
+    def coupled(self, load: Array, x: PETSc.Vec, held: Mask, added: Added, share: float) -> tuple[int, bool]:
         """Solve by GMRES with the present preconditioner, where rows have shares of others added, see `coupled`.
 
         Collective.
@@ -123,7 +123,7 @@ class KeptFactors:
             share: GMRES leaves this share of what there is at its start, or what solves to the end leave.
 
         Returns:
-            The number of steps.
+            The number of steps, and whether they went to the end.
 
         Raises:
             LinearSolveFailure: If PETSc gives up.

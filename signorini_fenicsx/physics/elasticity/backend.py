@@ -101,7 +101,7 @@ class ElasticBackend:
         self._springs: Springs | None = None
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
-        self._iterations, self._to_the_end = 0, False
+        self._iterations, self.to_the_end = 0, False  # of the last solve; did the iteration go to its end?
         self._applied: SiteConditions | None = None
         self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
         self._sprung = False
@@ -133,7 +133,7 @@ class ElasticBackend:
             LinearSolveFailure: If the linear solver fails.
         """
         self._solve(conditions)
-        return self._recovered(conditions, refine=self._to_the_end or not self.iterates)
+        return self._recovered(conditions, refine=self.to_the_end or not self.iterates)
 
     def leave(self, share: float) -> None:
         """Iterative solves leave this share of what there was at their start from now on; with 0 they go to the end."""
@@ -204,27 +204,25 @@ class ElasticBackend:
         springs = np.where(sprung := loose & (conditions.kind == Condition.NO_FLUX), self._weak, 0.0)
         if self._follows:
             self._factors.impose(contact, springs, self._blocks())
-            pulls, slopes = self.system.load - self._image(self._held), self.friction.slopes.ravel()
-            self._iterations = self._couple(load, self._x, contact, pulls, slopes, self._solver.share)
-            self._to_the_end = self._solver.share == 0
+            law = self.system.load - self._image(self._held), self.friction.slopes.ravel()
+            self._iterations, self.to_the_end = self._couple(load, self._x, contact, law, self._solver.share)
         else:
             if not self._factors.solve(load, self._x, contact):
                 self._factors.solve_anew(load, self._x, contact, springs, self._blocks())
-            self._iterations, self._to_the_end = self._solver.ksp.getIterationNumber(), self._solver.converged
+            self._iterations, self.to_the_end = self._solver.ksp.getIterationNumber(), self._solver.converged
         self._imposed = conditions
         self._x.axpy(1.0, self._held)
         self._sprung = loose
         if self.tools:
             self._respond(conditions, sprung)
-            rho, moved = self.tools.follow(
-                self._factors.forces(self._x) - self.system.load[self._unknowns], loaded=True
-            )
+            forces = self._factors.forces(self._x) - self.system.load[self._unknowns]
+            rho, moved = self.tools.follow(forces, loaded=True)
             self.tools.rho, self._x.array_w[:] = rho, self._x.array_r + moved
         self._applied = conditions
 
     def _has_solved(self, conditions: SiteConditions) -> bool:
         """Whether the last solve was under these conditions, and converged (collective)."""
-        return conditions.same(self._applied, self.comm) and self._to_the_end
+        return conditions.same(self._applied, self.comm) and self.to_the_end
 
     def _posed(self, conditions: SiteConditions) -> tuple[Array, Array, Mask, bool]:
         """The problem under these conditions, of which `_held` is the part of the solution that is given (collective).
@@ -304,7 +302,7 @@ class ElasticBackend:
             self._applied = None
             self._take_springs(conditions)
         if present and self._follows:
-            self._couple(load, x, contact, load, self.friction.slopes.ravel(), 0.0)
+            self._couple(load, x, contact, (load, self.friction.slopes.ravel()), 0.0)
         elif present and (self._springs is not None or self._turns or self._sprung or self._solver.iterates):
             load[self._factors.essential(contact)] = 0.0
             self._b.array_w[:] = load
@@ -338,7 +336,7 @@ class ElasticBackend:
         load, x = np.zeros(len(self.system.load)), self._x.duplicate()
         load[self.spaces.slip_sites] = self.spaces.slip_measure * forces
         x.set(0.0)
-        self._couple(load, x, conditions.kind == Condition.ZERO_TRACE, np.zeros_like(load), slope, share)
+        self._couple(load, x, conditions.kind == Condition.ZERO_TRACE, (np.zeros_like(load), slope), share)
         self._x.axpy(1.0, x)
         self._applied = None
         return self.flux(x, np.zeros_like(load))
@@ -358,16 +356,18 @@ class ElasticBackend:
         """−1 for normal sites, where p and the flux are those of −u_n and −σ_nn, and 1 for those with friction."""
         return np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
 
-    def _couple(self, load: Array, x: PETSc.Vec, contact: Mask, pulls: Array, slopes: Array, share: float) -> int:
-        """Solve with the present matrix, from x, where the shear has slopes in the pressure (collective).
+    def _couple(
+        self, load: Array, x: PETSc.Vec, held: Mask, law: tuple[Array, Array], share: float
+    ) -> tuple[int, bool]:
+        """Solve with the present matrix where the shear follows the pressure, see `KeptFactors.coupled` (collective).
 
-        The pressure is what is left of the pulls in the rows of the sites. The result is the number of steps.
+        The law has the load without friction, of which the pressure is what is left, and the slopes of the shear.
         """
-        spaces = self.spaces
+        (pulls, slopes), spaces = law, self.spaces
         normal = np.repeat(spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows], spaces.dim - 1)
         load = load.copy()
         load[spaces.slip_sites] += slopes * pulls[normal]
-        return self._factors.coupled(load, x, contact, (spaces.slip_sites, normal, slopes), share)
+        return self._factors.coupled(load, x, held, (spaces.slip_sites, normal, slopes), share)
 
     def _blocks(self) -> list[tuple[npt.NDArray[np.int32], Array]]:
         """What the springs of laws, and friction in space, add to the matrix."""

@@ -65,7 +65,7 @@ def slipped(
         if friction.by_pressure:
             changes.append(off)
         known = off <= EXACT or last / 2 <= off <= CHANGE
-        if known and share == 0:
+        if known and (share == 0 or backend.to_the_end):
             return
         share, last = (0.0 if known else min(share, off)), off
         backend.leave(share)
@@ -77,7 +77,7 @@ def slipped(
         begin = backend.friction
         while True:
             outcome = contact(follow)
-            if share == 0:
+            if share == 0 or (outcome.converged and backend.to_the_end):
                 break
             share = 0.0
             backend.leave(share)
