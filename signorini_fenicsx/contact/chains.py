@@ -100,7 +100,8 @@ class Chains:
 
         Of several on one line it is the first, or with p given that on which p is.
         """
-        same = self.kinds == conditions.kind[:, None]
+        exists = np.insert(np.isfinite(self.p), 0, True, axis=1)  # others have more corners
+        same = exists & (self.kinds == conditions.kind[:, None])
         value, beta = (np.broadcast_to(x, conditions.kind.shape)[:, None] for x in (conditions.value, conditions.beta))
         robin = self.kinds == Condition.ROBIN
         alike = same & (self.value == value) & (~robin | (self.slope == beta))

@@ -1,5 +1,6 @@
 """Friction in space: exact states, the law at each vertex, any start, two bodies, bounds, files."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,13 +15,22 @@ from signorini_fenicsx.api import load_solution
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Regulator
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity import friction
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.friction import Slipping
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import (
+    Contact,
+    Coulomb,
+    CoulombLaw,
+    ElasticBoundary,
+    Elasticity,
+    ElasticLaw,
+    ElasticProblem,
+)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
@@ -232,3 +242,34 @@ def test_derivatives():
     _, (gradient,) = solution.gradient(work(solution), ["law.0.g"])
     above, below = (each.spaces.integrate(work(each)) for each in sides)
     assert (above - below) / 2e-5 == pytest.approx(gradient, rel=1e-5)
+
+
+def test_friction_beside_a_law_with_more_corners():
+    """The bound takes the shear that the stress has; it took 0 where the law on another part has more corners."""
+    laws = [CoulombLaw(["z0"], 0.3), Regulator(["x0"], k=1.0, g_low=-0.01, g_high=0.01)]
+    problem = ElasticProblem(1.0, 0.3, u_D={"z1": ["0.05", "0.02", "-0.05"]}, gap={"z0": 0.0}, laws=laws)
+    solution = solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), (ElasticBoundary([], SIDES[1:]), problem))
+    shear = solution.spaces.shear(solution.stresses)
+    assert np.abs(shear).max() > 0.01
+    np.testing.assert_allclose(admissible_stress(solution).shear.ravel(), shear, atol=1e-10)
+
+
+def test_other_tractions_have_no_bound():
+    """A stress whose tractions are not those of the sets is not admissible, whatever its residuals are."""
+    solution = oblique(COMM, CoulombLaw(["z0"], 0.3), 0.03, 0.1)
+    other = replace(solution.outcome.conditions, value=0.0)
+    wrong = replace(solution, outcome=replace(solution.outcome, conditions=other))
+    assert certify(solution).guaranteed
+    assert certify(wrong).bound == np.inf
+
+
+def test_a_tool_that_nothing_holds_is_told():
+    """A pushed tool that friction alone holds, and too little of it: one sentence, where a matrix is singular."""
+    conditions = [
+        Contact("y0", friction=Coulomb(0.05), force={"z": 0.3, "y": 0.02}),
+        Contact("z0", friction=Coulomb(0.3)),
+        Dirichlet("y1", ["0", "0", "0"]),
+        Neumann(["x0", "x1", "z1"]),
+    ]
+    with pytest.raises(NumericalFailure, match=r"slides away, that is the tool on 'y0': .* friction under the last"):
+        solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))

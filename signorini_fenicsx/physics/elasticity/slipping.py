@@ -117,4 +117,5 @@ def _off(backend: ElasticBackend, friction: FrictionBounds, slip: Array, shear: 
     reached = np.where(friction.sticks, 0.0, friction.bound)
     largest = np.array([off.max(initial=0.0), reached.max(initial=0.0)])
     backend.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-    return float(largest[0] / max(largest[1], TINY)) if largest[0] > 0 else 0.0
+    most, bound = largest.tolist()
+    return 0.0 if most == 0 else most / bound if bound > 0 else np.inf

@@ -22,7 +22,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
@@ -220,7 +220,13 @@ class Moving:
         Args:
             forces: What holds the sites where the tools are at rest.
             loaded: Whether the forces on the tools are the given ones; otherwise they are 0.
+
+        Raises:
+            LinearSolveFailure: If nothing holds a tool.
         """
         left = self._load * loaded - self._comm.allreduce(self.moves.T @ forces)
-        rho = np.linalg.solve(self._stiffness, left)
+        try:
+            rho = np.linalg.solve(self._stiffness, left)
+        except np.linalg.LinAlgError as error:  # on all ranks, which have the same matrix
+            raise LinearSolveFailure("nothing holds a tool") from error
         return rho, self._responses @ rho
