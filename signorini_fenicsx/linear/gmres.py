@@ -10,6 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.linear.petsc import errors_of, solver_name
 
 EXACT = 1e-8
 """GMRES stops at this share of the right side."""
@@ -45,7 +46,10 @@ def gmres(
     """Solve with a matrix that is known by its products to a share of the right side (collective).
 
     Returns:
-        The solution, and the number of steps.
+        The solution, or how far `DIRECTIONS` steps come, and the number of steps.
+
+    Raises:
+        LinearSolveFailure: If PETSc gives up.
     """
     b = PETSc.Vec().createMPI((len(right), PETSc.DETERMINE), comm=comm)
     b.array_w[:] = right
@@ -62,7 +66,8 @@ def gmres(
         solver.getPC().setPythonContext(_Product(precondition))
         solver.setPCSide(PETSc.PC.Side.RIGHT)
     solver.setTolerances(rtol=share, max_it=DIRECTIONS)
-    solver.solve(b, x)
+    with errors_of(lambda: solver_name(solver)):
+        solver.solve(b, x)
     found = np.array(x.array_r), solver.getIterationNumber()
     for each in (solver, matrix, b, x):
         each.destroy()
@@ -95,6 +100,9 @@ def coupled(
 
     Returns:
         The number of steps, and whether no more than the least share is left.
+
+    Raises:
+        LinearSolveFailure: If PETSc gives up.
     """
     rows, others, shares = added
     x, image = matrix.createVecs()
@@ -123,4 +131,4 @@ def coupled(
     enough = least * size / at_start
     step, steps = gmres(comm, product, left, precondition, RESTART, max(share, enough))
     start.array_w[:] = start.array_r + step
-    return steps, share <= enough
+    return steps, share <= enough and steps < DIRECTIONS

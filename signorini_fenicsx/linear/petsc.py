@@ -155,16 +155,28 @@ class LinearSolver:
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
         """While it solves, with its options, PETSc's errors are those of the program."""
-        try:
-            with self.options():
-                yield
-        except PETSc.Error as error:
-            refuse_options(error)
-            raise LinearSolveFailure(f"the linear solver {self.name()} failed: {petsc_reason(error)}") from None
+        with errors_of(self.name), self.options():
+            yield
 
     def name(self) -> str:
         """Krylov method, preconditioner and, if there is a factorisation, its package."""
         return solver_name(self.ksp)
+
+
+@contextlib.contextmanager
+def errors_of(name: Callable[[], str]) -> Iterator[None]:
+    """While a solver with this name runs, PETSc's errors are those of the program, and a signal ends it.
+
+    Raises:
+        InputError: If PETSc cannot do what the user's options ask for.
+        LinearSolveFailure: If PETSc gives up.
+    """
+    try:
+        yield
+    except PETSc.Error as error:
+        pass_on(error)
+        refuse_options(error)
+        raise LinearSolveFailure(f"the linear solver {name()} failed: {petsc_reason(error)}") from None
 
 
 def set_direct(ksp: PETSc.KSP, factorisation: str) -> None:

@@ -9,12 +9,17 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import run, signorini
+from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.base.signals import Interruption, listening
 from signorini_fenicsx.cli.main import main
 from signorini_fenicsx.cli.solution_report import SolutionReport
+from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.diffusion import solving
 
 SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
@@ -125,6 +130,25 @@ def test_a_signal_in_a_destructor_is_not_lost():
 
     with listening(), pytest.raises(Interruption, match="SIGTERM"):
         wait()
+
+
+def test_a_signal_in_an_iterative_solve_is_no_failure_of_it():
+    """It ends the program; no factorisation takes the place of CG."""
+    matrix = PETSc.Mat().createAIJ((4, 4), nnz=1, comm=MPI.COMM_SELF)
+    matrix.setDiagonal(matrix.createVecLeft())
+    matrix.shift(2.0)
+    solver = FacetSolver(matrix, "facet_", {}, lambda pc: pc.setType("none"), 100)
+    x, b = matrix.createVecs()
+    b.array_w[:] = np.arange(4)
+
+    def told(*_: object) -> bool:
+        os.kill(os.getpid(), signal.SIGTERM)
+        return False
+
+    with listening(), pytest.raises(Interruption, match="SIGTERM"), solver.stopping(told):
+        solver.solve(b, x)
+    with listening(), pytest.raises(Interruption, match="SIGTERM"):
+        gmres(MPI.COMM_SELF, lambda values: values * (2.0 + told()), np.arange(4.0))
 
 
 def test_a_signal_to_the_program(tmp_path: Path):

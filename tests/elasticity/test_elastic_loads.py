@@ -78,6 +78,12 @@ def test_two_loads_on_a_part():
     """In Python a part has one condition."""
     with pytest.raises(InputError, match="part 'y1' has two conditions"):
         Elasticity(1.0, 0.3, conditions=[Contact("y0"), Pressure("y1", 1.0), Neumann("y1", ["0", "-1"])])
+    held, load = Dirichlet("y1", ["0", "0"], components="x"), Neumann("y1", ["0", "-1"])
+    assert Elasticity(1.0, 0.3, conditions=[held, load])
+    with pytest.raises(InputError, match="part 'y1' has two conditions"):
+        Elasticity(1.0, 0.3, conditions=[held, load, Neumann("y1", ["0", "-2"])])
+    with pytest.raises(InputError, match="an example is"):
+        Elasticity(1.0, 0.3, conditions=held)  # type: ignore[arg-type]
 
 
 def test_parts_that_overlap():

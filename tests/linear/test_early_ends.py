@@ -9,6 +9,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.residuals import relative
+from signorini_fenicsx.linear import gmres
 
 EARLY = [
     ("snes_atol=1", ["snes1", "snes2"]),
@@ -40,6 +41,25 @@ def test_an_early_end_is_no_solution(given: str, algorithm: str):
             options.delValue(name)
     largest = np.abs(expected.sigma.x.array).max()
     np.testing.assert_allclose(found.sigma.x.array, expected.sigma.x.array, atol=1e-6 * largest)
+
+
+def test_gmres_without_more_steps_is_not_at_its_end(monkeypatch: pytest.MonkeyPatch):
+    """A matrix with a share of its second row added to the first one."""
+    rows = np.diag(np.arange(1.0, 7)) + np.diag(np.full(5, 0.1), 1) + np.diag(np.full(5, 0.1), -1)
+    matrix, load = PETSc.Mat().createDense((6, 6), array=rows.T.copy(), comm=PETSc.COMM_SELF), np.arange(1.0, 7)
+    matrix.assemble()
+    preconditioner = PETSc.PC().create(PETSc.COMM_SELF)
+    preconditioner.setOperators(matrix)
+    preconditioner.setType("none")
+    added = np.array([0]), np.array([1]), np.array([0.5])
+    found = []
+    for most in (gmres.DIRECTIONS, 2):
+        monkeypatch.setattr(gmres, "DIRECTIONS", most)
+        x = matrix.createVecLeft()
+        _, at_end = gmres.coupled(matrix, matrix, preconditioner, load, np.array([], dtype=np.int32), added, x, 0, 1e-9)
+        left = rows @ x.array_r + 0.5 * np.eye(6)[0] * (rows @ x.array_r)[1] - load
+        found.append((at_end, bool(np.linalg.norm(left) < 1e-8)))
+    assert found == [(True, True), (False, False)]
 
 
 def test_nothing_is_no_solution_of_a_problem_with_loads():

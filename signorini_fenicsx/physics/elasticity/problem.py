@@ -208,10 +208,13 @@ class Elasticity:
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
         example = '[Contact("bottom", gap=0.1), Dirichlet("left", 0, components="x")]'
+        check_kind("conditions", self.conditions, Sequence, hint=f"; an example is {example}")
+        loads_held = [condition for condition in self.conditions if self._loads_held(condition)]
         others = [condition for condition in self.conditions if not self._loads_held(condition)]
         if any(isinstance(condition, Friction) for condition in others):
             raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
         check_conditions(others, Law, Contact, Pressure, Support, example=example)
+        check_conditions(loads_held, Neumann, Pressure, example=example)
 
     def _loads_held(self, condition: object) -> bool:
         """Whether a condition is a load on parts that are fixed in some components, or on springs."""
