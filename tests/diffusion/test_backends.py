@@ -4,6 +4,7 @@ import itertools
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from made_cases import make_case
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.errors import LinearSolveFailure, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -20,6 +21,7 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1
+from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.two_level import choose_smoother
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.physics.diffusion import hybrid
@@ -38,6 +40,19 @@ MULTIGRID, DIRECT = Tuning(direct_up_to=0), Tuning(direct_up_to=10**6)
 def test_direct_solver():
     for name in [f"example{i}" for i in range(1, 7)] if COMM.size == 1 else ["example3", "example5"]:
         assert_same_iterates(load_case(name).with_values({"solve.h": 1 / 8}), 1e-12)
+
+
+def test_a_solve_that_failed_is_done_again():
+    """The next solve under the same sets took what was left for the solution."""
+    case = load_case("example1").with_values({"solve.h": 0.3})
+    spaces = solve_case(case, COMM).spaces
+    backend, held = HybridBackend(spaces, project_data(spaces, case.data(2))), np.ones(len(spaces.facets), np.int8)
+    with pytest.MonkeyPatch.context() as during:
+        during.setattr(FacetSolver, "solve", Mock(side_effect=LinearSolveFailure("made up")))
+        with pytest.raises(LinearSolveFailure):
+            backend.solve(SiteConditions(held))
+    expected = HybridBackend(spaces, backend.data).solve(SiteConditions(held))
+    np.testing.assert_allclose(backend.solve(SiteConditions(held)).flux, expected.flux, rtol=1e-12)
 
 
 @pytest.mark.parallel(2)

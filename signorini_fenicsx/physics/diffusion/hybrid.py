@@ -209,17 +209,20 @@ class HybridBackend(FacetBackend):
         if not new and (self._solver.converged or not self._solver.iterates):
             return
         held, springs = system.held_and_springs(conditions)
+        self._applied = None  # a solve that fails leaves no solution
         if new:
-            self._applied, self._iterations = conditions, 1
+            self._iterations = 1
             load, given = system.posed(conditions)
             if self._factors.solve(load, system.x, held, springs):
                 system.x.array_w[:] += given
+                self._applied = conditions
                 return
             essential, self._iterations = self._impose(conditions), 0
             if self._renewed:
                 self._earlier.combine(system.matrix, system.b, system.x, essential)
                 self._renewed = False
         self._solve_imposed(system.b, system.x, held, springs)
+        self._applied = conditions
         self._iterations += self._solver.ksp.getIterationNumber()
 
     def _impose(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
