@@ -85,12 +85,13 @@ def near(vertices: Array, values: Array) -> str:
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    """The product of matrices in the last two axes."""
-    return total(at(a, np.s_[..., :, :, None]) * at(b, np.s_[..., None, :, :]), axis=-2)
+    """The product of matrices in the last two axes, one column of the first after another, for the sake of memory."""
+    terms = (at(a, np.s_[..., :, k, None]) * at(b, np.s_[..., None, k, :]) for k in range(a.lo.shape[-1]))
+    return functools.reduce(Interval.__add__, terms)
 
 
 def _applied(matrix: Interval, vector: Interval) -> Interval:
     """A matrix times a vector; a 1 × 1 matrix is a scalar."""
     if matrix.lo.shape[-1] == 1:
         return at(matrix, np.s_[..., 0]) * vector
-    return total(matrix * at(vector, np.s_[..., None, :]))
+    return at(_product(matrix, at(vector, np.s_[..., None])), np.s_[..., 0])

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable, along_parts
@@ -315,4 +316,4 @@ def _fixed_point(about: Mapping[str, Any]) -> str:
     changes = about["changes"]
     few = ", ".join(f"{change:.0e}" for change in changes[-3:])
     others = "" if about["other_solutions"] == "none" else "; other solutions are not excluded"
-    return f"the bound of the shear, in {len(changes)} steps that last changed it by {few}{others}"
+    return f"the bound of the shear, in {counted(len(changes), 'step')}, at last off the law by {few}{others}"

@@ -129,7 +129,7 @@ class ElasticRun:
         data: The data on the mesh; in the end with the last bounds of the friction.
         wish: How it is to be solved.
         system: What it was prepared by.
-        changes: By how much the bound of Coulomb's friction changed in each step.
+        changes: Of the steps of Coulomb's friction, see `ElasticSolution.bound_changes`.
         backend: What solves it; None before.
     """
 

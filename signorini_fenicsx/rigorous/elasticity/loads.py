@@ -144,7 +144,7 @@ def off_subcells(found: Moments, dim: int) -> Interval:
         if other == size:
             terms = [blossom(one, k) for k in range(size)] if one != size else [blossom(k, size) for k in range(size)]
             return sum(terms[1:], terms[0]) / float(size)
-        return columns[min(one, other), max(one, other)] if (one, other) not in columns else columns[one, other]
+        return columns[min(one, other), max(one, other)]
 
     squares = []
     for subcell in range(size):
