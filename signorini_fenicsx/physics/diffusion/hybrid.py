@@ -26,6 +26,8 @@ from signorini_fenicsx.physics.diffusion.patch import Patch
 from signorini_fenicsx.physics.diffusion.solvability import floating_cells
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
+FACTORISATION = 10
+"""About as many solves take as long as a factorisation."""
 MOST_ITERATIONS = 100
 """If CG needs more and the system is not large, it gives way to a factorisation."""
 
@@ -213,6 +215,8 @@ class HybridBackend(FacetBackend):
         if new:
             self._iterations = 1
             load, given = system.posed(conditions)
+            if self._factors.present and self._factors.repeated > FACTORISATION:
+                self._factors.forget()
             if self._factors.solve(load, system.x, held, springs):
                 system.x.array_w[:] += given
                 self._applied = conditions

@@ -25,7 +25,7 @@ ROUNDING = 1e-9
 """What is left is rounding if it is at most this share of ‖σ_h‖ in the energy norm. The bound then contains this share
 in its place, which does not depend on the order of sums: the bound is the same on any number of ranks."""
 OTHERS = 1e-6
-"""Tractions on Γ_C that differ from those of the sets by more than this share of the largest one are others."""
+"""Tractions on Γ_C that differ from those of the sets by more than this share of the largest stress are others."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -
     spaces, data = solution.spaces, solution.data
     found = data.reactions(spaces, stresses)
     _, reactions = solution.outcome.conditions.clean(p, found, 0.0)  # on springs as it is
-    sizes = np.array([np.abs(reactions - found).max(initial=0.0), np.abs(found).max(initial=0.0)])
+    sizes = np.array([np.abs(each).max(initial=0.0) for each in (reactions - found, stresses)])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
     distance = np.inf if sizes[0] > OTHERS * sizes[1] else distance
     pressure, shear = np.split(reactions, [len(spaces.sites)])
