@@ -196,6 +196,7 @@ class HybridBackend(FacetBackend):
 
         def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
             self._applied = None
+            self._factors.forget()
             self._system.apply(conditions)
             patch.solve(self._system.matrix, self._system.b, self._system.x)
             return self._system.traces(self._system.x, conditions)
