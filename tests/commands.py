@@ -11,7 +11,6 @@ from unittest import mock
 
 import pytest
 from mpi4py import MPI
-from under_mpirun import YIELD
 
 from signorini_fenicsx.cli.main import main
 
@@ -53,7 +52,7 @@ def run(folder: Path, *command: str, ranks: int, timeout: float = 120) -> Ended:
     return subprocess.run(
         [*launcher, *command],
         cwd=folder,
-        env=environment | {"OMP_NUM_THREADS": "1"} | YIELD,
+        env=environment | {"OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         timeout=timeout,

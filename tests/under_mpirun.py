@@ -21,12 +21,6 @@ PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""
 SHARED = "SIGNORINI_LAUNCHES"
 """Folder with the results of launches: the first process of pytest-xdist that needs one starts it for all."""
-YIELD = {
-    "MPIR_CVAR_CH4_PROGRESS_THROTTLE": "1",
-    "MPIR_CVAR_CH4_PROGRESS_THROTTLE_NO_PROGRESS_COUNT": "16",
-    "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1",
-}
-"""Settings with which waiting ranks of MPICH sleep, as there may be more ranks than cores: half the processor time."""
 IS_CHILD = CHILD_PROCESS_FLAG in os.environ
 
 
@@ -81,7 +75,7 @@ def launch(folder: Path, ranks: int, tests: list[str]) -> tuple[list[str], str]:
         done = subprocess.run(
             ["mpirun", "-n", str(ranks), sys.executable, "-m", "pytest", "-n", "0", "-q", "-s", *tests],
             cwd=folder,
-            env=os.environ | {CHILD_PROCESS_FLAG: "1", PASSED: file.name} | YIELD,
+            env=os.environ | {CHILD_PROCESS_FLAG: "1", PASSED: file.name},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

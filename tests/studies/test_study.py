@@ -15,7 +15,6 @@ import pytest
 import pyvista
 from commands import launched, read_rows, run, signorini
 from mpi4py import MPI
-from under_mpirun import YIELD
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.farm import hand_out
@@ -270,7 +269,7 @@ def test_killed_and_continued(tmp_path: Path, finished: Path):
         launch = subprocess.Popen(
             ["mpirun", "-n", "2", "signorini", "study", "study.toml"],
             cwd=tmp_path,
-            env=os.environ | {"OMP_NUM_THREADS": "1"} | YIELD,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
