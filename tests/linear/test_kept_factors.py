@@ -84,3 +84,18 @@ def test_one_factorisation_serves_a_predicted_problem(law: Tresca | Coulomb, mon
     assert factorised.count(fine) > 2
     np.testing.assert_array_equal(predicted.touching, cold.touching)
     assert predicted.norms() == pytest.approx(cold.norms(), rel=1e-9)
+
+
+def test_a_new_bound_leaves_the_sets_of_a_prediction():
+    """By CG the sets settle once; vertices that slip backwards slipped forwards after each bound, in 16 iterations."""
+    conditions = [Contact("y0", gap=0.02, friction=Coulomb(0.3)), Neumann("y1", ["-0.03", "-0.3"]), Neumann("x1")]
+
+    def mesh(cells: int) -> Domain:
+        return box(MPI.COMM_SELF, cells, [0.0, 0.0], [2.0, 1.0])
+
+    options = Options(tuning=Tuning(predict_from=5_000, direct_up_to=5_000))
+    problem = Elasticity(1.0, 0.3, conditions=conditions)
+    found = solve(mesh(24), problem, options, remesh=lambda factor: mesh(max(round(24 / factor), 1)))
+    assert found.outcome.linear_solver.startswith("cg")
+    assert len(found.outcome.history) <= 8
+    assert found.friction_states()["slip-"]["measure"] > 0

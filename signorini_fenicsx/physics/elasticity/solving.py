@@ -285,14 +285,16 @@ def _settled(
     conditions = first or backend.chains.conditions(rule.first(backend.chains))
     history.start_from(conditions)
     before: Iterate | None = None
+    segments = backend.chains.segments(conditions)
 
     def tresca() -> _Traces:
-        nonlocal conditions, before
+        nonlocal conditions, before, segments
         chains = backend.chains
-        conditions = chains.conditions(chains.segments(conditions))  # with the values of this bound
+        conditions = chains.conditions(segments)  # with the values of this bound
         conditions, before = prediction.settle(backend, backend, backend.spaces, conditions, history)
+        segments = chains.segments(conditions)
         p, flux = backend.solve_until(conditions, lambda *_: False)
-        wanted = prediction.wanted(chains, chains.segments(conditions), p, flux)
+        wanted = prediction.wanted(chains, segments, p, flux)
         return _Traces(Pairs(p, flux, 0), conditions, wanted.same(conditions, backend.comm))
 
     balanced(backend, tresca, [], roughly=True)
