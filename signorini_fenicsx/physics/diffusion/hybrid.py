@@ -78,6 +78,7 @@ class HybridBackend(FacetBackend):
         self._applied: SiteConditions | None = None
         self._iterations = 0
         self._factors = self._none_kept()
+        self._keeps: bool | None = None  # known when first asked for
         self._offer_precise()
 
     def renew(self, data: Data) -> bool:
@@ -87,7 +88,7 @@ class HybridBackend(FacetBackend):
         elif self._solver.iterates and not data.same_operator(self.data, self.spaces):
             return False
         same = self._system.renew(data)
-        self.data, self._applied = data, None
+        self.data, self._applied, self._keeps = data, None, None
         if self._solver.iterates:
             self._earlier.add(self._system.x)
             self._renewed = True
@@ -158,9 +159,15 @@ class HybridBackend(FacetBackend):
     def _solve_imposed(self, b: PETSc.Vec, x: PETSc.Vec, held: Mask, springs: Array) -> None:
         """Solve with the matrix under the conditions that were imposed, and keep a factorisation (collective)."""
         self._solver.solve(b, x)
-        follows_cells = self.data.inside is not None
-        if self._solver.factorises and not follows_cells and floating_cells(self.spaces, self.data)[1] == 0:
+        if self._solver.factorises and self._can_keep:
             self._factors.keep(held, springs)
+
+    @property
+    def _can_keep(self) -> bool:
+        """Whether a factorisation may serve other sets: the matrix is regular for all, and no law in Ω changes it."""
+        if self._keeps is None:
+            self._keeps = self.data.inside is None and floating_cells(self.spaces, self.data)[1] == 0
+        return self._keeps
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
@@ -214,14 +221,12 @@ class HybridBackend(FacetBackend):
         held, springs = system.held_and_springs(conditions)
         self._applied = None  # a solve that fails leaves no solution
         if new:
-            self._iterations = 1
-            load, given = system.posed(conditions)
-            if self._factors.present and self._factors.repeated > FACTORISATION:
-                self._factors.forget()
-            if self._factors.solve(load, system.x, held, springs):
-                system.x.array_w[:] += given
-                self._applied = conditions
-                return
+            if self._factors.present and self._factors.repeated <= FACTORISATION:
+                load, given = system.posed(conditions)
+                if self._factors.solve(load, system.x, held, springs):
+                    system.x.array_w[:] += given
+                    self._applied, self._iterations = conditions, 1
+                    return
             essential, self._iterations = self._impose(conditions), 0
             if self._renewed:
                 self._earlier.combine(system.matrix, system.b, system.x, essential)
