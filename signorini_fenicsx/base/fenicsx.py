@@ -28,7 +28,7 @@ from signorini_fenicsx.base.compiling import patiently
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.local_options import JSON, unseen
 from signorini_fenicsx.base.owned import original_cells
-from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.parallel import on_root_only
 from signorini_fenicsx.base.progress import COMPILING, doing
 
 OWN = "signorini_fenicsx"
@@ -168,18 +168,17 @@ def compiled(
     signature = ffcx.naming.compute_signature([ufl_object], str((form_compiler_options, options)))
     work = partial(_kept, signature, partial(_compile_here, ufl_object, form_compiler_options, options))
     cache = options["cache_dir"]
-    modules: list[Any] = []
-    on_root(comm, lambda: modules.append(patiently(work, cache, compiling=True)))
+    module = on_root_only(comm, lambda: patiently(work, cache, compiling=True))
     failure: OSError | None = None
     if comm.rank != 0:
         try:
-            modules.append(patiently(work, cache, compiling=False))
+            module = patiently(work, cache, compiling=False)
         except OSError as error:
             failure = error
     failures = [error for error in comm.allgather(failure) if error is not None]
     if failures:
         raise failures[0]
-    return modules[0]
+    return module
 
 
 @cache  # both libraries read their files once too

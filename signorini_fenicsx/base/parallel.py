@@ -5,6 +5,7 @@ import ctypes
 import functools
 import gc
 import os
+import pickle
 import resource
 import sys
 import time
@@ -28,20 +29,39 @@ def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
     """Run an action on rank 0 and give its result to all ranks (collective).
 
     Raises:
-        InputError: On all ranks, if the action raised it on rank 0.
-        OSError: Likewise.
+        Exception: On all ranks, what the action raised on rank 0, see `on_root_only`.
+    """
+    result: T = comm.bcast(on_root_only(comm, action))
+    return result
+
+
+def on_root_only[T](comm: MPI.Comm, action: Callable[[], T]) -> T | None:
+    """Run an action on rank 0; the others wait and get None (collective).
+
+    Raises:
+        Exception: On all ranks, what the action raised on rank 0, of whatever kind: otherwise the others would wait
+            for ever. An error that cannot be sent is a RuntimeError with its words there.
     """
     result: T | None = None
-    failure: InputError | OSError | None = None
+    failure: Exception | None = None
     if comm.rank == 0:
         try:
             result = action()
-        except (InputError, OSError) as error:
+        except Exception as error:
             failure = error
-    failure = comm.bcast(failure)
-    if failure is not None:
-        raise failure
-    return comm.bcast(result)
+    told = comm.bcast(None if failure is None else _sendable(failure))
+    if failure is not None or told is not None:
+        raise failure or told
+    return result
+
+
+def _sendable(failure: Exception) -> Exception:
+    """The error as other ranks can read it: without a state that is only here."""
+    try:
+        copy = pickle.loads(pickle.dumps(failure))
+    except Exception:
+        copy = RuntimeError(f"{type(failure).__name__}: {failure}")
+    return copy if isinstance(copy, Exception) else RuntimeError(str(failure))
 
 
 def passed_on[T](comm: MPI.Comm, block: T) -> T:

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.local_options import unseen
-from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.parallel import on_root, on_root_only
 from signorini_fenicsx.base.signals import listen_again
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters, faces
 from signorini_fenicsx.meshes.cut import Side, cut, opened
@@ -119,7 +119,8 @@ def coarser_domains(fine: Domain, made: Callable[[float], Domain] | None = None)
 def _from_gmsh(comm: MPI.Comm, shape_name: str, h: float, levels: int) -> Domain:
     """Make a coarse mesh with Gmsh on rank 0, whose uniform refinement has cells of diameter at most h (collective)."""
     dim, asked = shape_of(shape_name).dim, h * 2**levels
-    points, cells = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels), dim)
+    nothing: Simplices = (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))  # DOLFINx needs it on other ranks
+    points, cells = on_root_only(comm, partial(_gmsh_mesh, shape_name, asked, levels)) or nothing
     points, cells, together = _opened(shape_name, points, cells)
     domain = label_parts(distribute(comm, points, cells, dim, together=together), shape_name, made="Gmsh")
     for _ in range(levels):
@@ -133,13 +134,6 @@ def refinements(cells: float, dim: int) -> int:
     """How often the mesh of Gmsh is refined uniformly for a mesh of about this number of cells."""
     facets = (dim + 1) / 2 * cells
     return 0 if facets < REFINED_FROM else max(1, math.floor(math.log2(cells / COARSEST) / dim))
-
-
-def on_root_only(comm: MPI.Comm, generate: Callable[[], Simplices], dim: int) -> Simplices:
-    """Generate a mesh on rank 0; other ranks get empty arrays, which DOLFINx needs (collective)."""
-    made: list[Simplices] = []
-    on_root(comm, lambda: made.append(generate()))
-    return made[0] if made else (np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64))
 
 
 def _opened(shape_name: str, points: Array, cells: Indices) -> tuple[Array, Indices, Indices | None]:

@@ -14,12 +14,14 @@ between the least and the largest ∫_U f + ∫ g_N + ∫_∂U σ·n. A linear p
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_values
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.discrete.bodies import without
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
@@ -76,7 +78,7 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
         return
     loads, sizes, pairs, low, high = _balance(spaces, data, of_cell, number)
     comm = spaces.mesh.comm
-    union = comm.bcast(_worst(loads, sizes, pairs, low, high) if comm.rank == 0 else None)
+    union = on_root(comm, partial(_worst, loads, sizes, pairs, low, high))
     if union is None:
         return
     side = np.append(False, union).astype(np.int64)[pairs]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.discrete.site_table import along_parts
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.residuals import balance
@@ -70,16 +71,18 @@ def _of_part(solution: ElasticSolution, part: int) -> dict[str, Any]:
         along = along_parts(spaces, np.full(len(rows), part), x)
         table = np.column_stack([along, contact.measure, pressure.mean(axis=1), contact.vertices.reshape(-1, 4)])
         gathered = gather_rows(comm, table)
-        numbers["width"] = comm.bcast(None if gathered is None else _width(gathered[np.lexsort(gathered.T[::-1])]))
+        numbers["width"] = on_root(comm, partial(_width, gathered))
     return numbers
 
 
-def _width(facets: Array) -> float:
+def _width(facets: Array | None) -> float:
     """The length in contact of a part in the plane.
 
     Args:
-        facets: Rows of coordinate along the part, length, mean pressure, and both ends, in order along the part.
+        facets: Rows of coordinate along the part, length, mean pressure, and both ends.
     """
+    assert facets is not None
+    facets = facets[np.lexsort(facets.T[::-1])]  # in order along the part
     _, length, pressure, *_ = facets.T
     ends = facets[:, 3:].reshape(-1, 2, 2)
     apart = np.linalg.norm(ends[:-1, :, None] - ends[1:, None], axis=3).min(axis=(1, 2))

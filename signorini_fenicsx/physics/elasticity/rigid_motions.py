@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -11,6 +12,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.discrete.bodies import bodies
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.friction import STICKS
@@ -296,7 +298,7 @@ class Limits:
         way = self.work / (np.linalg.norm(self.work) or 1.0)  # where the loads push is told first
         for objective in np.concatenate([way[None], np.eye(len(way)), -np.eye(len(way))]):
             for _ in range(MOST_CUTS):
-                motion = self.comm.bcast(_farthest(objective, cuts, still) if self.comm.rank == 0 else None)
+                motion = on_root(self.comm, partial(_farthest, objective, cuts, still))
                 if motion is None or objective @ motion < 0.5:
                     break
                 more = self._violated(motion, ~sticks)

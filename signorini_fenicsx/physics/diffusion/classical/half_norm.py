@@ -12,6 +12,8 @@ steps.
 
 import itertools
 from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -19,6 +21,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import on_root, on_root_only
 from signorini_fenicsx.physics.diffusion.classical.gathered import RootRows
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -33,40 +36,52 @@ class HalfNorm:
         self._rows = RootRows(mesh.comm, len(spaces.facets))
         mesh.topology.create_connectivity(dim - 1, dim)
         nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, spaces.facets).reshape(-1, dim)
-        vertices = self._rows.gather(mesh.geometry.input_global_indices[nodes])
-        corners = self._rows.gather(mesh.geometry.x[nodes])
-        measure = self._rows.gather(spaces.facet_measure)
-        length = spaces.length
-        self._matrix: Array | None = None
-        if vertices is not None and corners is not None and measure is not None:
-            laplacian = _facet_laplacian(vertices, corners)
-            self._measure = measure
-            root = np.sqrt(measure)
-            values, vectors = np.linalg.eigh(laplacian / np.outer(root, root) + np.eye(len(root)) / length**2)
-            self._matrix = root[:, None] * ((vectors * np.sqrt(values)) @ vectors.T) * root
-            self._factor = scipy.linalg.cho_factor(self._matrix)
-            self._free = np.ones(len(root), dtype=bool)
+        own = mesh.geometry.input_global_indices[nodes], mesh.geometry.x[nodes], spaces.facet_measure
+        columns: list[Any] = [self._rows.gather(each) for each in own]
+        self._alone = on_root_only(mesh.comm, lambda: _Dense(spaces.length, *columns))
 
     def inner(self, p: Array, q: Array) -> float:
         """(p, q)_H."""
-        both = self._rows.gather(np.column_stack([p, q]))
-        value = None if self._matrix is None or both is None else float(both[:, 0] @ self._matrix @ both[:, 1])
-        return float(self._rows.comm.bcast(value))
+        return on_root(self._rows.comm, self._action(_Dense.inner, p, q))
 
     def riesz(self, flux: Array) -> Array:
         """Rg, the p with (p, q)_H = (g, q) on Γ_S for all q."""
-        g = self._rows.gather(flux)
-        return self._rows.scatter(None if g is None else scipy.linalg.cho_solve(self._factor, self._measure * g))
+        return self._rows.scatter(on_root_only(self._rows.comm, self._action(_Dense.riesz, flux)))
 
     def project(self, p: Array, flux: Array) -> Array:
         """The H-projection of p − R flux onto q ≥ 0: the minimiser of ½qᵀHq − qᵀ(Hp − M flux) over q ≥ 0."""
-        both = self._rows.gather(np.column_stack([p, flux]))
-        if self._matrix is None or both is None:
-            return self._rows.scatter(None)
-        return self._rows.scatter(self._minimise(self._matrix, self._matrix @ both[:, 0] - self._measure * both[:, 1]))
+        return self._rows.scatter(on_root_only(self._rows.comm, self._action(_Dense.project, p, flux)))
 
-    def _minimise(self, matrix: Array, b: Array) -> Array:
-        """Primal-dual active set, starting from the last free set: q = 0 or Hq = b, until both q and Hq − b are ≥ 0."""
+    def _action[T](self, method: Callable[..., T], *columns: Array) -> Callable[[], T]:
+        """What rank 0 makes of some arrays by a method of `_Dense`."""
+        rows = self._rows.gather(np.column_stack(columns))
+        return lambda: method(self._alone, *([] if rows is None else rows.T))
+
+
+class _Dense:
+    """H of all facets, and what `HalfNorm` does, on one rank."""
+
+    def __init__(self, length: float, vertices: npt.NDArray[np.int64], corners: Array, measure: Array):
+        laplacian = _facet_laplacian(vertices, corners)
+        root, self._measure = np.sqrt(measure), measure
+        values, vectors = np.linalg.eigh(laplacian / np.outer(root, root) + np.eye(len(root)) / length**2)
+        self._matrix = root[:, None] * ((vectors * np.sqrt(values)) @ vectors.T) * root
+        self._factor = scipy.linalg.cho_factor(self._matrix)
+        self._free = np.ones(len(root), dtype=bool)
+
+    def inner(self, p: Array, q: Array) -> float:
+        return float(p @ self._matrix @ q)
+
+    def riesz(self, flux: Array) -> Array:
+        p: Array = scipy.linalg.cho_solve(self._factor, self._measure * flux)
+        return p
+
+    def project(self, p: Array, flux: Array) -> Array:
+        """The projection, by a primal-dual active set that starts from the last free set.
+
+        There q = 0 or Hq = b, until both q and Hq − b are ≥ 0.
+        """
+        matrix, b = self._matrix, self._matrix @ p - self._measure * flux
         q = np.zeros_like(b)
         for _ in range(len(b) + 1):
             free = self._free

@@ -6,6 +6,7 @@ not depend on the ranks.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import eigsh
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.parallel import on_root, on_root_only
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
@@ -94,21 +96,26 @@ def _colours_and_omega(system: P1System) -> tuple[npt.NDArray[np.int64], float]:
     rows = RootRows(system.spaces.mesh.comm, len(system.load))
     x = rows.gather(system.space.tabulate_dof_coordinates()[: len(system.load)])
     matrix = matrix_on_root(system.matrix)
-    colour = omega = None
-    if x is not None and matrix is not None:
-        colour = _greedy_colours(matrix, np.lexsort(np.round(x, 10).T))
-        scaling = scipy.sparse.diags_array(1 / np.sqrt(matrix.diagonal()))
-        scaled = scaling @ matrix @ scaling
-        smallest = eigsh(scaled, 1, which="SA", tol=1e-2, v0=np.ones(len(x)), return_eigenvectors=False)[0]
-        omega = 2 / (1 + math.sqrt(1 - (1 - smallest) ** 2))
-    return rows.scatter(colour), float(rows.comm.bcast(omega))
+    colour = on_root_only(rows.comm, partial(_greedy_colours, matrix, x))
+    return rows.scatter(colour), on_root(rows.comm, partial(_omega, matrix))
 
 
-def _greedy_colours(matrix: scipy.sparse.csr_array, order: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
-    """Give one vertex after another the first colour that none of its neighbours has."""
+def _omega(matrix: scipy.sparse.csr_array | None) -> float:
+    """ω from the spectral radius of Jacobi's method (rank 0)."""
+    assert matrix is not None
+    scaling = scipy.sparse.diags_array(1 / np.sqrt(matrix.diagonal()))
+    scaled, start = scaling @ matrix @ scaling, np.ones(matrix.shape[0])
+    smallest = eigsh(scaled, 1, which="SA", tol=1e-2, v0=start, return_eigenvectors=False)[0]
+    return 2 / (1 + math.sqrt(1 - (1 - smallest) ** 2))
+
+
+def _greedy_colours(matrix: scipy.sparse.csr_array | None, x: Array | None) -> npt.NDArray[np.int64]:
+    """Give one vertex after another, in the order of places x, the first colour that no neighbour has (rank 0)."""
+    assert matrix is not None
+    assert x is not None
     neighbours = np.split(matrix.indices, matrix.indptr[1:-1])
     colour = np.full(len(neighbours), -1)
-    for vertex in order:
+    for vertex in np.lexsort(np.round(x, 10).T):
         taken = colour[neighbours[vertex]]
         colour[vertex] = np.setdiff1d(np.arange(len(taken) + 1), taken)[0]
     return colour

@@ -28,7 +28,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import function_of, owned_values
-from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.base.parallel import gather_rows, on_root_only
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import LINEAR, ROUNDING
 from signorini_fenicsx.contact.backend import Iterate
@@ -67,9 +67,10 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
     in_cells = _of_cells(spaces, data)
     of_cell = cell_rows.gather(in_cells)
     of_pieces, of_loads = gather_rows(comm, pieces), gather_rows(comm, _laws_inside(data, in_cells))
-    values = balance = left = None
-    status, iterations = "", 0
-    if hessian is not None and divergence is not None:
+
+    def on_one_rank() -> tuple[Array, Array, Array, str, int]:
+        assert hessian is not None
+        assert divergence is not None
         assert of_flux is not None
         assert of_cell is not None
         assert of_pieces is not None
@@ -78,7 +79,10 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
         programme = _programme(hessian, scaled, of_flux, of_cell, of_pieces, of_loads)
         x, y, status, iterations = programme.solve(task.max_iterations)
         values, balance = x[: len(of_flux)], y[: len(of_cell)]
-        left = hessian @ values + of_flux[:, 0] + scaled.T @ balance
+        return values, balance, hessian @ values + of_flux[:, 0] + scaled.T @ balance, status, iterations
+
+    *arrays, status, iterations = on_root_only(comm, on_one_rank) or (None, None, None, "", 0)
+    values, balance, left = arrays
     status, iterations = comm.bcast((status, iterations))
 
     sigma_h = function_of(V, flux_rows.scatter(values), "sigma")
