@@ -45,8 +45,8 @@ QUANTITIES: dict[str, Kind] = {
 
 def measured(solution: Solved, kind: Kind, *, of_energy: bool) -> Quantity:
     """A quantity; for the bound of the energy error without the shares of cells (collective)."""
-    found = solution.quantity(kind)
-    return replace(found, shares=None) if of_energy else found
+    interval = solution.quantity(kind)
+    return replace(interval, shares=None) if of_energy else interval
 
 
 def of_quantities(max_cells: int) -> None:

@@ -53,9 +53,9 @@ def rerun(row: dict[str, str], *options: str) -> dict[str, str]:
         command = [str(Path(sys.executable).with_name(program)), *arguments, *options, *where]
         subprocess.run(command, check=True)
         summary = json.loads(Path(folder, "found", "summary.json").read_text(encoding="utf-8"))
-    found = summary["quantities"][row["quantity"]]
-    lower, upper = rounded(found["lower"], found["upper"])
-    guaranteed = "yes" if found["guaranteed"] else "no"
+    interval = summary["quantities"][row["quantity"]]
+    lower, upper = rounded(interval["lower"], interval["upper"])
+    guaranteed = "yes" if interval["guaranteed"] else "no"
     return row | {"lower": lower, "upper": upper, "guaranteed": guaranteed, "unknowns": str(summary["dofs"])}
 
 

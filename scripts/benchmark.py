@@ -139,14 +139,14 @@ def at_equal_error(case: str | None, repeats: int) -> Table:
     for name in ("case", "facets", "‖σ−σ_h‖", "ours", *(f"{other}{end}" for other in P1 for end in ("", " / ours"))):
         result.add_column(name, justify="left" if name == "case" else "right")
     for name in (case,) if case else SMALL:
-        found: dict[str, list[dict]] = {method: [] for method in (OURS, *P1)}
+        runs: dict[str, list[dict]] = {method: [] for method in (OURS, *P1)}
         for h in SMALL[name] + FINER[name]:
-            for method in found if h in SMALL[name] else P1:
-                found[method].append(best_of(name, h, method, repeats))
-        for ours in found[OURS]:
+            for method in runs if h in SMALL[name] else P1:
+                runs[method].append(best_of(name, h, method, repeats))
+        for ours in runs[OURS]:
             shown = [f"{ours['unknowns']}", f"{ours['flux_error']:.3g}", f"{ours['seconds']:.3f}"]
             for method in P1:
-                time, guessed = at_error(found[method], ours["flux_error"])
+                time, guessed = at_error(runs[method], ours["flux_error"])
                 shown += [f"{'~' * guessed}{time:.3f}", f"{time / ours['seconds']:.2f}"]
             result.add_row(name, *shown)
     return result
@@ -161,11 +161,11 @@ def best_of(case: str, h: str, method: str, repeats: int) -> dict:
     return min(runs, key=lambda run: run["seconds"])
 
 
-def at_error(found: list[dict], error: float) -> tuple[float, bool]:
+def at_error(runs: list[dict], error: float) -> tuple[float, bool]:
     """Seconds of a competitor at a flux error, and whether they are extrapolated."""
-    errors, times = (np.log([run[key] for run in found]) for key in ("flux_error", "seconds"))
+    errors, times = (np.log([run[key] for run in runs]) for key in ("flux_error", "seconds"))
     wanted = np.log(error)
-    i = int(np.clip(np.searchsorted(-errors, -wanted) - 1, 0, len(found) - 2))
+    i = int(np.clip(np.searchsorted(-errors, -wanted) - 1, 0, len(runs) - 2))
     slope = (times[i + 1] - times[i]) / (errors[i + 1] - errors[i])
     inside = bool(errors[-1] <= wanted <= errors[0])
     return float(np.exp(times[i] + slope * (wanted - errors[i]))), not inside
@@ -301,13 +301,13 @@ def targets(rows: list[Row]) -> Table:
             cells = min(sizes)
             ours = seconds(rows, case, OURS, cells)[0]
             slower = [seconds(rows, case, method, cells) for method in (FRESH, REUSE)]
-            known = seconds(rows, case, KNOWN, cells)[0]
+            with_known_set = seconds(rows, case, KNOWN, cells)[0]
             two = seconds(rows, case, OURS, cells, ranks=2)[0]
             facets = next(row.unknowns for row in rows if (row.case, row.method, row.cells) == (case, OURS, cells))
             shown = [f"{'~' * guessed}{time / ours:.1f}" for time, guessed in slower]
             result.add_row(
                 f"{case}, {cells} cells",
-                *(shown[0], f"{a}", shown[1], f"{b}", f"{ours / known:.2f}", f"{f}"),
+                *(shown[0], f"{a}", shown[1], f"{b}", f"{ours / with_known_set:.2f}", f"{f}"),
                 f"{ours / two:.2f}",
                 f"{facets / ours / 1000:.0f}k",
             )
@@ -316,10 +316,10 @@ def targets(rows: list[Row]) -> Table:
 
 def seconds(rows: list[Row], case: str, method: str, cells: int, *, ranks: int = 1) -> tuple[float, bool]:
     """Seconds of a method on a mesh, and whether they are extrapolated from its two largest meshes."""
-    known = {row.cells: row.seconds for row in rows if (row.case, row.method, row.ranks) == (case, method, ranks)}
-    if cells in known:
-        return known[cells], False
-    (n1, t1), (n2, t2) = sorted(known.items())[-2:]
+    by_cells = {row.cells: row.seconds for row in rows if (row.case, row.method, row.ranks) == (case, method, ranks)}
+    if cells in by_cells:
+        return by_cells[cells], False
+    (n1, t1), (n2, t2) = sorted(by_cells.items())[-2:]
     return t2 * (cells / n2) ** (np.log(t2 / t1) / np.log(n2 / n1)), True
 
 

@@ -110,10 +110,10 @@ def main() -> None:
     for example in options.examples.split(","):
         case = load_case(f"example{example}")
         fine = solve_case(case.with_values({"solve.algorithm": "alg1", "solve.h": 2.0**-options.reference}))
-        found = {level: compare_methods(case, 2.0**-level, fine, on_failure=complain) for level in rows}
-        for level, of_level in found.items():
+        comparisons = {level: compare_methods(case, 2.0**-level, fine, on_failure=complain) for level in rows}
+        for level, of_level in comparisons.items():
             rows[level] += of_level
-        show([row for of_level in found.values() for row in of_level])
+        show([row for of_level in comparisons.values() for row in of_level])
 
     summarise(rows)
 

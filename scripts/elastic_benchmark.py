@@ -93,9 +93,9 @@ def timed[T](run: Callable[[], T]) -> tuple[T, float]:
     seconds = []
     for _ in range(2):
         began = time.process_time()
-        found = run()
+        result = run()
         seconds.append(time.process_time() - began)
-    return found, min(seconds)
+    return result, min(seconds)
 
 
 def with_known_set(domain: Domain, solution: ElasticSolution) -> None:
@@ -161,8 +161,8 @@ def print_rubbing(cells: dict[int, tuple[int, ...]], bodies: int, friction: str)
             remesh = partial(coarser, dim, n, bodies=bodies)
             solution, ours = timed(partial(solve, domain, problem, remesh=remesh))
             _, bound = timed(solution.certify)
-            _, known = timed(partial(with_known_set, domain, solution))
-            line = f"{dim}D {n:4d} {solution.outcome.dofs:8d} {ours:8.2f} {bound:8.2f}   {ours / known:.2f}"
+            _, seconds_known = timed(partial(with_known_set, domain, solution))
+            line = f"{dim}D {n:4d} {solution.outcome.dofs:8d} {ours:8.2f} {bound:8.2f}   {ours / seconds_known:.2f}"
             steps = solution.outcome.history
             counts = f"{sum(step.rough for step in steps)} rough + {sum(not step.rough for step in steps)}"
             print(f"{line}   {counts}, {len(solution.bound_changes)} bounds of the friction", flush=True)
@@ -181,15 +181,15 @@ def print_iterations(cells: dict[int, tuple[int, ...]]) -> None:
     for dim, sizes in cells.items():
         print(f"{dim}D: cells, unknowns; the most iterations of a set, and the seconds of all, for ν = {POISSONS}")
         for n in sizes:
-            domain, found, dofs = block(dim, n), [], 0
+            domain, iterations, dofs = block(dim, n), [], 0
             for poisson in POISSONS:
                 boundary, problem = pressed(dim, poisson)
                 options = Options(predict=False, tuning=Tuning(direct_up_to=0))
                 solution = solve(domain, (boundary, problem), options)
                 most = max(step.linear_iterations for step in solution.outcome.history)
-                found.append(f"{most:3d} ({solution.timings['solve']:.1f} s)")
+                iterations.append(f"{most:3d} ({solution.timings['solve']:.1f} s)")
                 dofs = solution.outcome.dofs
-            print(f"  {n:4d} {dofs:8d}  {'  '.join(found)}", flush=True)
+            print(f"  {n:4d} {dofs:8d}  {'  '.join(iterations)}", flush=True)
 
 
 def main() -> None:

@@ -60,9 +60,9 @@ class KeptRun:
 
     def rows(self, name: str) -> list[dict[str, float]]:
         """A CSV file of numbers and of True and False, which are 1 and 0, with NaN for empty cells."""
-        known = {"True": "1", "False": "0", "": "nan"}
+        words = {"True": "1", "False": "0", "": "nan"}
         with (self.folder / name).open(newline="", encoding="utf-8") as file:
-            return [{key: float(known.get(value, value)) for key, value in row.items()} for row in csv.DictReader(file)]
+            return [{key: float(words.get(value, value)) for key, value in row.items()} for row in csv.DictReader(file)]
 
     def solution(self) -> dict[str, Any]:
         """The arrays of its checkpoint, with its JSON part under `about`."""

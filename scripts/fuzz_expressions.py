@@ -54,9 +54,9 @@ def interval_and_gradient(tree: Tree, box: dict[str, Interval]) -> tuple[Interva
     """Enclosures of all values, and of all derivatives with respect to each name."""
     variables = {name: Dual((value,), {name: enclosing(1.0)}) for name, value in box.items()}
     with np.errstate(all="ignore"):
-        found: Dual = evaluate(tree, Differentiated(Intervals({}, FromNumPy()), variables))
+        dual: Dual = evaluate(tree, Differentiated(Intervals({}, FromNumPy()), variables))
     shape = next(iter(box.values())).lo.shape
-    return found.values[0].on(shape), [found.gradient.get(name, enclosing(0.0)).on(shape) for name in box]
+    return dual.values[0].on(shape), [dual.gradient.get(name, enclosing(0.0)).on(shape) for name in box]
 
 
 def valid(rng: random.Random, depth: int) -> str:
@@ -149,23 +149,23 @@ def outcome(text: str, x: ufl.SpatialCoordinate) -> str:
     """
     began = time.process_time()
     message = ""
-    found: Expr | None = None
+    expression: Expr | None = None
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            found = parse_expression(text, x)
+            expression = parse_expression(text, x)
         except InputError as error:
             message = str(error)
         with contextlib.suppress(InputError):
             assert isinstance(parse_number(text), float), text
-    if found is not None:
-        assert isinstance(found, Expr), text
-        assert found.ufl_shape == () == found.ufl_free_indices, text
-        assert 8 <= quadrature_degree(Datum(found)) <= 30, text
+    if expression is not None:
+        assert isinstance(expression, Expr), text
+        assert expression.ufl_shape == () == expression.ufl_free_indices, text
+        assert 8 <= quadrature_degree(Datum(expression)) <= 30, text
     assert message.isprintable(), f"the message of {text!r} cannot be printed"
     took = time.process_time() - began
     assert took < SECONDS, f"{text[:200]!r} took {took:.1f} s"
-    return "refused" if found is None else "UFL"
+    return "refused" if expression is None else "UFL"
 
 
 def check_enclosures(seed: int) -> bool:
@@ -190,8 +190,8 @@ def check_enclosures(seed: int) -> bool:
     share[:, :4] = rng.integers(0, 2, (2, 4, boxes))
     points = np.clip(lo[:, None] + share * (hi - lo)[:, None], lo[:, None], hi[:, None]).astype(np.longdouble)
     values, gradients = values_and_gradient(tree, {"x": points[0], "y": points[1]})
-    for found, enclosure in [(values, value), (gradients[..., 0], gradient[0]), (gradients[..., 1], gradient[1])]:
-        outside = (found < enclosure.lo) | (found > enclosure.hi)  # False if one of them is NaN
+    for sampled, enclosure in [(values, value), (gradients[..., 0], gradient[0]), (gradients[..., 1], gradient[1])]:
+        outside = (sampled < enclosure.lo) | (sampled > enclosure.hi)  # False if one of them is NaN
         assert not outside.any(), f"outside of the enclosure of {text!r}"
     return bool(np.isfinite([value.lo, value.hi]).all(axis=0).mean() > 0.5)
 

@@ -47,20 +47,20 @@ def draw(name: str) -> None:
         shape = shape_of(case.geometry.shape)
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
-        found = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")
+        picture = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")
         if case.time is not None:
             kept = {"restart": False, "certify_steps": False}
             solve_in_time(case, MPI.COMM_WORLD, EvolutionReport(quiet=True), Path(folder, "x"), **kept, plot=True)
-            found = Path(folder) / "x" / "contact.png"
-            if not found.exists():  # in space
-                write_solution(load_solution(found.parent), folder, plot=True, fields=False)
-                found = Path(folder) / "deformed.png"
+            picture = Path(folder) / "x" / "contact.png"
+            if not picture.exists():  # in space
+                write_solution(load_solution(picture.parent), folder, plot=True, fields=False)
+                picture = Path(folder) / "deformed.png"
         else:
             solution = solve_case(case)
             sys.stdout.write(f"{name}: {solution.contact.facets} in contact\n")
             certificate = certify(solution) if name in WITH_OVERVIEW else None
             write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
-        save(Image.open(found), GALLERY / f"{name}.png", WIDTH)
+        save(Image.open(picture), GALLERY / f"{name}.png", WIDTH)
         if name in WITH_OVERVIEW:
             save(Image.open(Path(folder) / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
 
@@ -72,9 +72,9 @@ def save(picture: Image.Image, path: Path, width: int) -> None:
     sets = "".join(colour[1:] for colour in (style.CONTACT, style.FREE, *style.SEGMENTS, "#ffffff"))
     most = 256 - len(sets) // 6
     palette = small.quantize(most, Image.Quantize.MEDIANCUT).getpalette() or []
-    known = Image.new("P", (1, 1))
-    known.putpalette([*palette[: 3 * most], *bytes.fromhex(sets)])
-    few = small.quantize(palette=known, dither=Image.Dither.NONE)
+    of_sets = Image.new("P", (1, 1))
+    of_sets.putpalette([*palette[: 3 * most], *bytes.fromhex(sets)])
+    few = small.quantize(palette=of_sets, dither=Image.Dither.NONE)
     few.paste(255, mask=Image.fromarray(np.all(np.asarray(small) == 255, axis=2)))  # which Pillow may have tinted
     few.save(path, optimize=True)
 

@@ -104,8 +104,8 @@ def largest_eigenvalue(vertices: Array, numbers: Indices) -> float:
 
     def response(m: Array) -> Array:
         mine = np.einsum("nij,nj->ni", alone, m)
-        found: Array = mine + (right.T @ solve(right @ m.ravel())).reshape(count, size)
-        return found
+        moved: Array = mine + (right.T @ solve(right @ m.ravel())).reshape(count, size)
+        return moved
 
     return _largest(cells.vertices, cells.measure, response)
 
@@ -124,8 +124,8 @@ def largest_eigenvalue_of_tractions(vertices: Array, numbers: Indices) -> float:
     def response(m: Array) -> Array:
         load = np.zeros((len(facets), dim**2))
         load[on] = m
-        found: Array = solve(load.ravel()).reshape(load.shape)[on]
-        return found
+        moved: Array = solve(load.ravel()).reshape(load.shape)[on]
+        return moved
 
     return _largest(vertices[facets[on]], measures, response)
 

@@ -45,8 +45,8 @@ def steps(case: Any) -> Iterator[dict[str, float]]:
     for instant in evolve_case(case):
         solution = instant.solution
         push = -solution.resultants()["bottom"][0] / (MU * FORCE / 2)
-        known = theory(push)
-        a, c, p0 = (known[name] for name in ("a", "c", "p0"))
+        expected = theory(push)
+        a, c, p0 = (expected[name] for name in ("a", "c", "p0"))
         r = np.linalg.norm(solution.spaces.contact.vertices[:, :, :2], axis=2)
         measure = solution.spaces.site_measure.reshape(-1, 3)
         shear = MU * p0 * (ellipse(r, a) - c / a * ellipse(r, c))[:, :, None] * [1, 0, 0]
@@ -56,11 +56,11 @@ def steps(case: Any) -> Iterator[dict[str, float]]:
             "push": push,
             "radius": np.sqrt(2 * solution.contact.measure / np.pi) / a,
             "peak": solution.pressure.max() / p0,
-            "depth": -moved["z"] / known["depth"],
+            "depth": -moved["z"] / expected["depth"],
             "sticks": np.sqrt(2 * solution.friction_states()["stick"]["measure"] / np.pi),
             "c": c,
             "moved": moved["x"],
-            "way": known["way"],
+            "way": expected["way"],
             "off_pressure": (measure * off[0]).sum() / (FORCE / 2),
             "off_shear": (measure * off[1]).sum() / (MU * FORCE / 2),
         }
@@ -77,16 +77,16 @@ def main() -> None:
             finer = Path(folder, "block.geo")
             finer.write_text(Path(case.geometry.file).read_text(encoding="utf-8").replace(NEAR, f"near = {near};"))
             case = case.with_values({"geometry.file": str(finer)})
-        found = []
+        rows = []
         for row in steps(case):
-            found.append(row)
+            rows.append(row)
             moved = row["moved"] / row["way"] if row["push"] > 0.01 else np.nan
             line = (
                 f"{row['push']:5.3f}  {row['radius']:.3f}   {row['peak']:.3f}  {row['depth']:.3f}  {row['sticks']:.3f}"
             )
             line += f"   {row['c']:.3f}  {moved:.3f}  {row['off_pressure']:.3f}         {row['off_shear']:.3f}\n"
             sys.stdout.write(line)
-    first, last = found[1], found[-1]
+    first, last = rows[1], rows[-1]
     share = last["push"] / first["push"]
     bent = [last[name] - share * first[name] for name in ("moved", "way")]
     sys.stdout.write(f"what is not linear of the way: {bent[0] / bent[1]:.3f} of that by theory\n")

@@ -144,9 +144,9 @@ def main() -> None:
     """Print a row for each penalty."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program", choices=PROGRAMS)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     points, cells = grid(N)
-    assembled = PROGRAMS[given.program](points, cells)
+    assembled = PROGRAMS[arguments.program](points, cells)
     print(f"{'ε':>8} {'solver':>10} {'error':>9} {'lower':>9} {'upper':>9} {'repair':>9}")
     for eps, careless in ((0.3, False), (1e-2, False), (1e-4, False), (1e-4, True), (1e-9, True)):
         u = penalised(assembled, points, eps, careless=careless)
@@ -158,8 +158,8 @@ def main() -> None:
             ended = subprocess.run(
                 [*command, "--output", f"{folder}/results"], capture_output=True, text=True, check=True
             )
-        found = json.loads(ended.stdout)["field"]
-        row = [true_error(points, cells, u), found["lower"], found["bound"], found["repair"]]
+        field = json.loads(ended.stdout)["field"]
+        row = [true_error(points, cells, u), field["lower"], field["bound"], field["repair"]]
         solver = "careless" if careless else "direct"
         print(f"{eps:8.0e} {solver:>10} " + " ".join(f"{value:9.2e}" for value in row), flush=True)
 

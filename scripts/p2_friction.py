@@ -68,17 +68,17 @@ def solve_p2_friction(box: Box, law: Tresca | Coulomb) -> P2Friction:
     pulls[rows.ravel(), np.arange(rows.size)] = 1.0
     flexible = factors.solve(pulls)
     at_rest = factors.solve(b[free])
-    given = law.g * _weights(space, nodes) if isinstance(law, Tresca) else None
+    bound_of_law = law.g * _weights(space, nodes) if isinstance(law, Tresca) else None
     mu = law.mu if isinstance(law, Coulomb) else 0.0
-    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], box.gap, mu, given)
+    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], box.gap, mu, bound_of_law)
     x = np.zeros(len(b))
     x[free] = at_rest + flexible @ forces.ravel()
     slips = np.linalg.norm(x[nodes[:, None] * dim + np.arange(dim - 1)], axis=1)
-    bound = mu * forces[:, -1] if given is None else given
-    found = fem.Function(space)
-    found.x.array[:] = x
+    bound = mu * forces[:, -1] if bound_of_law is None else bound_of_law
+    u = fem.Function(space)
+    u.x.array[:] = x
     energy = float(x @ (A @ x) / 2 - b @ x + bound @ slips)
-    return P2Friction(found, energy, forces.sum(axis=0), sweeps, len(free))
+    return P2Friction(u, energy, forces.sum(axis=0), sweeps, len(free))
 
 
 def _weights(space: fem.FunctionSpace, nodes: np.ndarray) -> np.ndarray:

@@ -65,13 +65,13 @@ def values(cells: int) -> list[tuple[str, float, float, float, float]]:
     problem = Elasticity(**MATERIAL, conditions=[Contact(bottom, friction=Coulomb(1.0)), symmetry, *loads])
     solution, certificate = adapt(plate(), problem, max_cells=cells)
     print(f"{solution.spaces.cell_measures.size} cells, bound {100 * certificate.relative:.2f} % of the stress")
-    found = []
+    rows = []
     for name, (_, published) in PUBLISHED.items():
         free = Neumann([part for part in ("top", "left", *bottom) if part not in (name, "rests")])
         unit = [Neumann(name, [1 / WIDTH, 0.0]), free, symmetry, Dirichlet("rests", [0.0, 0.0], components="y")]
         tau = solve(solution.spaces.domain, Elasticity(**MATERIAL, conditions=unit))
-        found.append((name, published, product(solution, tau), tau.norms()["energy"] * certificate.sigma_bound))
-    return found
+        rows.append((name, published, product(solution, tau), tau.norms()["energy"] * certificate.sigma_bound))
+    return rows
 
 
 def main() -> None:

@@ -113,10 +113,10 @@ class Loaded:
 
     def _by_component(self, values: Interval, size: tuple[int, ...]) -> Interval:
         """Each function in each component: (basis and component, simplices, vertices, d)."""
-        found = np.zeros((2, size[0], self.dim, *size[1:]))
+        by_component = np.zeros((2, size[0], self.dim, *size[1:]))
         for k in range(self.dim):
-            found[0][:, k, ..., k], found[1][:, k, ..., k] = values.lo, values.hi
-        return Interval(*found.reshape(2, -1, *size[1:]))
+            by_component[0][:, k, ..., k], by_component[1][:, k, ..., k] = values.lo, values.hi
+        return Interval(*by_component.reshape(2, -1, *size[1:]))
 
     def _products(self, values: Interval, weighted: Interval) -> Interval:
         """(v, v') of all pairs, after the map."""
@@ -178,8 +178,8 @@ class Loaded:
         count, cells = len(pulls.lo), len(self.mesh.vertices)
         repeated = self.cells.some(np.tile(np.arange(cells), count))
         flat = [Interval(*(x.reshape(-1, *x.shape[2:]) for x in (each.lo, each.hi))) for each in (pulls, moments)]
-        found = stresses_of(repeated, *flat)
-        return Interval(*(x.reshape(count, cells, *x.shape[1:]) for x in (found.lo, found.hi)))
+        stresses = stresses_of(repeated, *flat)
+        return Interval(*(x.reshape(count, cells, *x.shape[1:]) for x in (stresses.lo, stresses.hi)))
 
     def _floats(self, pulls: Interval, moments: Interval) -> tuple[Array, Array]:
         """Vectors whose squares are the energies of stresses, and forces and moments on all cells, per load."""

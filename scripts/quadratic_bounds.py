@@ -39,11 +39,11 @@ def quadratic(domain: Domain) -> fem.Function:
     mesh = domain.mesh
     space = fem.functionspace(mesh, ("Lagrange", 2))
     u, v, w = ufl.TrialFunction(space), ufl.TestFunction(space), fem.Function(space, name="w")
-    given = fem.Function(space)
-    given.interpolate(u_D)
+    lifted = fem.Function(space)
+    lifted.interpolate(u_D)
     mesh.topology.create_connectivity(1, 2)
     outer = dolfinx.mesh.exterior_facet_indices(mesh.topology)
-    fixed = [fem.dirichletbc(given, fem.locate_dofs_topological(space, 1, outer))]
+    fixed = [fem.dirichletbc(lifted, fem.locate_dofs_topological(space, 1, outer))]
     form = fem.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
     A = dolfinx.fem.petsc.assemble_matrix(form, bcs=fixed)
     A.assemble()
@@ -86,20 +86,20 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--h", default="0.16", help="size of the cells")
     options.add_argument("--refine", type=int, default=2, help="how often the mesh is refined for the bounds")
-    given = options.parse_args()
-    case = load_case("muskat").with_values({"solve.h": given.h})
+    arguments = options.parse_args()
+    case = load_case("muskat").with_values({"solve.h": arguments.h})
     solution = solve_case(case)
     domain = solution.spaces.domain
     w = quadratic(domain)
     places = np.array([[i, j] for i in range(SIDE + 1) for j in range(SIDE + 1 - i)]) / SIDE
     shapes = w.function_space.element.basix_element.tabulate(0, places)[0, :, :, 0]
     values = shapes @ w.x.array[w.function_space.dofmap.list].T
-    finer, v = refined(domain, w, given.refine)
-    found, ours = certify(solve_case(case, domain=finer), v=v), certify(solution)
+    finer, v = refined(domain, w, arguments.refine)
+    of_v, ours = certify(solve_case(case, domain=finer), v=v), certify(solution)
     print(f"{domain.cells} triangles, {len(w.x.array)} quadratic unknowns, {solution.outcome.dofs} of this program")
     print(f"quadratic: w ≥ {w.x.array.min():.1e} in nodes, {values.min():.1e} in points", end="")
     print(f", w < 0 in {100 * (values < -NOISE).mean():.1f} % of the points")
-    print(f"           {found.lower:.3g} ≤ energy error ≤ {found.bound:.3g}, {found.repair:.2g} from w ≥ 0 and u_D")
+    print(f"           {of_v.lower:.3g} ≤ energy error ≤ {of_v.bound:.3g}, {of_v.repair:.2g} from w ≥ 0 and u_D")
     print(f"here:      w ≥ {solution.u.x.array.min():.1e} as means, energy error ≤ {ours.bound:.3g}")
 
 

@@ -124,7 +124,7 @@ def pulses_of(rng: np.random.Generator, coarse: Domain) -> str:
     """Pulses along one direction that the program's quadrature on this mesh sees least of many (collective)."""
     comm, mesh = coarse.mesh.comm, coarse.mesh
     h = float(np.ptp(coarse.box(), axis=0).max()) * rng.uniform(0.02, 0.4)
-    sharp, found = 10 ** rng.uniform(0, 3.5), []
+    sharp, hidden = 10 ** rng.uniform(0, 3.5), []
     for _ in range(DRAWS):
         k, a = rng.normal(size=mesh.geometry.dim), rng.uniform(0, 2 * np.pi)
         k *= 2 * np.pi / (h * np.linalg.norm(k)) * rng.choice([1, 2, 3, 5])
@@ -132,8 +132,8 @@ def pulses_of(rng: np.random.Generator, coarse: Domain) -> str:
         text = f"{10 / h!r}*exp({sharp!r}*(cos({phase} + {a!r}) - 1))"
         rules = [cell_quadrature(mesh, owned_cells(mesh), degree) for degree in (DEGREES[0], 2 * DEGREES[0])]
         seen = max((values_in(text, points.x).max(initial=0.0) for rule in rules for points in rule), default=0.0)
-        found.append((comm.allreduce(float(seen), MPI.MAX), text))
-    return min(found)[1]
+        hidden.append((comm.allreduce(float(seen), MPI.MAX), text))
+    return min(hidden)[1]
 
 
 def values_in(text: str, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

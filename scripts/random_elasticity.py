@@ -118,18 +118,18 @@ def bodies(rng: np.random.Generator, dim: int, *, touching: bool, size: float) -
 
 def materials(rng: np.random.Generator, dim: int, young: float) -> dict[str, object]:
     """A random material with E of this size, with strains and stresses of up to a hundredth of it."""
-    given: dict[str, object] = {"young": young, "poisson": float(rng.choice([0.0, 0.3, 0.45, 0.4999]))}
+    material: dict[str, object] = {"young": young, "poisson": float(rng.choice([0.0, 0.3, 0.45, 0.4999]))}
     if rng.random() < 0.25:
-        given |= {"young": (young * np.array([1.0, *rng.uniform(0.3, 2, 2)])).tolist(), "poisson": [0.2, 0.1, 0.15]}
-        given |= {"shear": [0.4 * young, 0.3 * young, 0.5 * young]}
-        given |= {"axes": [[1, 0.5]] if dim == 2 else [[1, 0.5, 0.2], [0, 1, -0.3]]}
+        material |= {"young": (young * np.array([1.0, *rng.uniform(0.3, 2, 2)])).tolist(), "poisson": [0.2, 0.1, 0.15]}
+        material |= {"shear": [0.4 * young, 0.3 * young, 0.5 * young]}
+        material |= {"axes": [[1, 0.5]] if dim == 2 else [[1, 0.5, 0.2], [0, 1, -0.3]]}
     if rng.random() < 0.2:
-        given["eigenstrain"] = float(rng.uniform(-0.01, 0.01))
+        material["eigenstrain"] = float(rng.uniform(-0.01, 0.01))
     if rng.random() < 0.15:
-        given["initial_stress"] = float(rng.uniform(-0.01, 0.01)) * young
+        material["initial_stress"] = float(rng.uniform(-0.01, 0.01)) * young
     if dim == 2 and rng.random() < 0.3:
-        given["plane"] = "stress"
-    return given
+        material["plane"] = "stress"
+    return material
 
 
 def random_problem(seed: int) -> Problem:

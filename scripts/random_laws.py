@@ -135,7 +135,7 @@ def examine(seed: int, *, inside: bool = False) -> Result | None:
     """Solve the problem of a seed, and in another way; None if it has no unique solution."""
     domain, boundary, problem, options, words = random_problem(seed, inside=inside)
     try:
-        found = solve(domain, (boundary, problem), options)
+        solution = solve(domain, (boundary, problem), options)
     except InputError as error:
         if "no part of the boundary" in str(error) or "u_D on Γ_D" in str(error):
             return None
@@ -145,20 +145,20 @@ def examine(seed: int, *, inside: bool = False) -> Result | None:
     algorithm = "alg2" if options.algorithm_name == "alg1" else "alg1"
     backend = "mixed" if options.backend_name == "hybrid" else "hybrid"
     ways = [replace(options, algorithm="qp"), replace(options, algorithm=algorithm, backend=backend)]
-    differences = (apart(found, domain, boundary, problem, way) for way in ways)
+    differences = (apart(solution, domain, boundary, problem, way) for way in ways)
     difference = next((number for number in differences if number is not None), np.nan)
-    return Result(words, found.outcome.reason, max(vars(found.kkt).values()), difference)
+    return Result(words, solution.outcome.reason, max(vars(solution.kkt).values()), difference)
 
 
-def apart(found: Solution, domain: Domain, boundary: Boundary, problem: Problem, way: Options) -> float | None:
+def apart(solution: Solution, domain: Domain, boundary: Boundary, problem: Problem, way: Options) -> float | None:
     """The relative difference of σ and p from those of another way to solve; None if that way fails."""
     try:
         expected = solve(domain, (boundary, problem), way)
     except (NumericalFailure, InputError):
         return None
-    size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (found.p, found.u))
-    of_trace = float(np.abs(found.p.x.array - expected.p.x.array).max(initial=0.0))
-    return max(distance(found.sigma, expected.sigma), of_trace / size if size > 0 else 0.0)
+    size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (solution.p, solution.u))
+    of_trace = float(np.abs(solution.p.x.array - expected.p.x.array).max(initial=0.0))
+    return max(distance(solution.sigma, expected.sigma), of_trace / size if size > 0 else 0.0)
 
 
 def main() -> int:

@@ -150,7 +150,7 @@ def examine(seed: int) -> Result:
     """Solve the problem of a seed with its algorithm and with the reference."""
     case, domain, problem, words = random_problem(seed)
     try:
-        found = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem), options_of(case))
+        solution = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem), options_of(case))
     except NumericalFailure as failure:
         return Result(words, str(failure), np.inf, np.nan)
     reference = case.with_values({"solve.algorithm": REFERENCES[case.solve.algorithm]})
@@ -159,13 +159,13 @@ def examine(seed: int) -> Result:
     except NumericalFailure:
         difference = np.nan
     else:
-        difference = max(distance(found.sigma, expected.sigma), distance(found.p, expected.p))
-    return Result(words, found.outcome.reason, max(vars(found.kkt).values()), difference)
+        difference = max(distance(solution.sigma, expected.sigma), distance(solution.p, expected.p))
+    return Result(words, solution.outcome.reason, max(vars(solution.kkt).values()), difference)
 
 
-def distance(found: fem.Function, expected: fem.Function) -> float:
+def distance(values: fem.Function, expected: fem.Function) -> float:
     """Largest difference of degrees of freedom, relative to the largest of them."""
-    a, b = found.x.array, expected.x.array
+    a, b = values.x.array, expected.x.array
     largest = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
     return float(np.abs(a - b).max(initial=0.0) / largest) if largest > 0 else 0.0
 

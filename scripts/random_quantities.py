@@ -126,10 +126,10 @@ def random_row(seed: int, shapes: tuple[str, ...] = ("square", "lshape", "cube")
     problem = Diffusion(f=load, kappa=kappa, conditions=conditions)
     h, finer = (float(rng.uniform(0.35, 0.6)), 3) if shape == "cube" else (float(rng.uniform(0.12, 0.25)), 4)
     mesh = str(rng.choice(["structured", "unstructured"]))
-    found = [
+    intervals = [
         solve(build_domain(MPI.COMM_WORLD, shape, size, mesh=mesh), problem).quantity(kind) for size in (h, h / finer)
     ]
-    return Row(seed, f"{shape}, {', '.join(laws)}, {inside or 'no law'} in Ω", kind, *found)
+    return Row(seed, f"{shape}, {', '.join(laws)}, {inside or 'no law'} in Ω", kind, *intervals)
 
 
 def random_body(seed: int, shapes: tuple[str, ...] = ("square", "square", "cube")) -> Row:
@@ -163,12 +163,12 @@ def random_body(seed: int, shapes: tuple[str, ...] = ("square", "square", "cube"
     kind = kinds[rng.integers(len(kinds))]
     body = Elasticity(1.0, float(rng.uniform(0, 0.4)), f=[a / 10, *none, b / 10], conditions=[touching, top, loads])
     h, finer = (float(rng.uniform(0.9, 1.8)), 2) if dim == 3 else (float(rng.uniform(0.3, 0.5)), 3)
-    found = [
+    intervals = [
         solve(build_domain(MPI.COMM_WORLD, shape, size, mesh="structured"), body).quantity(kind)
         for size in (h, h / finer)
     ]
     rubs = "" if not isinstance(touching, Contact) or friction is None else " with friction"
-    return Row(seed, f"{shape}, {type(touching).__name__.lower()}{rubs}", kind, *found)
+    return Row(seed, f"{shape}, {type(touching).__name__.lower()}{rubs}", kind, *intervals)
 
 
 def orders() -> None:
@@ -177,9 +177,9 @@ def orders() -> None:
     kinds = [Integral(weight="1 if x < 0.5 else 0"), Mean(), Flux(["left", "bottom", "top"]), Energy()]
     for n in (16, 32, 64, 128):
         solution = solve(build_domain(MPI.COMM_WORLD, "square", 1.001 * 2**0.5 / n, mesh="structured"), problem)
-        found = [solution.quantity(kind) for kind in kinds]
+        intervals = [solution.quantity(kind) for kind in kinds]
         if MPI.COMM_WORLD.rank == 0:
-            print(f"{n:4d} " + "  ".join(f"{each.value:.6f} ± {each.width / 2:.2e}" for each in found), flush=True)
+            print(f"{n:4d} " + "  ".join(f"{each.value:.6f} ± {each.width / 2:.2e}" for each in intervals), flush=True)
 
 
 def main() -> None:
@@ -189,19 +189,19 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--bodies", action="store_true")
     parser.add_argument("--orders", action="store_true")
-    given = parser.parse_args()
-    if given.orders:
+    arguments = parser.parse_args()
+    if arguments.orders:
         orders()
         return
     rows = []
-    for seed in range(given.first, given.first + given.seeds):
-        rows.append(random_body(seed) if given.bodies else random_row(seed))
+    for seed in range(arguments.first, arguments.first + arguments.seeds):
+        rows.append(random_body(seed) if arguments.bodies else random_row(seed))
         collect_garbage(MPI.COMM_WORLD)
         if MPI.COMM_WORLD.rank == 0:
             print(rows[-1], flush=True)
-    found, wrong = sum(row.found for row in rows), [row.seed for row in rows if not row.holds]
+    bounded, wrong = sum(row.found for row in rows), [row.seed for row in rows if not row.holds]
     if MPI.COMM_WORLD.rank == 0:
-        print(f"{len(rows)} problems, {found} with an interval, {len(wrong)} outside {wrong or ''}")
+        print(f"{len(rows)} problems, {bounded} with an interval, {len(wrong)} outside {wrong or ''}")
 
 
 if __name__ == "__main__":

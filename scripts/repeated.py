@@ -60,8 +60,8 @@ def main() -> None:
             for name, way in ways.items():
                 rates[name].append(per_second(way, todo))
         if MPI.COMM_WORLD.rank == 0:
-            for name, found in rates.items():
-                print(f"{'new κ' if new_kappa else 'same κ'}, {name}: {min(found):.1f} to {max(found):.1f}")
+            for name, of_name in rates.items():
+                print(f"{'new κ' if new_kappa else 'same κ'}, {name}: {min(of_name):.1f} to {max(of_name):.1f}")
 
 
 if __name__ == "__main__":

@@ -54,54 +54,54 @@ class Item:
 
 def items() -> dict[str, Item]:
     """All tables and figures, by name."""
-    found: dict[str, Item] = {}
+    by_name: dict[str, Item] = {}
     for number, (case, algorithm) in enumerate(itertools.product((1, 2, 3), ("alg1", "alg2")), start=1):
-        found[f"table{number}"] = Item(
+        by_name[f"table{number}"] = Item(
             "table",
             f"Example {case}: errors against a fine solution and their orders, beside the slides'."
             + (" The slides' are those of table 5 one level finer, probably by a misprint." if number == 6 else ""),
             ["tables"],
             {"case": f"example{case}", "solve.algorithm": algorithm},
         )
-    found["figure1"] = Item("region", "A domain Ω with Dirichlet boundary Γ_D and Signorini boundary Γ_S.")
+    by_name["figure1"] = Item("region", "A domain Ω with Dirichlet boundary Γ_D and Signorini boundary Γ_S.")
     for number, case in {2: 1, 5: 2, 8: 3, 11: 4, 15: 5, 19: 6}.items():
-        found[f"figure{number}"] = Item(
+        by_name[f"figure{number}"] = Item(
             "solution", f"Example {case}: u_h, σ_h and |σ_h|.", ["solutions"], {"case": f"example{case}"}
         )
     for number, case in {3: 1, 6: 2, 9: 3}.items():
-        found[f"figure{number}"] = Item(
+        by_name[f"figure{number}"] = Item(
             "traces", f"Example {case}: u_h, σ_h·n and p_h on Γ_S.", ["solutions"], {"case": f"example{case}"}
         )
     for number, case in {4: 1, 7: 2, 10: 3}.items():
-        found[f"figure{number}"] = Item(
+        by_name[f"figure{number}"] = Item(
             "iterations",
             f"Example {case}: iteration errors.",
             ["iterations"],
             {"case": f"example{case}"},
         )
     for number, case in {12: 4, 16: 5, 20: 6}.items():
-        found[f"figure{number}"] = Item(
+        by_name[f"figure{number}"] = Item(
             "penalty_traces",
             f"Example {case}: u_εh, σ_εh·n and p_εh on Γ_S for two ε.",
             ["penalty_iterations"],
             {"case": f"example{case}", "solve.algorithm": "alg3"},
         )
     for number, case in {13: 4, 17: 5, 21: 6}.items():
-        found[f"figure{number}"] = Item(
+        by_name[f"figure{number}"] = Item(
             "errors",
             f"Example {case}: errors over h and over ε.",
             ["penalty_h", "penalty_eps"],
             {"case": f"example{case}"},
         )
     for number, case in {14: 4, 18: 5, 22: 6}.items():
-        found[f"figure{number}"] = Item(
+        by_name[f"figure{number}"] = Item(
             "iterations",
             f"Example {case}: iteration errors.",
             ["penalty_iterations"],
             {"case": f"example{case}", "solve.eps": 1e-8},
         )
     names = [f"table{number}" for number in range(1, 7)] + [f"figure{number}" for number in range(1, 23)]
-    return {name: found[name] for name in names}
+    return {name: by_name[name] for name in names}
 
 
 def runs_of(item: Item, *, quick: bool) -> list[Run]:
@@ -169,10 +169,10 @@ def _slides(item: Item) -> dict[str, dict[str, float]]:
 
 def main() -> int:
     """Read the command line; the exit status is that of `signorini`."""
-    known = [*items(), "all"]
+    names = [*items(), "all"]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "items", nargs="+", metavar="ITEM", choices=known, help="table1 … table6, figure1 … figure22, all"
+        "items", nargs="+", metavar="ITEM", choices=names, help="table1 … table6, figure1 … figure22, all"
     )
     parser.add_argument("--quick", action="store_true", help="coarse meshes")
     parser.add_argument("--output", type=Path, help="default: results/reproduction, or results/reproduction-quick")

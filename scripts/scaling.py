@@ -102,8 +102,8 @@ def main(
             runs["strong"] += [one, two]
             runs["weak"] += [one, best(case, h * 0.5 ** (1 / DIM[case]), 2, folder, empty[2], rounds)]
             runs["memory"] += [measured(case, h, n, folder, empty[n]) for n in ranks]
-    found = {name: [asdict(run) for run in each] for name, each in runs.items()}
-    (output / "scaling.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    by_name = {name: [asdict(run) for run in each] for name, each in runs.items()}
+    (output / "scaling.json").write_text(json.dumps(by_name, indent=2) + "\n", encoding="utf-8")
     tables = of_time("strong", runs["strong"]), of_time("weak", runs["weak"]), of_ranks(runs["memory"])
     text = "\n\n".join("\n".join(lines) for lines in tables)
     (output / "table.md").write_text(text + "\n", encoding="utf-8")

@@ -89,15 +89,15 @@ def main() -> None:
     )
     problem = MOVING if options.moving else PROBLEM
     evolution = Evolution(end=options.steps / 40, steps=options.steps, capacity="1/1000")
-    found: list[Solution] = []
+    solutions: list[Solution] = []
     steps = (instant.solution for instant in evolve(solver, (Boundary(["bottom"]), problem), evolution))
     linear_solve, ratios = LinearSolve(), []
     for step in range(options.steps):
-        spent = seconds(lambda: found.append(next(steps)))
-        alone = linear_solve(found[-1])
-        if step > 0 and stands_still(*found[-2:]):
+        spent = seconds(lambda: solutions.append(next(steps)))
+        alone = linear_solve(solutions[-1])
+        if step > 0 and stands_still(*solutions[-2:]):
             ratios.append((spent, alone, spent / alone))
-    last = found[-1]
+    last = solutions[-1]
     if COMM.rank == 0:
         facets = solver.spaces.crouzeix_raviart.dofmap.index_map.size_global
         print(f"{facets} facets, {last.outcome.linear_solver}, {len(ratios)} of {options.steps} steps stand still")

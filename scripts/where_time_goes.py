@@ -78,12 +78,12 @@ def measure(case: Case) -> None:
 
 def seconds_of_functions(profile: cProfile.Profile) -> dict[str, float]:
     """Seconds in each row of `FUNCTIONS`, with what they call."""
-    found = dict.fromkeys(FUNCTIONS, 0.0)
+    seconds = dict.fromkeys(FUNCTIONS, 0.0)
     for (file, _, function), (*_, total, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
         for row, names in FUNCTIONS.items():
             if f"{Path(file).name}:{function}" in names:
-                found[row] += total
-    return found
+                seconds[row] += total
+    return seconds
 
 
 def seconds_of_events() -> dict[str, float]:

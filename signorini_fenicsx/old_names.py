@@ -45,9 +45,9 @@ def taking_old_calls[**P, R](function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def wrapped(*given: Any, **named: Any) -> Any:
-        found = [place for place, each in enumerate(given) if isinstance(each, Boundary | ElasticBoundary)]
-        if found:
-            place = found[0]
+        places = [place for place, each in enumerate(given) if isinstance(each, Boundary | ElasticBoundary)]
+        if places:
+            place = places[0]
             boundary, data = given[place], given[place + 1 : place + 2] or (named.pop("problem", None),)
             kind = IN_DIFFUSION if isinstance(boundary, Boundary) else IN_ELASTICITY
             warnings.warn(f"a problem is given as {kind} now, without a boundary", DeprecationWarning, stacklevel=2)

@@ -74,14 +74,14 @@ def read_mesh(path: str, shape: str) -> Domain:
     return label_parts(distribute(COMM, points, cells, dim), shape)
 
 
-def solve_known(case: Case, found: Solution) -> dict[str, float]:
+def solve_known(case: Case, solution: Solution) -> dict[str, float]:
     """Seconds of one linear solve under the final conditions of a solution, from assembly to recovery (collective)."""
     watch = Stopwatch()
     with watch.phase("assembly"):
-        spaces = build_spaces(found.spaces.domain, case.boundary.signorini, case.boundary.neumann)
+        spaces = build_spaces(solution.spaces.domain, case.boundary.signorini, case.boundary.neumann)
         system = HybridBackend(spaces, project_data(spaces, case.data(spaces.mesh.geometry.dim)))
     with watch.phase("solve"):
-        system.solve(found.outcome.conditions)
+        system.solve(solution.outcome.conditions)
     return watch.longest(COMM)
 
 
@@ -98,35 +98,36 @@ def run(method: str, case: Case, domain: Domain, tuning: Tuning) -> dict[str, ob
     """Solve once and report (collective)."""
     case = case.with_values(SETTINGS[method])
     own_mesh = method == "ours"
-    found = solve_case(case, COMM, domain=domain, tuning=tuning) if method == "contact set known" else None
+    solution = solve_case(case, COMM, domain=domain, tuning=tuning) if method == "contact set known" else None
     before = {event: logged(event) for event in ("PCSetUp", "KSPSolve")}
-    if found is not None:
-        timings = solve_known(case, found)
+    if solution is not None:
+        timings = solve_known(case, solution)
     elif method == "saddle point, fresh":
         options = replace(options_of(case, tuning), backend=FreshMixed)
-        found = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], case.data(domain.mesh.geometry.dim)), options)
-        timings = found.timings
+        dim = domain.mesh.geometry.dim
+        solution = solve(domain, (case.posed(dim)[0], case.data(dim)), options)
+        timings = solution.timings
     else:
-        found = solve_case(case, COMM, domain=None if own_mesh else domain, tuning=tuning)
-        timings = found.timings
+        solution = solve_case(case, COMM, domain=None if own_mesh else domain, tuning=tuning)
+        timings = solution.timings
     setup, solving = (logged(event) - seconds for event, seconds in before.items())
     seconds = sum(timings.get(phase, 0.0) for phase in PHASES)
-    errors = found.errors()
+    errors = solution.errors()
     return {
-        "cells": found.spaces.mesh.topology.index_map(found.spaces.mesh.topology.dim).size_global,
-        "unknowns": found.outcome.dofs,
-        "solver": found.outcome.linear_solver,
-        "steps": 1 if method == "contact set known" else len(found.outcome.history) + 1,
-        "linear_iterations": max(step.linear_iterations for step in found.outcome.history),
+        "cells": solution.spaces.mesh.topology.index_map(solution.spaces.mesh.topology.dim).size_global,
+        "unknowns": solution.outcome.dofs,
+        "solver": solution.outcome.linear_solver,
+        "steps": 1 if method == "contact set known" else len(solution.outcome.history) + 1,
+        "linear_iterations": max(step.linear_iterations for step in solution.outcome.history),
         "seconds": seconds,
         "assembly": timings["assembly"],
         "setup": setup,
         "solve": solving,
         "recovery and rest": seconds - timings["assembly"] - setup - solving,
-        "kkt": max(vars(found.kkt).values()),
+        "kkt": max(vars(solution.kkt).values()),
         "flux_error": errors["sigma_L2"] if errors else None,
-        "contact_measure": found.contact[1],
-        "sigma_L2": found.norms()["sigma_L2"],
+        "contact_measure": solution.contact[1],
+        "sigma_L2": solution.norms()["sigma_L2"],
         "peak_memory": peak_memory(COMM),
     }
 
@@ -140,7 +141,7 @@ def main() -> None:
     small = case.with_values({"solve.h": 0.2})
     run(method, small, mesh_case(small, COMM), Tuning(direct_up_to=0, predict_from=0))
     results = [run(method, case, read_mesh(mesh, case.geometry.shape), Tuning()) for _ in range(int(again))]
-    result = min(results, key=lambda found: found["seconds"])
+    result = min(results, key=lambda each: each["seconds"])
     if COMM.rank == 0:
         print(json.dumps(result))
 

@@ -105,11 +105,11 @@ type Damage = Callable[[random.Random, bytes], bytes]
 
 def flipped(rng: random.Random, data: bytes) -> bytes:
     """Change some bits of some bytes."""
-    found = bytearray(data)
+    changed = bytearray(data)
     for _ in range(rng.choice([1, 1, 2, 8, 64])):
-        if found:
-            found[rng.randrange(len(found))] ^= 1 << rng.randrange(8)
-    return bytes(found)
+        if changed:
+            changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
+    return bytes(changed)
 
 
 def cut(rng: random.Random, data: bytes) -> bytes:
@@ -138,19 +138,19 @@ def noisy(rng: random.Random, data: bytes) -> bytes:
 def renumbered(rng: random.Random, data: bytes) -> bytes:
     """Replace one or two numbers of a text."""
     for _ in range(rng.choice([1, 1, 2])):
-        found = list(re.finditer(rb"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", data))
-        if found:
-            data = _with(data, rng.choice(found), rng.choice(NUMBERS).encode())
+        numbers = list(re.finditer(rb"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?", data))
+        if numbers:
+            data = _with(data, rng.choice(numbers), rng.choice(NUMBERS).encode())
     return data
 
 
 def reworded(rng: random.Random, data: bytes) -> bytes:
     """Replace a word of a text by another word, or by one from elsewhere in the text."""
-    found = list(re.finditer(rb"[A-Za-z_]+", data))
-    if not found:
+    words = list(re.finditer(rb"[A-Za-z_]+", data))
+    if not words:
         return data
-    word = rng.choice([rng.choice(found)[0], rng.choice(WORDS).encode()])
-    return _with(data, rng.choice(found), word)
+    word = rng.choice([rng.choice(words)[0], rng.choice(WORDS).encode()])
+    return _with(data, rng.choice(words), word)
 
 
 def mixed(rng: random.Random, data: bytes) -> bytes:

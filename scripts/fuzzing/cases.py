@@ -116,12 +116,12 @@ def _coarse(name: str) -> str:
 def _command(rng: random.Random, tree: dict, data: bytes) -> str:
     """The command for a case; cases with new data are rarely solved, because compiling them takes seconds."""
     try:
-        found = tomllib.loads(data.decode())
-        known = found.get("problem") == tree["problem"] and found.get("exact") == tree.get("exact")
-        known = known and found.get("boundary") == tree["boundary"]
+        case = tomllib.loads(data.decode())
+        is_compiled = case.get("problem") == tree["problem"] and case.get("exact") == tree.get("exact")
+        is_compiled = is_compiled and case.get("boundary") == tree["boundary"]
     except (ValueError, RecursionError):
-        known = True
-    return rng.choice(["check", "solve", "solve", "info"]) if known or rng.random() < 0.05 else "info"
+        is_compiled = True
+    return rng.choice(["check", "solve", "solve", "info"]) if is_compiled or rng.random() < 0.05 else "info"
 
 
 def _with_values(rng: random.Random, text: str) -> tuple[bytes, str]:

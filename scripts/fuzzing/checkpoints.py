@@ -347,10 +347,10 @@ def _patched(data: bytes, way: str) -> bytes:
     if way == "twice":
         return data
     offset, value = {"encrypted": (6, 1), "unknown compression": (8, 77), "wrong sum": (14, 123)}[way]
-    found, start = bytearray(data), data.index(b"PK\x01\x02")
-    found[offset : offset + 2] = value.to_bytes(2, "little")
-    found[start + offset + 2 : start + offset + 4] = value.to_bytes(2, "little")
-    return bytes(found)
+    patched, start = bytearray(data), data.index(b"PK\x01\x02")
+    patched[offset : offset + 2] = value.to_bytes(2, "little")
+    patched[start + offset + 2 : start + offset + 4] = value.to_bytes(2, "little")
+    return bytes(patched)
 
 
 def _write(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> None:

@@ -63,7 +63,7 @@ class Verdict:
 
 def snapshot(root: Path) -> Files:
     """All files, folders and links below a folder, each with a digest of its contents."""
-    found: Files = {}
+    contents: Files = {}
     for place, folders, files in os.walk(root):
         for name in [*folders, *files]:
             path = Path(place, name)
@@ -73,8 +73,8 @@ def snapshot(root: Path) -> Files:
                 digest = hashlib.sha256(path.read_bytes()).hexdigest()
             else:
                 digest = "folder" if path.is_dir() else "special"
-            found[str(path.relative_to(root))] = digest
-    return found
+            contents[str(path.relative_to(root))] = digest
+    return contents
 
 
 def judged(broken: Broken, ending: Ending, before: Files, after: Files, root: Path) -> Verdict:
@@ -204,15 +204,15 @@ def _untruths(broken: Broken, out: Path) -> list[str]:
     if broken.flux is None and broken.contact is None and not broken.bounded:
         return []
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    about, norms, found = summary.get("certificate", {}), summary["norms"], []
+    about, norms, untruths = summary.get("certificate", {}), summary["norms"], []
     if about.get("guaranteed"):
         if broken.bounded and about["relative"] > LOOSE and norms["energy"] >= TOLERANCE:
-            found.append("a guaranteed bound far above the solution")
+            untruths.append("a guaranteed bound far above the solution")
         if broken.flux is not None:
             difference = broken.flux - norms["sigma_L2"]
             error = max(difference, 0.0) if broken.at_least else abs(difference)
             if error > about["bound"] * (1 + TOLERANCE) + ROUGHLY * broken.flux:
-                found.append(f"a guaranteed bound {about['bound']:.3g} below an error of at least {error:.3g}")
+                untruths.append(f"a guaranteed bound {about['bound']:.3g} below an error of at least {error:.3g}")
     if broken.contact is not None and abs(summary["contact_measure"] / broken.contact - 1) > TOLERANCE:
-        found.append(f"contact of measure {summary['contact_measure']:.9g} and not {broken.contact:.9g}")
-    return found
+        untruths.append(f"contact of measure {summary['contact_measure']:.9g} and not {broken.contact:.9g}")
+    return untruths

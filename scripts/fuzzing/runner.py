@@ -113,8 +113,8 @@ class Runner:
 
     def _wait(self) -> None:
         for process, about in list(self._running.items()):
-            found, status, used = os.wait4(process, os.WNOHANG)
-            if found:
+            ended, status, used = os.wait4(process, os.WNOHANG)
+            if ended:
                 del self._running[process]
                 orphans = _end_all(process) and not about.late
                 said = (about.root / "said" / "stderr").read_text(encoding="utf-8", errors="replace")

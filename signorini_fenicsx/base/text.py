@@ -32,9 +32,9 @@ def write_rows(path: Path, header: Iterable[str], rows: Iterable[Mapping[str, An
         writer.writerows(rows)
 
 
-def did_you_mean(wrong: str, known: Iterable[str]) -> str:
+def did_you_mean(wrong: str, names: Iterable[str]) -> str:
     """A question in brackets with the closest of the known names, after a space; empty if none is close."""
-    close = difflib.get_close_matches(wrong, list(known), 1)
+    close = difflib.get_close_matches(wrong, list(names), 1)
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 

@@ -26,8 +26,8 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "", 
     owner = f" {of}" if of else _place_of_key(sections)
     match first["type"]:
         case "extra_forbidden":
-            known = _known_keys(root, sections[len(above) :], last)
-            return f"unknown key '{last}'{owner}; known are {known}"
+            keys = _known_keys(root, sections[len(above) :], last)
+            return f"unknown key '{last}'{owner}; known are {keys}"
         case "missing":
             return f"missing {'key' if owner else 'section or key'} '{last}'{owner}"
         case "model_type" | "model_attributes_type":
@@ -63,8 +63,8 @@ def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
         annotation = model.model_fields[section].annotation
         kinds = (annotation, *get_args(annotation))  # a section that may be left out is a union with None
         model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
-    known = keys_of(model)
-    return ", ".join(known) + did_you_mean(wrong, known)
+    keys = keys_of(model)
+    return ", ".join(keys) + did_you_mean(wrong, keys)
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:

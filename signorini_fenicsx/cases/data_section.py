@@ -52,11 +52,11 @@ class KindSection(Section):
             return value  # which the check of `kind` refuses
         section, of = cls.of_kind[kind], f"of the {cls.word} '{kind}'"
         of_all = {key: entry for key, entry in value.items() if key in cls.model_fields}
-        known = [*keys_of(cls), *keys_of(section)]
-        for key in [key for key in value if key not in known]:
+        keys = [*keys_of(cls), *keys_of(section)]
+        for key in [key for key in value if key not in keys]:
             others = [name for name, other in cls.of_kind.items() if key in other.model_fields]
-            hint = f"; a {cls.word} with it is {' or '.join(others)}" if others else did_you_mean(key, known)
-            raise ValueError(f"unknown key '{key}' {of}; known are {', '.join(known)}{hint}")
+            hint = f"; a {cls.word} with it is {' or '.join(others)}" if others else did_you_mean(key, keys)
+            raise ValueError(f"unknown key '{key}' {of}; known are {', '.join(keys)}{hint}")
         try:
             own = section.model_validate({key: entry for key, entry in value.items() if key not in of_all})
         except ValidationError as error:

@@ -65,13 +65,13 @@ def _not_huge(value: object) -> object:
     return value
 
 
-def choice(kind: str, known: tuple[str, ...]) -> BeforeValidator:
+def choice(kind: str, names: tuple[str, ...]) -> BeforeValidator:
     """Accept one of the known names; for other values the error lists them."""
 
     def check(value: object) -> object:
-        if value not in known:
-            meant = did_you_mean(value, known) if isinstance(value, str) else ""
-            raise ValueError(f"unknown {kind} {shown(value)}; use one of {', '.join(known)}{meant}")
+        if value not in names:
+            meant = did_you_mean(value, names) if isinstance(value, str) else ""
+            raise ValueError(f"unknown {kind} {shown(value)}; use one of {', '.join(names)}{meant}")
         return value
 
     return BeforeValidator(check)

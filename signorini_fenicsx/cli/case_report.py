@@ -37,14 +37,14 @@ class CaseReport(Report):
             f"(an estimate, for free cores{usual})",
         )
 
-    def checked(self, case: CaseFile, found: Checked) -> None:
+    def checked(self, case: CaseFile, sizes: Checked) -> None:
         """Print that a case can be solved, and its sizes."""
-        counts = found.counts
+        counts = sizes.counts
         facets = ", ".join(f"{number} on Γ_{kind[0].upper()}" for kind, number in counts.items() if kind != "cells")
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")
-        self._parts(found.parts)
-        self._left(case, found.left)
-        for remark in found.remarks:
+        self._parts(sizes.parts)
+        self._left(case, sizes.left)
+        for remark in sizes.remarks:
             self.entry("note", remark)
 
     def _parts(self, parts: Mapping[str, Mapping[str, Any]]) -> None:

@@ -114,10 +114,10 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
     return case_text(title, place, physics, {part: word for part, word in conditions.items() if word != HELD})
 
 
-def _choice(question: str, known: tuple[str, ...], default: str) -> str:
+def _choice(question: str, words: tuple[str, ...], default: str) -> str:
     """Ask for one of these words until it is one."""
-    while (answer := typer.prompt(question, default).strip()) not in known:
-        typer.echo(f"  unknown: use one of {', '.join(known)}{did_you_mean(answer, known)}")
+    while (answer := typer.prompt(question, default).strip()) not in words:
+        typer.echo(f"  unknown: use one of {', '.join(words)}{did_you_mean(answer, words)}")
     return str(answer)
 
 

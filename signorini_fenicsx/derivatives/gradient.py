@@ -182,12 +182,12 @@ def _all_there(gradients: Sequence[float | Array | None]) -> list[float | Array]
     Raises:
         InputError: If one is by what is in no datum.
     """
-    found = []
+    derivatives = []
     for number, each in enumerate(gradients):
         if each is None:
             raise InputError(f"controls: number {number + 1} is in no datum of the problem that was solved")
-        found.append(each)
-    return found
+        derivatives.append(each)
+    return derivatives
 
 
 def _of_step(

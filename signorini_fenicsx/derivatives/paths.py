@@ -42,7 +42,7 @@ def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[An
     return solution if problem is solution.problem else solution.of_problem(problem), constants
 
 
-def _constant(path: str, mesh: dolfinx.mesh.Mesh, found: list[Any], given: Any) -> fem.Constant:
+def _constant(path: str, mesh: dolfinx.mesh.Mesh, constants: list[Any], given: Any) -> fem.Constant:
     """A constant with the value of a number, also added to a list.
 
     Raises:
@@ -51,8 +51,8 @@ def _constant(path: str, mesh: dolfinx.mesh.Mesh, found: list[Any], given: Any) 
     tree = parsed(given, "xyzt", path)
     if not isinstance(tree, TREES) or polynomial_degree(tree) != 0:
         raise InputError(f"{path}: is no number; in Python put a Constant or Function there")
-    found.append(fem.Constant(mesh, float(values(tree, dict.fromkeys("xyzt", np.zeros(1)))[0])))
-    return found[-1]
+    constants.append(fem.Constant(mesh, float(values(tree, dict.fromkeys("xyzt", np.zeros(1)))[0])))
+    return constants[-1]
 
 
 def _replaced(given: Any, names: Sequence[str], make: Callable[[Any], Any], path: str) -> Any:

@@ -135,8 +135,8 @@ def parts_of_laws(spaces: MeshSpaces, laws: Sequence[Law]) -> set[str]:
             raise InputError(f"law.{i}: has neither parts nor a region")
         for part in law.parts:
             if part not in spaces.part_names:
-                known = ", ".join(spaces.part_names)
-                raise InputError(f"law.{i}.parts: '{part}' is not a part of Γ_S, whose parts are {known}")
+                names = ", ".join(spaces.part_names)
+                raise InputError(f"law.{i}.parts: '{part}' is not a part of Γ_S, whose parts are {names}")
             if part in listed:
                 raise InputError(f"law.{i}.parts: '{part}' is listed twice")
             listed.add(part)

@@ -119,33 +119,33 @@ def in_parts(
     """
 
     def looked(parts: Parts) -> tuple[Array, Array]:
-        found, cuts = [], []
+        seen, cuts = [], []
         for begin in range(0, max(len(parts.own), 1), CHUNK):
             some = parts.take(slice(begin, begin + CHUNK))
             regions = Regions.of_simplices(some.vertices, frame.scale)
             series, switch = expanded(tree, regions)
             remainder = Remainder.of(series, regions.half, slice(None), np.ones_like(regions.half))
-            found.append(look(some, remainder))
+            seen.append(look(some, remainder))
             cuts.append(_cuts(some, regions, switch))
-        return np.concatenate(found), np.concatenate(cuts)
+        return np.concatenate(seen), np.concatenate(cuts)
 
     parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
-    known, cuts = looked(parts)
+    of_parts, cuts = looked(parts)
     left = MOST + MOST_EACH * frame.simplices - frame.comm.allreduce(len(vertices))
     while True:
-        needs = np.where(parts.share > FINEST, need(parts, known), 0.0)
+        needs = np.where(parts.share > FINEST, need(parts, of_parts), 0.0)
         total, number = frame.comm.allreduce(np.array([needs.sum(), len(needs)])).tolist()
         if not total > 1:
-            return parts, known
+            return parts, of_parts
         chosen = _worst(needs, 1 / number, left // 2, frame.comm)
         if not frame.comm.allreduce(np.count_nonzero(chosen)):
-            return parts, known
+            return parts, of_parts
         first, second = cuts[chosen, :2].astype(np.int64).T
         halves = parts.take(chosen).cut(first, second, cuts[chosen, 2])
         left -= frame.comm.allreduce(len(halves.own))
         parts = parts.take(~chosen).and_(halves)
         new = looked(halves)
-        known, cuts = (np.concatenate([old[~chosen], more]) for old, more in zip((known, cuts), new, strict=True))
+        of_parts, cuts = (np.concatenate([old[~chosen], more]) for old, more in zip((of_parts, cuts), new, strict=True))
 
 
 def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:

@@ -342,18 +342,18 @@ def ranges(
     number = len(vertices)
     low, high = (np.broadcast_to(end, number) for end in (low, high))
 
-    def lacking(own: Indices, known: Array) -> Array:
-        lo, hi, least, most = known[:, :4].T
+    def lacking(own: Indices, bounds: Array) -> Array:
+        lo, hi, least, most = bounds[:, :4].T
         below = low[own] - lo - 2 * np.maximum(low[own] - least, 0.0)
         above = hi - high[own] - 2 * np.maximum(most - high[own], 0.0)
         return np.asarray(np.maximum(below, above))
 
     everything = Parts(vertices, np.arange(number), np.ones(number))
-    known = _bounds(tree, p, vertices, everything, np.zeros(number))
-    rho = distances(tree, vertices, frame, np.maximum(-lacking(everything.own, known), 0.0) / BESIDE, 2)
-    known[:, 0] -= BESIDE * rho
-    known[:, 1] += BESIDE * rho
-    unclear = ~(lacking(everything.own, known) <= 0)
+    enclosed = _bounds(tree, p, vertices, everything, np.zeros(number))
+    rho = distances(tree, vertices, frame, np.maximum(-lacking(everything.own, enclosed), 0.0) / BESIDE, 2)
+    enclosed[:, 0] -= BESIDE * rho
+    enclosed[:, 1] += BESIDE * rho
+    unclear = ~(lacking(everything.own, enclosed) <= 0)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
         of_all = Parts(parts.vertices, rows[parts.own], parts.share)
@@ -363,20 +363,20 @@ def ranges(
             bounds[:, 1] = np.fmin(bounds[:, 1], remainder.value.hi)
         return bounds
 
-    def need(parts: Parts, known: Array) -> Array:
-        size = lacking(rows[parts.own], known)
+    def need(parts: Parts, bounds: Array) -> Array:
+        size = lacking(rows[parts.own], bounds)
         return np.where(size <= 0, 0.0, 1 + np.where(np.isnan(size), np.inf, size))
 
     rows = np.flatnonzero(unclear)
     parts, of_parts = in_parts(tree, vertices[unclear], frame, look, need)
     of_parts[:, :2] = np.where(np.isnan(of_parts[:, :2]), [-np.inf, np.inf], of_parts[:, :2])
     own, least = rows[parts.own], of_parts[:, 2]
-    known[rows, 0], known[rows, 1] = np.inf, -np.inf
-    np.minimum.at(known[:, 0], own, of_parts[:, 0])
-    np.maximum.at(known[:, 1], own, of_parts[:, 1])
+    enclosed[rows, 0], enclosed[rows, 1] = np.inf, -np.inf
+    np.minimum.at(enclosed[:, 0], own, of_parts[:, 0])
+    np.maximum.at(enclosed[:, 1], own, of_parts[:, 1])
     order = np.argsort(-least, kind="stable")  # the least value of each simplex comes last
-    known[own[order], 2], known[own[order], 4:] = least[order], of_parts[order, 4:]
-    return Ranges(known[:, 0], known[:, 1], known[:, 2], known[:, 4:])
+    enclosed[own[order], 2], enclosed[own[order], 4:] = least[order], of_parts[order, 4:]
+    return Ranges(enclosed[:, 0], enclosed[:, 1], enclosed[:, 2], enclosed[:, 4:])
 
 
 def _bounds(tree: Tree, p: Quadratic | None, vertices: Array, parts: Parts, rho: Array) -> Array:

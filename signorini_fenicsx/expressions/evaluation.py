@@ -80,9 +80,9 @@ class Numeric(_Logic):
         return self._names[name]
 
     def power(self, base: Array, exponent: Array) -> Any:
-        found = np.power(base, exponent)
+        value = np.power(base, exponent)
         unknown = np.isnan(base) | np.isnan(exponent)
-        return np.where(unknown, np.nan, found) if unknown.any() else found
+        return np.where(unknown, np.nan, value) if unknown.any() else value
 
     def call(self, name: str, arguments: Sequence[Array]) -> Any:
         return FUNCTIONS[name].numeric(*arguments)
@@ -146,8 +146,8 @@ class Intervals(_Logic):
 def values(tree: Tree, points: Mapping[str, Array]) -> Array:
     """Values in points, whose coordinates are arrays of one shape; NaN or ±inf where there is no value."""
     with np.errstate(all="ignore"):
-        found = evaluate(tree, Numeric(points))
-    return np.array(np.broadcast_to(found, _shape(points)))
+        value = evaluate(tree, Numeric(points))
+    return np.array(np.broadcast_to(value, _shape(points)))
 
 
 def linear_terms(tree: Tree) -> list[tuple[float, Tree]]:
@@ -182,10 +182,10 @@ def difference(left: Tree, right: Tree) -> Tree:
     if not terms:
         return exactly(0.0)
     (added, first), *others = terms
-    found = first if added else Negative(first)
+    total = first if added else Negative(first)
     for added, term in others:
-        found = Binary("+" if added else "-", found, term)
-    return found
+        total = Binary("+" if added else "-", total, term)
+    return total
 
 
 def _summands(tree: Tree, sign: int) -> Iterator[tuple[int, Tree]]:
@@ -223,17 +223,17 @@ def _number(tree: Tree) -> float | None:
 def values_and_gradient(tree: Tree, points: Mapping[str, Array]) -> tuple[Array, Array]:
     """Values in points, and the derivatives with respect to each name as a last axis."""
     with np.errstate(all="ignore"):
-        found: Dual = evaluate(tree, Differentiated(Numeric({}), _variables(points, np.float64(1.0))))
+        dual: Dual = evaluate(tree, Differentiated(Numeric({}), _variables(points, np.float64(1.0))))
     shape = _shape(points)
-    gradient = [np.broadcast_to(found.gradient.get(name, 0.0), shape) for name in points]
-    return np.array(np.broadcast_to(found.values[0], shape)), np.stack(gradient, axis=-1)
+    gradient = [np.broadcast_to(dual.gradient.get(name, 0.0), shape) for name in points]
+    return np.array(np.broadcast_to(dual.values[0], shape)), np.stack(gradient, axis=-1)
 
 
 def interval(tree: Tree, box: Mapping[str, Interval], elementary: Elementary | None = None) -> Interval:
     """An enclosure of all values on boxes; NaN where the expression may be undefined somewhere in a box."""
     with np.errstate(all="ignore"):
-        found: Interval = evaluate(tree, Intervals(box, elementary or FromNumPy()))
-    return found.on(next(iter(box.values())).lo.shape)
+        enclosure: Interval = evaluate(tree, Intervals(box, elementary or FromNumPy()))
+    return enclosure.on(next(iter(box.values())).lo.shape)
 
 
 def decided(tree: Tree, box: Mapping[str, Interval]) -> Tree:

@@ -305,8 +305,8 @@ def power(elementary: Elementary, base: Interval, exponent: Interval) -> Interva
     corners = [elementary.bounds("pow", a, b) for a in (base.lo, base.hi) for b in (exponent.lo, exponent.hi)]
     lo = np.maximum(np.minimum.reduce([c[0] for c in corners]), 0.0)
     hi = np.maximum.reduce([c[1] for c in corners])
-    known = (base.lo > 0) | ((base.lo == 0) & (exponent.lo > 0))
-    return Interval(lo, hi).where(known, UNKNOWN)
+    is_defined = (base.lo > 0) | ((base.lo == 0) & (exponent.lo > 0))
+    return Interval(lo, hi).where(is_defined, UNKNOWN)
 
 
 def _integer_power(base: Interval, n: int) -> Interval:

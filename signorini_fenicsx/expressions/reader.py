@@ -200,8 +200,8 @@ def _complaints(text: str, names: Collection[str]) -> Iterator[None]:
     except InputError as error:
         raise InputError(f"expression '{_shortened(text)}': {error}") from None
     except SyntaxError as error:
-        known = ", ".join(["pi", *names])
-        what = f"expression '{_shortened(text)}' is not arithmetic in {known}"
+        words = ", ".join(["pi", *names])
+        what = f"expression '{_shortened(text)}' is not arithmetic in {words}"
         raise InputError(f"{what}: {_unbalanced(text) or _wrong_at(text, error)}") from None
     except (ArithmeticError, ValueError) as error:
         raise InputError(f"expression '{_shortened(text)}' cannot be evaluated: {error}") from None

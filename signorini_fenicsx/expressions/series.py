@@ -73,8 +73,8 @@ class Series:
         return self._with(other, self.at * other.at, value, layers[1:])
 
     def __truediv__(self, other: Series) -> Series:
-        found = self * other.power(-1.0)
-        return self._with(other, self.at / other.at, self.value / other.value, found.layers)
+        quotient = self * other.power(-1.0)
+        return self._with(other, self.at / other.at, self.value / other.value, quotient.layers)
 
     def of(self, derivatives: Sequence[Interval | None], at: Array) -> Series:
         """φ(e), from enclosures of φ^(k)(e)/k! for 0 ≤ k ≤ K, None for 0, and its value in c."""

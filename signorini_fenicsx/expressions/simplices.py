@@ -122,13 +122,13 @@ class _OnSimplices(Differentiated):
         truth: Truth = over_box[0]
         match sign:
             case "==":
-                known = Truth(~varies & truth.surely, ~varies & truth.possibly)
+                truth_inside = Truth(~varies & truth.surely, ~varies & truth.possibly)
             case "!=":
-                known = Truth(varies | truth.surely, varies | truth.possibly)
+                truth_inside = Truth(varies | truth.surely, varies | truth.possibly)
             case _:
                 holds, fails = (below, above) if sign[0] == "<" else (above, below)
-                known = Truth(truth.surely | (holds & ~fails), truth.possibly & ~(fails & ~holds))
-        return (known,), at_centre
+                truth_inside = Truth(truth.surely | (holds & ~fails), truth.possibly & ~(fails & ~holds))
+        return (truth_inside,), at_centre
 
 
 def stacked(columns: Sequence[Interval]) -> Interval:
@@ -169,12 +169,12 @@ class Local:
     middle_gradient: Interval
 
     @staticmethod
-    def of(found: Dual, n: int, names: str) -> Local:
+    def of(dual: Dual, n: int, names: str) -> Local:
         def row(gradient: Mapping[str, Interval]) -> Interval:
             return stacked([gradient.get(name, enclosing(0.0)).on((n,)) for name in names])
 
-        derivatives = [found.gradient.get(name, Dual((enclosing(0.0),), {})) for name in names]
-        over_box, middle = found.values
+        derivatives = [dual.gradient.get(name, Dual((enclosing(0.0),), {})) for name in names]
+        over_box, middle = dual.values
         return Local(
             over_box.values[0].on((n,)),
             stacked([derivative.values[0].on((n,)) for derivative in derivatives]),
@@ -195,5 +195,5 @@ def evaluated(tree: Tree, places: Places, elementary: Elementary) -> Local:
         name: Dual(tuple(Dual((a,), {name: one}) for a in both), {name: Dual((one,), {})})
         for name, both in both_of.items()
     }
-    found: Dual = evaluate(tree, _OnSimplices(inner, variables, places))
-    return Local.of(found, len(centre), names)
+    dual: Dual = evaluate(tree, _OnSimplices(inner, variables, places))
+    return Local.of(dual, len(centre), names)

@@ -152,9 +152,9 @@ class _Taylor:
             return self._angle(arguments[0], arguments[1], at, value)
         left, right = arguments if len(arguments) == 2 else (arguments[0], -arguments[0])
         first = self.compare("<=" if name == "min" else ">=", left, right)
-        found = self._chosen(first, left, right, at, value, continuous=True)
+        choice = self._chosen(first, left, right, at, value, continuous=True)
         whole = left if right.is_zero else right if left.is_zero else None
-        return replace(found, whole=whole) if name == "max" else found
+        return replace(choice, whole=whole) if name == "max" else choice
 
     def compare(self, sign: str, left: Series, right: Series) -> _Condition:
         """Compare almost everywhere: if left − right certainly varies, both are equal on a set of measure 0."""
@@ -191,8 +191,8 @@ class _Taylor:
         new = undecided & ~switch.undecided
         slope, rad = a.layers[0]
         switch.undecided |= new
-        for kept, found in ((switch.at, a.at), (switch.slope, slope), (switch.blur, rad.sum(axis=0))):
-            kept[..., new] = np.broadcast_to(found, kept.shape)[..., new]
+        for kept, now in ((switch.at, a.at), (switch.slope, slope), (switch.blur, rad.sum(axis=0))):
+            kept[..., new] = np.broadcast_to(now, kept.shape)[..., new]
 
     def both(self, left: _Condition, right: _Condition) -> _Condition:
         return left & right
@@ -227,8 +227,8 @@ class _Taylor:
                 for x, y, both in zip(one, other, mixed, strict=True)
             )
             layers.append((mid, rad))
-        found = then._with(otherwise, at, value, layers)
-        return replace(found, corners=self._regions.corners) if undecided.any() else found
+        series = then._with(otherwise, at, value, layers)
+        return replace(series, corners=self._regions.corners) if undecided.any() else series
 
     def _angle(self, y: Series, x: Series, at: Array, value: Interval) -> Series:
         """The series of atan2(y, x): Σ|α| g_α ξ^α = (x Σ|α| y_α ξ^α − y Σ|α| x_α ξ^α)/(x² + y²)."""
@@ -238,8 +238,8 @@ class _Taylor:
         slopes = [[None, *(scaled(layer, order) for order, layer in enumerate(a.layers, 1))] for a in (y, x)]
         turned = map(plus, *(product(angle, slope) for angle, slope in zip(angles, slopes, strict=True)))
         inverse = (x * x + y * y).power(-1.0)
-        found = product(list(turned), [centred(inverse.value), *inverse.layers])
-        layers = [scaled(layer, 1 / order) for order, layer in enumerate(found[1:], 1)]
+        quotient = product(list(turned), [centred(inverse.value), *inverse.layers])
+        layers = [scaled(layer, 1 / order) for order, layer in enumerate(quotient[1:], 1)]
         smooth = x._with(y, at, value, layers)
         return self._chosen(apart, smooth, smooth, at, smooth.value, continuous=False)
 

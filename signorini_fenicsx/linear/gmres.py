@@ -68,10 +68,10 @@ def gmres(
     solver.setTolerances(rtol=share, max_it=DIRECTIONS)
     with errors_of(lambda: solver_name(solver)):
         solver.solve(b, x)
-    found = np.array(x.array_r), solver.getIterationNumber()
+    solution = np.array(x.array_r), solver.getIterationNumber()
     for each in (solver, matrix, b, x):
         each.destroy()
-    return found
+    return solution
 
 
 def coupled(
@@ -110,10 +110,10 @@ def coupled(
     def product(values: Array) -> Array:
         x.array_w[:] = values
         matrix.mult(x, image)
-        found = np.array(image.array_r)
+        image_values = np.array(image.array_r)
         natural.mult(x, image)
-        found[rows] += shares * image.array_r[others]
-        return found
+        image_values[rows] += shares * image.array_r[others]
+        return image_values
 
     def precondition(values: Array) -> Array:
         x.array_w[:] = values

@@ -214,7 +214,7 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
             several components of the domain has no facet of Γ_D, unless there are parts inside: their laws may hold it.
             A crack is accepted if both its sides are in parts.
     """
-    known = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
+    known_names = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
     rows, first, times = np.unique(everything, axis=0, return_index=True, return_counts=True)
     of_parts, owner = _rows_of_parts(mesh, rows), np.full(len(rows), -1)
@@ -224,19 +224,19 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
         for name in [other_side(name) for name in names] if section == "inner" else names:
             place = f"{key}: part '{name}'"
             if name not in mesh.parts:
-                raise InputError(f"{key}: unknown part '{name}'; the mesh has {known}")
-            found = of_parts[name]
-            if len(found) == 0:
+                raise InputError(f"{key}: unknown part '{name}'; the mesh has {known_names}")
+            facets = of_parts[name]
+            if len(facets) == 0:
                 raise InputError(f"{place} is empty")
-            if np.any(found < 0):
-                raise InputError(f"{place} has {_count(int(np.sum(found < 0)), 'facet')} without a cell")
-            if np.any(times[found] > 1):
-                raise InputError(f"{place} has {_count(int(np.sum(times[found] > 1)), 'facet')} inside the domain")
-            taken = owner[found]
+            if np.any(facets < 0):
+                raise InputError(f"{place} has {_count(int(np.sum(facets < 0)), 'facet')} without a cell")
+            if np.any(times[facets] > 1):
+                raise InputError(f"{place} has {_count(int(np.sum(times[facets] > 1)), 'facet')} inside the domain")
+            taken = owner[facets]
             if np.any(taken >= 0):
                 other = used[taken[taken >= 0][0]]
                 raise InputError(f"{place} and '{other}' share {_count(int(np.sum(taken >= 0)), 'facet')}")
-            owner[found] = len(used)
+            owner[facets] = len(used)
             used.append(name)
     boundary = times == 1
     left = boundary & (owner < 0)

@@ -59,12 +59,12 @@ class Beside[Fields](ABC):
         moves = response * self.softness() * self.spaces.length ** (1 - self.domain.mesh.topology.dim / 2)
         first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
         first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
-        found = bracket(self.ends, first, self.discrete)
+        quantity = bracket(self.ends, first, self.discrete)
         self._solver = None
         PETSc.garbage_cleanup(self.comm)  # of the solver; when the mesh is freed, it is too late
-        if not math.isfinite(found.width) and self.of_flux and not found.reason.startswith(FAILED):
-            found = replace(found, reason=f"{UNBOUNDED}: {found.reason}")
-        return found
+        if not math.isfinite(quantity.width) and self.of_flux and not quantity.reason.startswith(FAILED):
+            quantity = replace(quantity, reason=f"{UNBOUNDED}: {quantity.reason}")
+        return quantity
 
     def ends(self, tau: float) -> Ends:
         """The bounds from one τ (collective)."""
@@ -165,8 +165,8 @@ class Integrals[Fields](Beside[Fields]):
 
     def interval(self) -> Quantity:
         """The interval (collective)."""
-        found = super().interval()
-        return found.divided(self._of_weight()) if isinstance(self.kind, Mean) else found
+        quantity = super().interval()
+        return quantity.divided(self._of_weight()) if isinstance(self.kind, Mean) else quantity
 
     def value(self, of_v: Fields, of_y: Fields) -> float:
         """The integral of v (collective)."""
@@ -185,8 +185,8 @@ class Integrals[Fields](Beside[Fields]):
 
     def _of_weight(self) -> float:
         """The integral of the weight, 0 if it is rounding (collective)."""
-        found, square, measure = (self.integral(power=power) for power in (1, 2, 0))
-        return found if found**2 > NOTHING**2 * square * measure else 0.0
+        integral, square, measure = (self.integral(power=power) for power in (1, 2, 0))
+        return integral if integral**2 > NOTHING**2 * square * measure else 0.0
 
     @abstractmethod
     def integral(self, of: Fields | None = None, power: int = 1) -> float:

@@ -153,28 +153,28 @@ class Fluxes(_Beside):
 
     def interval(self) -> Quantity:
         """The interval (collective)."""
-        found = super().interval()
-        if math.isfinite(found.width) and self.by_quadrature:
-            return replace(found, guaranteed=False, reason=found.reason or self.by_quadrature)
-        return found
+        quantity = super().interval()
+        if math.isfinite(quantity.width) and self.by_quadrature:
+            return replace(quantity, guaranteed=False, reason=quantity.reason or self.by_quadrature)
+        return quantity
 
     def half(self, of_v: Admissible, of_y: Admissible) -> Half:
         """The right side; where all of u_D moves with what means may hide of loads on that constant (collective)."""
-        found = super().half(of_v, of_y)
+        right_side = super().half(of_v, of_y)
         if not self.moves_walls:
-            return found
+            return right_side
         unseen = float(self.comm.allreduce(of_y.resolution.load.largest @ of_y.metric.volume))
-        return replace(found, unseen=unseen)
+        return replace(right_side, unseen=unseen)
 
     def value(self, of_v: Admissible, of_y: Admissible) -> float:
         """The flux of y', and under laws with a weight that of η', which has the same means (collective)."""
-        found = flux_through(self.spaces, of_y.y, self.kind.parts, self.weight.ufl)
+        flux = flux_through(self.spaces, of_y.y, self.kind.parts, self.weight.ufl)
         if self.weight.number is not None:
-            return found
+            return flux
         more = 0.0
         for load in gap_on_gamma_s(of_v, of_y, of_v.goal, half_gap)[1][:1]:
             more = load.points.integrals(load.values * self.weight.values(load.points))[self._rows].sum()
-        return found + float(self.comm.allreduce(more))
+        return flux + float(self.comm.allreduce(more))
 
     def discrete(self) -> float:
         """The flux of σ_h (collective)."""

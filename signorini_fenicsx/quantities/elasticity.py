@@ -116,18 +116,18 @@ def _pulls(domain: Domain, posed: Posed, kind: Integral, tau: float) -> dict[str
         InputError: If a part is unknown, or u is given on it.
     """
     boundary, problem = posed
-    contact, found = boundary.touching_on(problem.touching).contact, dict[str, Any]()
+    contact, pulls = boundary.touching_on(problem.touching).contact, dict[str, Any]()
     for part in kind.parts:
         check_part(domain, boundary, part)
         if part not in (*contact, *boundary.neumann, *boundary.fixed):
             raise InputError(f"integrals of displacements are over parts in contact or loaded; on '{part}' u is given")
         sides = [(part, tau), *([(other_side(part), -tau)] if part in boundary.inner else [])]
         if kind.direction is None:
-            found |= {side: added(domain, 0.0, kind.weight, -tau) for side, _ in sides}
+            pulls |= {side: added(domain, 0.0, kind.weight, -tau) for side, _ in sides}
             continue
         along = direction_of(kind.direction, domain.mesh.geometry.dim)
-        found |= {side: [added(domain, 0.0, kind.weight, amount * share) for share in along] for side, amount in sides}
-    return found
+        pulls |= {side: [added(domain, 0.0, kind.weight, amount * share) for share in along] for side, amount in sides}
+    return pulls
 
 
 @dataclass(frozen=True)
@@ -247,8 +247,8 @@ class Fluxes(_Beside):
         return float(length ** (dim / 2 - 1) * arm / self.softness())
 
     def _of(self, solution: ElasticSolution, stresses: Array) -> float:
-        found = resultants(solution.spaces, solution.data, stresses)
-        total = np.sum([found[part] for part in self.kind.parts], axis=0)
+        of_parts = resultants(solution.spaces, solution.data, stresses)
+        total = np.sum([of_parts[part] for part in self.kind.parts], axis=0)
         dim = self.spaces.dim
         if not isinstance(self.kind, Moment):
             return float(total[:dim] @ direction_of(self.kind.direction, dim))

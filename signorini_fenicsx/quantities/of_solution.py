@@ -55,11 +55,11 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
     check_quantities(solution.spaces.domain, (solution.boundary, solution.problem), [kind])
     physics = QUANTITIES[solution.physics]
     if isinstance(kind, Energy):
-        found: Quantity = physics.energy(solution)
+        interval: Quantity = physics.energy(solution)
     else:
         of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
-        found = of(solution, kind).interval()
-    return replace(found, of=physics.named_for(solution))
+        interval = of(solution, kind).interval()
+    return replace(interval, of=physics.named_for(solution))
 
 
 def check_quantities(domain: Domain, posed: tuple[Any, Any], kinds: Sequence[Kind]) -> None:

@@ -76,8 +76,8 @@ def in_regions(
     regions = domain.regions
     for name in region:
         if name not in regions:
-            known = f"its regions are {', '.join(regions)}" if regions else "it has none"
-            raise InputError(f"unknown region '{name}' of the mesh; {known}")
+            there_are = f"its regions are {', '.join(regions)}" if regions else "it has none"
+            raise InputError(f"unknown region '{name}' of the mesh; {there_are}")
     if not region and not isinstance(f, Mapping):
         return added(domain, f, weight, factor)
     of_region = {name: f[name] if isinstance(f, Mapping) else f for name in regions}

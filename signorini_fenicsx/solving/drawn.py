@@ -55,11 +55,11 @@ class Drawn:
     gamma: str = r"$\Gamma_S$"
 
 
-def whole_boundary(spaces: MeshSpaces, **known: Array) -> dict[int, Kind]:
+def whole_boundary(spaces: MeshSpaces, **values: Array) -> dict[int, Kind]:
     """The facets of each kind, with the values of u that are known on those of some, by their names."""
     kinds = {
         "signorini": (SIGNORINI, spaces.facets),
         "dirichlet": (DIRICHLET, spaces.dirichlet_facets),
         "neumann": (NEUMANN, spaces.neumann_facets),
     }
-    return {kind: (facets, known.get(name, np.full(len(facets), np.nan))) for name, (kind, facets) in kinds.items()}
+    return {kind: (facets, values.get(name, np.full(len(facets), np.nan))) for name, (kind, facets) in kinds.items()}

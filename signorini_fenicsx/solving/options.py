@@ -46,11 +46,11 @@ class Options:
 
     def __post_init__(self) -> None:
         """Refuse unknown names and numbers that are not positive."""
-        for key, known in (("algorithm", METHODS), ("backend", BACKENDS)):
+        for key, names in (("algorithm", METHODS), ("backend", BACKENDS)):
             value = getattr(self, key)
-            if isinstance(value, str) and value not in known:
-                meant = did_you_mean(value, known)
-                raise InputError(f"{key}: unknown name '{value}'; use one of {', '.join(known)}{meant}")
+            if isinstance(value, str) and value not in names:
+                meant = did_you_mean(value, names)
+                raise InputError(f"{key}: unknown name '{value}'; use one of {', '.join(names)}{meant}")
         check_kind("algorithm", self.algorithm, str, Method, SetRule)
         if not callable(self.backend):
             check_kind("backend", self.backend, str, hint="; a function that makes a backend will do too")

@@ -169,14 +169,14 @@ def _with(spaces: Spaces, chains: Chains, part: PartLaw, own: Chains, first: Mas
         raise InputError(f"{part.name} ({part.law.name}): with the laws before it no u is left in some cells")
     others = np.setdiff1d(np.arange(number), part.rows)
     parts = [(others, chains.take(others)), (part.rows[first], own.take(np.flatnonzero(first))), (again, total)]
-    found = joined(parts, number)
-    most = spaces.mesh.comm.allreduce(int(found.count.max(initial=1)), MPI.MAX)
+    all_chains = joined(parts, number)
+    most = spaces.mesh.comm.allreduce(int(all_chains.count.max(initial=1)), MPI.MAX)
     return replace(
-        found,
-        p=found.p[:, :most],
-        flux=found.flux[:, :most],
-        slope=found.slope[:, : most + 1],
-        value=found.value[:, : most + 1],
+        all_chains,
+        p=all_chains.p[:, :most],
+        flux=all_chains.flux[:, :most],
+        slope=all_chains.slope[:, : most + 1],
+        value=all_chains.value[:, : most + 1],
     )
 
 

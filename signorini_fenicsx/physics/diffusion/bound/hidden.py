@@ -71,7 +71,7 @@ def hidden_parts(
     metric: CellMetric,
     pressure: Pressure | None,
     inside: Inside,
-    known: float,
+    of_discrete: float,
 ) -> Hidden:
     """Bound what may be hidden (collective).
 
@@ -85,10 +85,10 @@ def hidden_parts(
         metric: Metric of the owned cells.
         pressure: What presses v against ψ on Γ_S under the law of Signorini alone; None under others.
         inside: The laws in Ω.
-        known: The bound without what is hidden.
+        of_discrete: The bound without what is hidden.
     """
     slope, gap = np.zeros((2, len(metric.volume)))
-    missed = _Missed(resolution, metric, degree_near(trace), known)
+    missed = _Missed(resolution, metric, degree_near(trace), of_discrete)
     if (tree := resolution.tree("u_D", u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
         slope[cells] += missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))[0]
@@ -140,12 +140,12 @@ def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, l
 
 @dataclass(frozen=True)
 class _Missed:
-    """What quadrature of a degree may miss on cells; gradients that add more than `known` are left out, and noted."""
+    """What quadrature of a degree may miss on cells; gradients that add more than the bound are left out, and noted."""
 
     resolution: Resolution
     metric: CellMetric
     degree: int
-    known: float
+    of_discrete: float
 
     def of(self, name: str, tree: Tree, cells: Indices, nodes: Array | None = None) -> tuple[Array, Array]:
         """What is missed of ‖κ^½∇(χd)‖ and of the mean of |d|, per cell (collective).
@@ -177,7 +177,7 @@ class _Missed:
         slope[unknown], value[unknown] = 0.0, 0.0
         missed = np.sqrt(factor) * slope
         total = math.sqrt(comm.allreduce((missed**2).sum()))
-        if total > self.known:
+        if total > self.of_discrete:
             worst = missed >= comm.allreduce(missed.max(initial=0.0), MPI.MAX) / 4
             resolution.note(name, place[worst], cells[worst])
             return np.zeros_like(missed), value

@@ -382,7 +382,7 @@ def _rays(spaces: Spaces, laws: CellLaws, segment: Indices) -> Iterator[Ray]:
         for sign, datum in zip((1.0, -1.0), part.bounds, strict=True):
             if datum is None:
                 continue
-            key = next((name for name, known in part.data.items() if known is datum), "bound")
+            key = next((name for name, each in part.data.items() if each is datum), "bound")
             touched = np.zeros(number, dtype=bool)
             end = np.zeros(number, dtype=np.int64) if sign > 0 else laws.chains.count
             touched[part.rows] = (segment == end)[part.rows]

@@ -63,24 +63,24 @@ def load_left(
     whole, left = np.sqrt(comm.allreduce(np.array([volume @ ends**2, volume @ rest**2]))).tolist()
     if whole == 0:
         return 0.0
-    found = np.inf
+    bound = np.inf
     if least is not None:
         with np.errstate(all="ignore"):
             squares = np.where(ends > 0, ends**2 / least, 0.0)
-        found = math.sqrt(comm.allreduce(volume @ squares))
-    if not spaces.held or not np.isfinite(whole) or found <= enough:
-        return found
+        bound = math.sqrt(comm.allreduce(volume @ squares))
+    if not spaces.held or not np.isfinite(whole) or bound <= enough:
+        return bound
     bounds = _Bounds(spaces, replace(data, c_h=None, inside=None), metric)
     try:
-        found = min(found, bounds.constant() * whole)
-        if found > enough:
-            found = min(found, bounds.of_size(ends))
-        if found > enough and left <= WORTH * whole:
+        bound = min(bound, bounds.constant() * whole)
+        if bound > enough:
+            bound = min(bound, bounds.of_size(ends))
+        if bound > enough and left <= WORTH * whole:
             uncertain = min(bounds.constant() * left, bounds.of_size(rest))
-            found = min(found, bounds.of_load(middle) + uncertain)
+            bound = min(bound, bounds.of_load(middle) + uncertain)
     except LinearSolveFailure:
         pass
-    return found
+    return bound
 
 
 class _Bounds:

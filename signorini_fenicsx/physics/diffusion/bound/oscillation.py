@@ -142,14 +142,16 @@ def _moments(values: Array, weights: Array) -> tuple[Array, Array]:
     return np.sqrt(values**2 @ weights), values @ weights
 
 
-def _remembered(spaces: Spaces, known: Array, metric: CellMetric, memory: Memory, resolution: Resolution) -> Projection:
+def _remembered(
+    spaces: Spaces, load_h: Array, metric: CellMetric, memory: Memory, resolution: Resolution
+) -> Projection:
     """What a step takes from those before, without its means (collective)."""
     if memory.initial is None or memory.factor is None:
-        return _projected(spaces, lambda points: memory.values(points) - known[points.rows, None], OF_MEMORY)[0]
+        return _projected(spaces, lambda points: memory.values(points) - load_h[points.rows, None], OF_MEMORY)[0]
     u, factor, cell = memory.initial, memory.factor, spaces.mesh.basix_cell()
     degree, number = max(OF_MEMORY, quadrature_degree(u, power=2)), len(factor)
     if not resolution.encloses("initial", u):
-        return _projected(spaces, lambda points: memory.values(points) - known[points.rows, None], degree)[0]
+        return _projected(spaces, lambda points: memory.values(points) - load_h[points.rows, None], degree)[0]
     nodes = np.concatenate(
         [u.values(some) for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), quadratic_nodes(cell))]
     )
@@ -158,7 +160,7 @@ def _remembered(spaces: Spaces, known: Array, metric: CellMetric, memory: Memory
     def values(points: CellPoints) -> Array:
         rest = u.values(points) - p.of(points.cells).at(points.arms)[:, :, 0]
         norm[points.cells], mean[points.cells] = _moments(rest, points.weights / points.weights.sum())
-        return memory.values(points) - known[points.rows, None] - factor[points.cells, None] * rest
+        return memory.values(points) - load_h[points.rows, None] - factor[points.cells, None] * rest
 
     load, means = _projected(spaces, values, degree)
     volume = 1 / math.factorial(metric.jacobian.shape[1])

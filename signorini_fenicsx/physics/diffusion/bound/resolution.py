@@ -143,8 +143,8 @@ class Resolution:
         for tree, own in self.pieces(name, datum):
             if isinstance(tree, TREES) and is_enclosed(tree):
                 rows = np.flatnonzero(np.isin(cells, own))
-                found = self._enclosed(tree, self.vertices[cells[rows]], seen.of(rows), weight[rows])
-                norm[rows], mean[:, rows] = found
+                norm_and_mean = self._enclosed(tree, self.vertices[cells[rows]], seen.of(rows), weight[rows])
+                norm[rows], mean[:, rows] = norm_and_mean
         size = np.abs(factor)
         squares = (size * metric.diameter[cells] / np.pi) ** 2 * metric.volume[cells] / metric.low[cells]
         beyond = squares * np.maximum(norm**2 - seen.norm**2, 0.0)
@@ -230,8 +230,8 @@ class Resolution:
             assert isinstance(tree, TREES)
             below = np.flatnonzero((hi <= limit) & np.isin(cells, own))
             least, most = (2 * lo - limit)[below], limit[below]
-            found = ranges(tree, self.vertices[cells[below]], None, self.spaces.frame, least, most)
-            lo[below], hi[below] = found.lo, found.hi
+            narrower = ranges(tree, self.vertices[cells[below]], None, self.spaces.frame, least, most)
+            lo[below], hi[below] = narrower.lo, narrower.hi
         return Interval(lo, hi)
 
     def conductivity(self, metric: CellMetric, size: float) -> tuple[CellMetric, Array]:
@@ -256,8 +256,8 @@ class Resolution:
             degree = polynomial_degree(tree)
             if degree is None or degree > 2:
                 tolerance = SHARE * self.error / max(size, SMALLEST) * np.abs(of_p).max(axis=1, initial=0.0)
-                found = ranges(tree, self.vertices[cells], p, self.spaces.frame, -tolerance, tolerance)
-                deviation[cells] = np.hypot(deviation[cells], len(entries) ** 0.5 * found.sup)
+                enclosure = ranges(tree, self.vertices[cells], p, self.spaces.frame, -tolerance, tolerance)
+                deviation[cells] = np.hypot(deviation[cells], len(entries) ** 0.5 * enclosure.sup)
             for i, j in entries:
                 coefficients[cells, :, i, j] = of_p
         root = np.linalg.cholesky(of_all_cells(metric.inverse, number))[:, None]
