@@ -31,12 +31,12 @@ CELLS_ACROSS = {2: 64, 3: 16}
 WIDTH = 900
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
 STRIP = {
-    "example2": (0.0, 0.045, 0.45, 0.86),
-    "dam": (0.0, 0.08, 0.93, 0.71),
-    "hertz": (0.02, 0.13, 0.86, 0.95),
-    "ball": (0.02, 0.09, 0.44, 0.88),
+    "example2": (0.0825, 0.055, 0.452, 0.82),
+    "dam": (0.065, 0.115, 0.908, 0.725),
+    "hertz": (0.126, 0.15, 0.845, 0.885),
+    "ball": (0.06, 0.095, 0.396, 0.87),
 }
-"""Pictures of the strip, and which part of each: left, upper, right and lower edge."""
+"""Pictures of the strip, and which part of each, inside its axes: left, upper, right and lower edge."""
 STRIP_HEIGHT, GAP = 260, 20
 
 

@@ -30,7 +30,7 @@ from signorini_fenicsx.output.pictures.cuts import SLANTED, Cut, outward
 from signorini_fenicsx.output.pictures.elastic import _near, _pressure, foundation_of, without_rounding
 from signorini_fenicsx.output.pictures.evolution import draw_sets
 from signorini_fenicsx.output.pictures.page import plain
-from signorini_fenicsx.output.pictures.plane import Plane, on_levels
+from signorini_fenicsx.output.pictures.plane import Plane, levels_between, on_levels
 from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
 from signorini_fenicsx.output.pictures.sheet import Sheet, _wrapped
 from signorini_fenicsx.output.pictures.space import Space
@@ -420,6 +420,8 @@ def test_a_level_that_is_a_bound_is_drawn_where_contact_ends():
     settled = on_levels(plane.scene.u, [-0.1, 0.1])
     assert (settled[x < 0.2] == -0.1).all()
     assert (settled[x > 0.8] == 0.1).all()
+    assert np.allclose(levels_between(-0.1 - 1e-9, 0.1), np.arange(-0.08, 0.09, 0.02))
+    assert levels_between(1.0, 1.0) == []
 
 
 def test_small_parts_inside_have_a_panel():

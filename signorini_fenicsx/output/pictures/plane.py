@@ -106,11 +106,12 @@ class Plane:
         scene = self.scene
         values = -scene.u if self.water else scene.u
         image = axes.tripcolor(self.triangulation, values, cmap=style.U_MAP, shading="gouraud", rasterized=True)
-        levels = scene.plot.levels or MaxNLocator(12).tick_values(float(values.min()), float(values.max()))
-        settled = on_levels(values, levels)
-        lines = axes.tricontour(self.triangulation, settled, levels, colors="white", linewidths=0.6, alpha=0.8)
+        levels = scene.plot.levels or levels_between(float(values.min()), float(values.max()))
         bar = sheet.bar(axes, image, self.u_label)
-        bar.add_lines(lines)
+        if levels:  # none where u is constant
+            settled = on_levels(values, levels)
+            lines = axes.tricontour(self.triangulation, settled, levels, colors="white", linewidths=0.6, alpha=0.8)
+            bar.add_lines(lines)
         self._surroundings(axes, title)
 
     def draw_surface(self, axes: Axes, title: str) -> None:
@@ -224,6 +225,12 @@ def log_norm(indicator: Array) -> LogNorm:
     """A logarithmic scale of four decades up to the largest η_T, or up to rounding if all are 0."""
     largest = float(indicator.max()) or ROUNDING
     return LogNorm(max(float(indicator.min()), 1e-4 * largest), largest)
+
+
+def levels_between(low: float, high: float) -> list[float]:
+    """Some round values well inside a range: a line at its end would follow the rounding of a flat part."""
+    margin = 0.01 * (high - low)
+    return [level for level in MaxNLocator(12).tick_values(low, high) if low + margin < level < high - margin]
 
 
 def on_levels(values: Array, levels: Iterable[float]) -> Array:
