@@ -4,6 +4,8 @@ import errno
 import io
 import math
 import os
+import tokenize
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +16,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import share
+
+UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
+"""Errors of NumPy and zipfile for damaged files. NumPy also warns when it reads something that it never wrote."""
 
 
 @dataclass(frozen=True)

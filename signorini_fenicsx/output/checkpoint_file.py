@@ -4,8 +4,6 @@ Each rank reads a share of the rows of each array, however many ranks have writt
 """
 
 import contextlib
-import tokenize
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy.typing as npt
 from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
-from signorini_fenicsx.base.array_files import Header, read_header, read_share
+from signorini_fenicsx.base.array_files import UNREADABLE, Header, read_header, read_share
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.reading import text_of
@@ -29,9 +27,6 @@ from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout
 from signorini_fenicsx.solving.system import DIFFUSION, PHYSICS, keeping_of
-
-UNREADABLE = (ValueError, EOFError, RecursionError, Warning, SyntaxError, tokenize.TokenError, zipfile.BadZipFile)
-"""Errors of NumPy and zipfile for damaged files. NumPy also warns when it reads something that it never wrote."""
 
 FOLDER, TEXT = "checkpoint", "about.json"
 """The folder of a checkpoint in a results folder; its file that is written last, when all arrays are there."""

@@ -75,6 +75,7 @@ def write_evolution(
         plot: Also draw pictures.
 
     Raises:
+        InputError: If the steps cannot be read.
         OSError: On all ranks, if the disk is full.
         WriteFailure: If a library cannot write, at least on this rank.
     """
@@ -86,7 +87,7 @@ def write_evolution(
         _write_sites(folder, steps, rows, solution, kind)
 
     on_root(comm, tables)
-    times = comm.bcast([row["t"] for row in rows])
+    times = [row["t"] for row in rows]
     fields = solution.fields()
     series = ((t, steps.fields(solution.spaces, step, fields)) for step, t in enumerate(times, start=1))
     write_fields(folder, solution.spaces, series, len(times))
@@ -150,7 +151,7 @@ def _draw(
     for step in pictures.shown(len(times)) if pictures.is_animated(solution) else []:
         u = sample.in_cells(steps.kept(spaces, step, "u").ravel())
         if u is not None:
-            frames.append((times[step - 1], u, steps.table(step, kind)))
+            frames.append((step, u))
 
     states, in_plane = {}, spaces.mesh.topology.dim == 2 and solution.drawn().states is not None
     for step in pictures.chosen_for_fronts(len(times)) if in_plane else []:
@@ -165,6 +166,7 @@ def _draw(
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
             pictures.draw_steps(folder, scene, tables, times, rows)
             if frames:
-                pictures.animate(folder / "animation.gif", scene, frames)
+                with_sites = [(times[step - 1], u, steps.table(step, kind)) for step, u in frames]
+                pictures.animate(folder / "animation.gif", scene, with_sites)
 
     on_root(comm, write)

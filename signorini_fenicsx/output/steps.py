@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.array_files import read_header, read_share, write_arrays
+from signorini_fenicsx.base.array_files import UNREADABLE, Header, read_header, read_share, write_arrays
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.exchange import area_of, delete
@@ -82,10 +83,11 @@ class StepFolder:
             (self._beside / CASE).write_text(json.dumps(about), encoding="utf-8")
             self._beside.rename(self.path)
             return 0
-        try:
-            before = json.loads(text_of(self.path / CASE))
-        except (OSError, ValueError):
-            raise InputError(f"--restart: there is no {self.path} with steps to go on with") from None
+        if not self.path.exists():
+            raise InputError(f"--restart: there is no {self.path} with steps to go on with")
+        with self._told():
+            before = dict(json.loads(text_of(self.path / CASE)))
+            before["time"] = dict(before["time"])
         changed = [key for key in {**before, **about} if before.get(key) != about.get(key)]
         if changed == ["time"] and _same_steps(before["time"], about["time"]):
             changed = []
@@ -132,11 +134,26 @@ class StepFolder:
     def _place(self, step: int) -> Path:
         return self.path / f"{step:06}"
 
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Turn all errors of reading into one sentence (rank 0)."""
+        try:
+            yield
+        except (OSError, KeyError, TypeError, *UNREADABLE) as error:
+            raise InputError(f"{self.path}: cannot be read ({error}); remove it and begin again") from None
+
     def rows(self) -> list[Row]:
-        """The numbers of all steps; none on ranks but 0."""
-        if self._comm.rank > 0:
-            return []
-        return [json.loads(text_of(place / ROW)) for place in self._places()]
+        """The numbers of all steps.
+
+        Raises:
+            InputError: If they cannot be read.
+        """
+
+        def read() -> list[Row]:
+            with self._told():
+                return [dict(json.loads(text_of(place / ROW))) for place in self._places()]
+
+        return on_root(self._comm, read)
 
     def kept(self, spaces: MeshSpaces, step: int, key: str) -> Array:
         """The rows of the cells or facets of this rank that a step has kept, see `Steps.kept`.
@@ -158,9 +175,14 @@ class StepFolder:
         }
 
     def table(self, step: int, kind: type[SiteTable]) -> SiteTable:
-        """The table of Γ_S after a step (rank 0, not collective)."""
+        """The table of Γ_S after a step (rank 0, not collective).
+
+        Raises:
+            InputError: If it cannot be read.
+        """
         place = self._place(step)
-        return kind(**{each.name: np.load(place / f"table_{each.name}.npy") for each in fields(kind)}).in_order()
+        with self._told():
+            return kind(**{each.name: np.load(place / f"table_{each.name}.npy") for each in fields(kind)}).in_order()
 
     def past(self, steps: Steps, step: int) -> Past:
         """What the step after this one needs.
@@ -183,11 +205,16 @@ class StepFolder:
 
     def _first(self, step: int) -> int:
         """The first step of the run that did this one (rank 0)."""
-        begun = (int(entry.name.removeprefix(MESH)) for entry in self.path.glob(f"{MESH}*"))
-        return max(first for first in begun if first <= step)
+        with self._told():
+            begun = (int(entry.name.removeprefix(MESH)) for entry in self.path.glob(f"{MESH}*"))
+            return max(first for first in begun if first <= step)
 
     def _read(self, path: Path) -> Any:
-        return read_share(self._comm, path, on_root(self._comm, lambda: read_header(path)))
+        def header() -> Header:
+            with self._told():
+                return read_header(path)
+
+        return read_share(self._comm, path, on_root(self._comm, header))
 
     def remove(self) -> None:
         """Remove the folder with all steps."""

@@ -101,6 +101,13 @@ def test_a_killed_run_goes_on(tmp_path: Path):
     subprocess.run(launch, env=os.environ, capture_output=True, check=False)
     assert sorted(path.name for path in (tmp_path / "x.steps").glob("0*")) == ["000001", "000002", "000003"]
     (tmp_path / "x.steps" / "000004.part").mkdir()
+    for name in ("case.json", "000001/field_u.npy", "000001/row.json", "000002/table_part.npy"):
+        shutil.copytree(tmp_path / "x.steps", tmp_path / "y.steps")
+        damaged = tmp_path / "y.steps" / name
+        damaged.write_bytes(damaged.read_bytes()[:-9])
+        with pytest.raises(InputError, match=r"y\.steps: cannot be read \(.*\); remove it and begin again"):
+            run(case(), tmp_path / "y", restart=True)
+        shutil.rmtree(tmp_path / "y.steps")
     with pytest.raises(
         InputError, match=r"x\.steps has steps of a run that was ended; go on with --restart, or remove"
     ):

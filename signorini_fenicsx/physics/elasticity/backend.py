@@ -150,7 +150,14 @@ class ElasticBackend:
             if (traces := self._factors.at_sites(load, contact)) is not None:
                 p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
                 return self._cleaned(conditions, self._signs * p, self._signs * forces / self._measure)
-        with self._solver.stopping(lambda x: enough(*self._pairs(x + self._held, conditions))):
+
+        def is_enough(x: PETSc.Vec) -> bool:
+            whole = x + self._held
+            pairs = self._pairs(whole, conditions)
+            whole.destroy()  # on several ranks it would wait for the next `PETSc.garbage_cleanup`
+            return enough(*pairs)
+
+        with self._solver.stopping(is_enough):
             self._solve(conditions)
         return self._pairs(self._x, conditions)
 

@@ -18,6 +18,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.contact.backend import Pairs
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -149,8 +150,13 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
         state,
         outcome.iterate.flux,
     )
-    *parts, state, flux = (np.concatenate(each) for each in zip(*comm.allgather(own), strict=True))
-    end = Sites(*parts).follow(state, flux)
+    of_ranks = comm.gather(own)
+
+    def along_path() -> tuple[Indices, Array, Array] | None:
+        *parts, state, flux = (np.concatenate(each) for each in zip(*of_ranks or [], strict=True))
+        return Sites(*parts).follow(state, flux)
+
+    end = on_root(comm, along_path)  # whose turns are decisions, which one rank makes for all
     if end is None:
         return outcome.ended("no solution with this friction was found, neither by Newton's method nor along a path")
     own_sites = slice(first, first + backend.sites)

@@ -23,6 +23,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
@@ -226,7 +227,7 @@ class Moving:
         """
         left = self._load * loaded - self._comm.allreduce(self.moves.T @ forces)
         try:
-            rho = np.linalg.solve(self._stiffness, left)
-        except np.linalg.LinAlgError as error:  # on all ranks, which have the same matrix
+            rho: Array = on_root(self._comm, lambda: np.linalg.solve(self._stiffness, left))
+        except np.linalg.LinAlgError as error:
             raise LinearSolveFailure("nothing holds a tool") from error
         return rho, self._responses @ rho
