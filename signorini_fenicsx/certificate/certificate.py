@@ -13,7 +13,7 @@ bound of ‖σ − σ_h‖ alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -48,6 +48,13 @@ API = (
 """What a notebook offers of a certificate."""
 
 
+def reservation(unresolved: Places, unknown: Sequence[str], lacking: str = "by quadrature") -> str:
+    """Why a bound is not guaranteed, in words; empty if nothing is to be said."""
+    for name, place in unresolved[:1]:
+        return f"{name} is not resolved near ({', '.join(f'{x:.4g}' for x in place)})"
+    return f"{', '.join(unknown)} {lacking}" if unknown else ""
+
+
 def first_places(own: list[tuple[str, tuple[float, ...]]], comm: MPI.Comm) -> Places:
     """The first of the places of all ranks, the same on all ranks (collective)."""
     return tuple(sorted(each for places in comm.allgather(sorted(own)[:PLACES]) for each in places)[:PLACES])
@@ -65,13 +72,13 @@ class Certificate:
         remainder: Bound of ‖y − σ_h‖, which comes from the linear solver or a penalty, including rounding; in
             elasticity also what quadrature may have missed of linear parts of loads.
         relative: bound/‖σ_h‖.
-        guaranteed: Whether all data are enclosed and resolved.
+        guaranteed: Whether all data are enclosed and resolved, so that the bound is proved, for the solution `of`.
         by_quadrature: The data that are not enclosed: those given in Python, and loads without Γ_D.
         unresolved: Data that are not resolved, each with a place; the same on all ranks.
         coarse: Mask of the owned cells where data are not resolved.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
         v: The continuous v in P2, with interpolated u_D and ψ; in elasticity on the split mesh.
-        of: To which solution the error is, in words that begin with a space; empty if it is that of the problem.
+        of: To which solution the error is, in words; empty if it is that of the problem.
         about: What a summary says besides.
         lacking: What is missing for the data in `by_quadrature`.
         seconds: Wall time of the certificate, the longest over all ranks.
@@ -100,9 +107,7 @@ class Certificate:
         if not math.isfinite(self.bound):
             return f"<{type(self).__name__}: no bound, {self.if_none}>"
         trust = "guaranteed" if self.guaranteed else "not guaranteed"
-        return (
-            f"<{type(self).__name__}: energy error{self.of} ≤ {self.bound:.4g}, relative {self.relative:.3g}, {trust}>"
-        )
+        return f"<{type(self).__name__}: {self.error} ≤ {self.bound:.4g}, relative {self.relative:.3g}, {trust}>"
 
     def __dir__(self) -> list[str]:
         return sorted(API)
@@ -114,12 +119,14 @@ class Certificate:
         return self.numbers() | {"guaranteed": self.guaranteed} | lists | dict(self.about)
 
     @property
+    def error(self) -> str:
+        """What is bounded, in words."""
+        return f"energy error to {self.of}" if self.of else "energy error"
+
+    @property
     def reservation(self) -> str:
         """Why it is not guaranteed, in words; empty if nothing is to be said."""
-        if self.unresolved:
-            name, place = self.unresolved[0]
-            return f"{name} is not resolved near ({', '.join(f'{x:.4g}' for x in place)})"
-        return f"{', '.join(self.by_quadrature)} {self.lacking}" if self.by_quadrature else ""
+        return reservation(self.unresolved, self.by_quadrature, self.lacking)
 
     @property
     def smaller_than_flux(self) -> bool:

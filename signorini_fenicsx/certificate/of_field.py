@@ -136,7 +136,7 @@ def joined(
         bound, trusted = repaired, of_repaired
     indicator = function_of(spaces.Q, np.sqrt(most), "error_of_v")
     reasons = (
-        each.if_none or each.reservation or (each.of and f"it is the error{each.of}") for each in (certificate, trusted)
+        each.if_none or each.reservation or (each.of and f"it is the {each.error}") for each in (certificate, trusted)
     )
     reason = next(filter(None, reasons), "")
     return FieldBound(

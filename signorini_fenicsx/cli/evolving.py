@@ -84,11 +84,10 @@ class EvolutionReport(CaseReport):
 
 
 def _reservation(about: Mapping[str, Any]) -> str:
-    """Why not all bounds are guaranteed, if they are not."""
-    if about["guaranteed"] or about["bound_is"]:
-        return ""
-    data = about["relies_on"]
-    return "; not all are guaranteed" + (f": {data} not known between the points of quadratures" if data else "")
+    """Why not all bounds are guaranteed, for the problem that they are of, if they are not."""
+    if about["bound"] is None:
+        return "; some steps have none"
+    return f"; not all are guaranteed: {about['relies_on']} not enclosed or not resolved" if about["relies_on"] else ""
 
 
 def solve_in_time(

@@ -80,7 +80,7 @@ class SolutionReport(CaseReport):
         if (error := summary.get("errors", {}).get("energy", 0.0)) > 0 and math.isfinite(certificate.bound):
             lines["certified"] += f"; bound/error {certificate.bound / error:.3g}" if not certificate.of else ""
         if proof is not None and proof.proven is not None:
-            lines["proved"] = proved(proof.proven, certificate.of, proof.seconds)
+            lines["proved"] = proved(proof.proven, certificate.error, proof.seconds)
         lines |= {name: interval(quantity) for name, quantity in (quantities or {}).items()}
         lines["seconds"] = named(summary["timings"], ".2f")
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
@@ -99,7 +99,7 @@ def bound(certificate: Certificate) -> str:
     """The error bound in words; if it is not guaranteed, the reason."""
     if not math.isfinite(certificate.bound):
         return f"no error bound: {certificate.if_none}{_reservation(certificate)}"
-    return f"energy error{certificate.of} {bounds_in_words(certificate)}{_reservation(certificate)}"
+    return f"{certificate.error} {bounds_in_words(certificate)}{_reservation(certificate)}"
 
 
 def interval(quantity: Quantity) -> str:
@@ -122,12 +122,11 @@ def _reservation(certificate: Certificate) -> str:
     return f"; not guaranteed: {certificate.reservation}" if certificate.reservation else ""
 
 
-def proved(bounds: Proven, of: str, seconds: float) -> str:
+def proved(bounds: Proven, error: str, seconds: float) -> str:
     """The proven error bound in words; all numbers are rounded up."""
     parts = ", ".join(f"{words} {above(getattr(bounds, name), 2)}" for name, words in PARTS.items())
     return (
-        f"energy error{of} ≤ {above(bounds.bound, 5)}; of σ_h alone ≤ {above(bounds.sigma_bound, 5)} "
-        f"({parts}; {seconds:.1f} s)"
+        f"{error} ≤ {above(bounds.bound, 5)}; of σ_h alone ≤ {above(bounds.sigma_bound, 5)} ({parts}; {seconds:.1f} s)"
     )
 
 

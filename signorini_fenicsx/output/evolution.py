@@ -36,8 +36,8 @@ def row_of(
     bounds = {} if certificate is None else {name: certificate.numbers()[name] for name in BOUNDS}
     trust = {}
     if certificate is not None:
-        guaranteed = certificate.summary()["guaranteed"]
-        trust = {"guaranteed": guaranteed, "relies_on": _relies_on(certificate), "bound_is": certificate.of.strip()}
+        guaranteed, to = certificate.summary()["guaranteed"], f"to {certificate.of}" if certificate.of else ""
+        trust = {"guaranteed": guaranteed, "relies_on": _relies_on(certificate), "bound_is": to}
     return {
         "step": instant.step,
         "t": instant.t,

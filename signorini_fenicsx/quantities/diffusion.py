@@ -16,7 +16,13 @@ from signorini_fenicsx.discrete.points import facet_quadrature, in_cells
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, gap_on_gamma_s, gap_parts
+from signorini_fenicsx.physics.diffusion.bound.certify import (
+    QUADRATIC,
+    UNBALANCED,
+    Admissible,
+    gap_on_gamma_s,
+    gap_parts,
+)
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
@@ -76,8 +82,7 @@ def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> Half:
     """
     resolution, comm = of_y.resolution, of_y.solution.spaces.mesh.comm
     if of_v.trace.hindrance or not math.isfinite(of_y.remainder):
-        why = of_v.trace.hindrance or "a linear solve failed, by which the flux would be balanced"
-        return Half(math.inf, why, np.zeros_like(of_y.metric.volume))
+        return Half(math.inf, of_v.trace.hindrance or UNBALANCED, np.zeros_like(of_y.metric.volume))
     parts = gap_parts(of_v, of_y, goal, area=half_gap)
     squares = (np.sqrt(parts.mismatch + parts.reaction) + parts.oscillation) ** 2
     at_each = parts.contact - parts.reaction

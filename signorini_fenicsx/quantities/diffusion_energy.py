@@ -8,10 +8,11 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature, facet_type, in_cells, in_facets
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, gap_parts, scaled
+from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, UNBALANCED, Admissible, gap_parts, scaled
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
@@ -35,7 +36,7 @@ def energy(solution: Solution) -> Quantity:
     below, missed = comm.allreduce(np.array([local, resolution.missed.sum()])).tolist()
     upper = _of_v(solution, goal, own.trace)
     if own.trace.hindrance or not math.isfinite(own.remainder):
-        return Quantity(upper, -math.inf, math.inf, False, own.trace.hindrance or "a linear solve failed")
+        return Quantity(upper, -math.inf, math.inf, False, own.trace.hindrance or UNBALANCED)
     rounding = ROUNDING * own.size * (math.sqrt(2 * max(below, 0.0)) + own.size * ROUNDING)
     lower = upper - max(below, 0.0) - rounding
     reason = reason_of(own, (math.sqrt(missed) + parts.left) / math.sqrt(below) if below > 0 else 0.0)
@@ -44,10 +45,8 @@ def energy(solution: Solution) -> Quantity:
 
 def reason_of(of_y: Admissible, share: float) -> str:
     """Why what a bound says is not guaranteed, empty if it is; `share` of it comes from enclosures (collective)."""
-    for name, place in of_y.resolution.account(share)[:1]:
-        return f"{name} is not resolved near ({', '.join(f'{x:.4g}' for x in place)})"
-    by = sorted(of_y.resolution.by_quadrature)
-    return f"{', '.join(by)} by quadrature" if by else ""
+    unresolved = of_y.resolution.account(share)
+    return reservation(unresolved, sorted(of_y.resolution.by_quadrature))
 
 
 def _of_v(solution: Solution, goal: Goal, trace: Trace) -> float:

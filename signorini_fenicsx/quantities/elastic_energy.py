@@ -20,11 +20,12 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.discrete.datum import DEGREES
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.forms.elasticity import square, strain, vector
-from signorini_fenicsx.physics.elasticity.bound.certify import UNBALANCED, gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.certify import LACKING, UNBALANCED, gap_of_cells, not_in_the_spaces
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
@@ -57,8 +58,7 @@ def energy(solution: ElasticSolution) -> Quantity:
         return Quantity(upper, -math.inf, math.inf, False, past or UNBALANCED)
     lower = upper - max(float(sums[0]), 0.0) - distance * (math.sqrt(sums[1]) + distance / 2)
     missing = not_in_the_spaces(resolution, enclosed=False)  # J(v) is by quadrature
-    reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
-    return Quantity((lower + upper) / 2, lower, upper, not missing, reason)
+    return Quantity((lower + upper) / 2, lower, upper, not missing, reservation((), missing, LACKING))
 
 
 def indicator(

@@ -19,16 +19,18 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.discrete.datum import datum_of, quadrature_degree
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.bound.certify import (
-    SURFACE,
+    LACKING,
     TRESCA,
     UNBALANCED,
     gap_of_cells,
     not_in_the_spaces,
+    with_surface,
 )
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
@@ -64,8 +66,7 @@ def named_for(solution: ElasticSolution) -> str:
     friction, of = solution.data.friction, []
     if friction:
         of = [STEP] * (solution.step is not None) + [TRESCA] * friction.by_pressure
-    named = " and ".join(of)
-    return f"{named or 'the exact solution'}, {SURFACE}" if solution.problem.surface else named
+    return with_surface(solution, " and ".join(of))
 
 
 def check(domain: Domain, posed: Posed, kind: Kind) -> None:
@@ -193,9 +194,7 @@ class _Beside(Beside[_Side]):
         total, at_sites = self.comm.allreduce(np.array([squares.sum(), contact.sum()])).tolist()
         both = Resolution(self.spaces, solution.data), resolution
         missing = sorted({name for each in both for name in not_in_the_spaces(each)})
-        reason = f"{', '.join(missing)} not in the discrete spaces" if missing else ""
-        unresolved = resolution.unresolved()
-        reason = reason or (f"{unresolved[0][0]} is not resolved" if unresolved else "")
+        reason = reservation(resolution.unresolved(), missing, LACKING)
         value = (math.sqrt(total) + y.distance + missed) ** 2 / 4 + max(at_sites, 0.0)
         return Half(value, reason, squares / 4 + np.maximum(contact, 0.0))
 

@@ -116,7 +116,7 @@ def test_coulomb_is_a_fixed_point():
     assert len(changes) <= 5
     assert changes[-1] < 1e-3 * changes[-2]
     certificate = certify(solution)
-    assert certificate.of == " to the exact solution of Tresca's problem with the last bound of the friction"
+    assert certificate.of == "the exact solution of Tresca's problem with the last bound of the friction"
 
 
 @pytest.mark.parametrize(("mu", "push", "nu"), [(1.0, 0.3, 0.0), (2.0, 0.3, 0.3), (5.0, 0.6, 0.0), (20.0, 0.6, 0.45)])

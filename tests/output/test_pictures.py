@@ -307,7 +307,7 @@ def test_only_a_guaranteed_bound_is_called_certified():
     assert "certified" not in words
     assert words.endswith("not guaranteed")
     assert "%" not in words  # of a norm that is not above the bound
-    of_penalty = caption(solution, fields, replace(certificate, of=" to the exact solution of the penalty problem"))
+    of_penalty = caption(solution, fields, replace(certificate, of="the exact solution of the penalty problem"))
     assert "penalty problem" in of_penalty
 
 

@@ -174,6 +174,12 @@ def test_bounds_of_steps():
         assert bound.guaranteed
 
 
+def test_steps_without_a_bound(tmp_path: Path):
+    """Where ψ is above u_D no v is admissible; the run ends like others, and its summary has no bound."""
+    run(case(**{"problem.psi": "0.5 + x", "solve.h": 1 / 2, "time.steps": 1}), tmp_path / "x")
+    assert json.loads((tmp_path / "x" / "summary.json").read_text())["time"]["largest"]["bound"] is None
+
+
 def test_a_step_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The message tells the step and how to go on; the steps before are kept, and a fresh failure leaves nothing."""
     growing = case(**{"problem.c": "0 if t < 0.7 else -99"})

@@ -67,7 +67,8 @@ QUADRATIC = 2
 """Degree of |κ∇v − y|² where v is quadratic and κ a number."""
 ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
-OF_PENALTY = " to the exact solution of the penalty problem"
+OF_PENALTY = "the exact solution of the penalty problem"
+UNBALANCED = "a linear solve failed, by which the flux would be balanced"
 
 
 def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certificate:
@@ -98,7 +99,7 @@ def summed(own: Admissible, parts: GapParts) -> Certificate:
         size=own.size,
         v=own.trace.v,
         hindrance=own.trace.hindrance,
-        unbalanced="a linear solve failed, by which the flux would be balanced",
+        unbalanced=UNBALANCED,
         unbounded="data or the gradients of u_D and ψ are not bounded",
         by_quadrature=tuple(sorted(resolution.by_quadrature)),
         account=lambda bound: resolution.account(enclosed / bound if bound > 0 else 0.0),

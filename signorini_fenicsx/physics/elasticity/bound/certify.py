@@ -46,6 +46,7 @@ from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
+LACKING = "not in the discrete spaces"
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
 SURFACE = "with tools as far as their surfaces are at the vertices of the mesh"
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
@@ -93,15 +94,16 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         account=lambda bound: resolution.unresolved(),
         coarse=lambda: resolution.coarse,
     )
-    certificate = replace(gap.certificate(spaces), lacking="not in the discrete spaces")
-    by_pressure = data.friction.by_pressure
-    if not by_pressure and not solution.problem.surface:
-        return certificate
-    other = TRESCA if by_pressure else "the exact solution"
-    other += f", {SURFACE}" if solution.problem.surface else ""
-    about = {"guaranteed": False, "of_last_bound": True} if by_pressure else {}
-    named = {"guaranteed_for": other} if certificate.guaranteed else {}
-    return replace(certificate, of=f" to {other}", about=about | named)
+    of_last_bound = data.friction.by_pressure
+    of = with_surface(solution, TRESCA if of_last_bound else "")
+    certificate = replace(gap.certificate(spaces), lacking=LACKING, of=of)
+    about = {"guaranteed": False, "of_last_bound": True} if of_last_bound else {}
+    return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.guaranteed else {}))
+
+
+def with_surface(solution: ElasticSolution, of: str) -> str:
+    """Of which solution a bound is, in words; with tools from surface meshes it says how far these are known."""
+    return f"{of or 'the exact solution'}, {SURFACE}" if solution.problem.surface else of
 
 
 def _displacement(
