@@ -13,7 +13,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.linear.petsc import LinearSolveFailure
+from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.friction import shortened
