@@ -42,7 +42,8 @@ from signorini_fenicsx.physics.elasticity.problem import (
     of_meeting,
 )
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.solving import RULES
+from signorini_fenicsx.physics.elasticity.solving import rule_of
+from signorini_fenicsx.solving.options import Options
 
 COSTS = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 700, 300)}
 """On 110 000 to 450 000 unknowns; an order of magnitude."""
@@ -226,8 +227,10 @@ class ElasticCase(CaseFile):
             raise ValueError(f"[[law]]: part '{twice[0]}' has two laws")
         law = "contact: list it there as well, or in a [[law]]"
         self.boundary.check_inner(self.parts.contact, self.geometry.file, law)
-        if self.solve.algorithm not in RULES:
-            raise ValueError(f"[solve] algorithm: elastic contact is solved by {' or '.join(RULES)}")
+        try:
+            rule_of(Options(algorithm=self.solve.algorithm))
+        except InputError as error:
+            raise ValueError(f"[solve] {error}") from None
         for key in ("backend", "rho", "eps"):
             if key in self.solve.model_fields_set:
                 raise ValueError(f"[solve] {key}: elastic contact has no such key")

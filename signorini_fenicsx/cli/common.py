@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.cli.options import overrides
@@ -31,7 +31,27 @@ def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: o
     from signorini_fenicsx.cases.case import load_case
 
     values = overrides(settings, **options)
-    return on_root(comm, lambda: load_case(name).with_values(values))
+    case = on_root(comm, lambda: load_case(name).with_values(values))
+    refuse_idle(case, **options)
+    return case
+
+
+def refuse_idle(case: "CaseFile", **options: object) -> None:
+    """Refuse options that the method of a case does not have.
+
+    Raises:
+        InputError: If one is given.
+    """
+    from signorini_fenicsx.methods.registry import Method, those
+
+    has: dict[str, Callable[[Method], object]] = {
+        "rho": lambda method: method.has_rho,
+        "eps": lambda method: method.has_eps,
+        "backend": lambda method: method.rule is not None,
+    }
+    for key, needed in has.items():
+        if options.get(key) is not None and not needed(case.method):
+            raise InputError(f"--{key}: {case.solve.algorithm} has no such option; {those(needed)} have it")
 
 
 def results_place(output: Path | None, name: str) -> Path:

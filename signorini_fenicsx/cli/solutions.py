@@ -15,7 +15,7 @@ from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
-from signorini_fenicsx.cli.common import any_case, failure_kept, results_place
+from signorini_fenicsx.cli.common import any_case, failure_kept, refuse_idle, results_place
 from signorini_fenicsx.cli.options import (
     AlgorithmName,
     BackendName,
@@ -98,7 +98,7 @@ def solve(
 
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
-    _refuse_lacking(problem, {"--rigorous": rigorous, "--html": html})
+    _refuse_lacking(problem, {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini})
     only_steady = {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini}
     if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
         from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
@@ -147,8 +147,9 @@ def _refuse_lacking(about: "CaseFile | Solved", options: Mapping[str, object]) -
     Raises:
         InputError: If one is given.
     """
+    lacks = about.lacks if about.method.penalty else [*about.lacks, "--for-signorini"]
     for name in [name for name, value in options.items() if value]:
-        if name in about.lacks:
+        if name in lacks:
             raise InputError(f"{name}: there is no such option for {about.approach}")
         check_installed(name)
 
@@ -214,8 +215,10 @@ def adapt(
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
     wanted, part, narrow = _checked(target, max_cells, theta, quantity, width)
     most = max_cells or DEFAULT_MAX_CELLS
-    values = overrides(settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
+    values = overrides(settings, **options)
     problem = on_root(comm, lambda: _on_first_mesh(case, values))
+    refuse_idle(problem, **options)
     _refuse_lacking(problem, {"--html": html})
     rows: list[AdaptRow] = []
     measured, measure = _measuring(problem, quantity)
@@ -294,7 +297,7 @@ def _checked(
     if (quantity is None) is not (width is None):
         raise InputError("adapt: --quantity and --width, the length of its interval to reach, belong together")
     if target is None and max_cells is None and width is None:
-        raise InputError("adapt: give --target, the relative error to reach, or --max-cells, or both")
+        raise InputError("adapt: give --target, the relative error to reach, --max-cells, or --quantity with --width")
     wanted = None if target is None else positive("--target", target)
     part = positive("--theta", theta)
     if not MIN_THETA <= part <= 1:
@@ -343,7 +346,7 @@ def export(
     if own:
         on_root(comm, lambda: complete(results))
     solution = load_solution(results, comm)
-    _refuse_lacking(solution, {"--html": html})
+    _refuse_lacking(solution, {"--html": html, "--for-signorini": for_signorini})
     is_step = solution.step is not None
     if is_step and own and (results / "steps.csv").is_file():
         raise InputError(f"{results}: is a run in time, whose last step would replace it; give --output")

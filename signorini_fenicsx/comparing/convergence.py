@@ -17,7 +17,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.comparison import differences
-from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.methods.registry import those
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver
 
@@ -113,8 +113,8 @@ def convergence_study(
         NumericalFailure: If a run fails.
     """
     if vary is not Vary.H and not case.method.has_eps:
-        penalised = ", ".join(name for name, algorithm in METHODS.items() if algorithm.has_eps)
-        raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no penalty; use one of {penalised}")
+        penalised = those(lambda method: method.has_eps)
+        raise InputError(f"--vary {vary.value}: {case.solve.algorithm} has no ε; {penalised} have it")
     solver = _solver(case, comm) if vary is Vary.EPS else None
     if solver is not None:  # the table has the steps of the algorithm itself, which a prediction would save
         case = case.with_values({"solve.predict": False})

@@ -38,9 +38,11 @@ class Method:
         title: What it solves and where it is defined.
         reference: Its source in the literature.
         run: Solves a task (collective).
+        rule: The set rule that it runs with a backend; None if it runs something else.
         contact: Condition on the facets in contact.
         penalty: Its penalty law, or None; with one the KKT residuals are those of the penalty formulation.
         stabilised: Whether ε adds −ε(u, v) to the mass balance.
+        has_rho: Whether it has a ρ.
         starts_from_sets: Whether it can start from a contact set.
         needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
         laws: The laws that it takes in [[law]]; None for all.
@@ -54,9 +56,11 @@ class Method:
     title: str
     reference: str
     run: Callable[[Task], Outcome]
+    rule: SetRule | None = None
     contact: Condition = Condition.ZERO_TRACE
     penalty: Penalty | None = None
     stabilised: bool = False
+    has_rho: bool = False
     starts_from_sets: bool = False
     needs_dirichlet: bool = False
     laws: tuple[type[Law], ...] | None = (Signorini,)
@@ -76,8 +80,10 @@ class Method:
             title,
             reference,
             run,
+            rule,
             rule.contact,
             rule.penalty,
+            has_rho=True,
             starts_from_sets=True,
             laws=laws,
             takes_inner=exact,
@@ -128,8 +134,8 @@ METHODS: Mapping[str, Method] = {
         "PETSc SNES for (MPε-I)_h",
         PENALTY,
         _of_diffusion("newton.solve_by_newton", Penalty.TRACE),
-        Condition.ROBIN,
-        Penalty.TRACE,
+        contact=Condition.ROBIN,
+        penalty=Penalty.TRACE,
     ),
     "snes2": Method(
         "PETSc SNES for (MPε-II)_h",
@@ -145,7 +151,12 @@ METHODS: Mapping[str, Method] = {
         takes_inner=True,
     ),
     "uzawa": _classical(
-        "Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa.primal_uzawa", laws=(), max_iterations=MANY
+        "Uzawa iteration for (VL), conforming P1",
+        GLOWINSKI,
+        "primal_uzawa.primal_uzawa",
+        laws=(),
+        has_rho=True,
+        max_iterations=MANY,
     ),
     "psor": _classical(
         "projected over-relaxation for (VI), conforming P1",
@@ -173,18 +184,21 @@ METHODS: Mapping[str, Method] = {
         "Uzawa iteration in σ·n, L² projection, for (MLM-I)_h",
         LAGRANGE,
         "mixed_uzawa.flux_uzawa",
+        has_rho=True,
         max_iterations=MANY,
     ),
     "mixed-uzawa2": _classical(
         "Uzawa iteration in p, L² projection, for (MLM-II)_h",
         LAGRANGE,
         "mixed_uzawa.trace_uzawa",
+        has_rho=True,
         max_iterations=MANY,
     ),
     "mixed-uzawa-h12": _classical(
         "Uzawa iteration in p, H^{1/2} projection, for (MLM-II)_h",
         "Gatica, Maischak, Stephan: ESAIM M2AN (2011)",
         "mixed_uzawa.half_uzawa",
+        has_rho=True,
         max_iterations=MANY,
         dense=True,
     ),
@@ -192,6 +206,7 @@ METHODS: Mapping[str, Method] = {
         "Uzawa iteration in u, a constrained minimisation each, for (MVI)_h",
         "[Wang 09] of the slides",
         "stabilised.minimisation_uzawa",
+        has_rho=True,
         max_iterations=MANY,
     ),
     "slimane": _classical(
@@ -199,6 +214,7 @@ METHODS: Mapping[str, Method] = {
         "Slimane, Bendali, Laborde: ESAIM M2AN (2004)",
         "stabilised.stabilised_form",
         stabilised=True,
+        has_rho=True,
     ),
     "qp": _classical(
         "(MVI)_h as a quadratic programme, interior point (PIQP)",
@@ -212,3 +228,9 @@ METHODS: Mapping[str, Method] = {
     ),
 }
 """All methods by their names on the command line."""
+
+
+def those(chosen: Callable[[Method], object]) -> str:
+    """The names of the methods for which this is true, as a list in words."""
+    *names, last = (name for name, method in METHODS.items() if chosen(method))
+    return f"{', '.join(names)} and {last}"

@@ -230,7 +230,7 @@ def test_scalar_options_are_refused(tmp_path: Path):
         done = signorini(tmp_path, command, path, option, *(["--max-cells", "99"] if command == "adapt" else []))
         assert (done.returncode, f"{option}: there is no such option for elastic contact" in done.stderr) == (2, True)
     done = signorini(tmp_path, "convergence", path, "--vary", "eps")
-    assert (done.returncode, "alg1 has no penalty" in done.stderr) == (2, True)
+    assert (done.returncode, "alg1 has no ε" in done.stderr) == (2, True)
     case = load_case(path)
     assert isinstance(case, ElasticCase)
     with pytest.raises(InputError, match="start: example1 is of another physics"):

@@ -10,7 +10,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.contact.conditions import Condition, Penalty
 from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.forms.elasticity import hellinger_reissner, product, strain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.data import elastic_data
@@ -143,7 +145,7 @@ def test_quadratic_programme_finds_the_same():
 
 
 def test_second_algorithm_and_regions():
-    """Algorithm 2 finds the same; E by region is E by an expression."""
+    """Algorithm 2 and a rule of one's own find the same; E by region is E by an expression."""
     domain = box(COMM, 4, [-1.0, 0.0], [1.0, 1.0])
     mesh = domain.mesh
     halves = {"left": lambda x: x[0] <= 1e-9, "right": lambda x: x[0] >= -1e-9}
@@ -155,6 +157,15 @@ def test_second_algorithm_and_regions():
     other = ElasticProblem("1 if x < 0 else 2", 0.3, **data)
     two = solve(domain, (ElasticBoundary(["y0"]), other), Options(algorithm="alg2"))
     np.testing.assert_allclose(one.stresses, two.stresses, atol=1e-11)
+    options = Options(algorithm=SetRule(Condition.NO_FLUX, pressed_more))
+    own = solve(domain, (ElasticBoundary(["y0"]), other), options)
+    np.testing.assert_allclose(own.stresses, two.stresses, atol=1e-11)
+    assert own.summary()["algorithm"] == "own"
+
+
+def pressed_more(p: np.ndarray, flux: np.ndarray, rho: float) -> np.ndarray:
+    """The rule of a user."""
+    return np.where(flux > rho * p, Condition.ZERO_TRACE, Condition.NO_FLUX).astype(np.int8)
 
 
 def test_plane_stress_and_strain():
@@ -210,8 +221,19 @@ def test_bad_input():
     assert "rigidly, about the point (0.5" in complaint(
         ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"}), f=["0", "0"], gap="0"
     ).replace("along (0, 1)", "about the point (0.5")
-    with pytest.raises(InputError, match="alg1 or alg2"):
-        solve(box(COMM, 2, *UNIT[2]), (held, ElasticProblem(1.0, 0.3)), Options(algorithm="alg3"))
+    penalised = SetRule(Condition.NO_FLUX, pressed_more, penalty=Penalty.TRACE)
+    for told, *given in (
+        (
+            "algorithm: elastic contact is solved by alg1 or alg2",
+            *map(Options, ("alg3", "qp", penalised)),
+        ),
+        ("backend: elastic contact has no such option", Options(backend="mixed")),
+        ("rho: elastic contact has no such option", Options(rho=2.0)),
+        ("eps: elastic contact has no such option", Options(eps=1e-3)),
+    ):
+        for options in given:
+            with pytest.raises(InputError, match=told):
+                solve(box(COMM, 2, *UNIT[2]), (held, ElasticProblem(1.0, 0.3)), options)
     with pytest.raises(InputError, match="fixed: part 'x0' has 'xx'"):
         ElasticBoundary(["y0"], fixed={"x0": "xx"})
     with pytest.raises(InputError, match="unknown 'thin'"):

@@ -190,7 +190,7 @@ def test_order_in_h(vary: Vary):
 
 
 def test_eps_cannot_vary_without_a_penalty():
-    with pytest.raises(InputError, match="alg1 has no penalty"):
+    with pytest.raises(InputError, match="alg1 has no ε"):
         convergence_study(penalised("example1", "alg1", 1.0), Vary.EPS, range(3), 5)
 
 

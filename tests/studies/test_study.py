@@ -116,7 +116,7 @@ def test_shipped_studies_are_valid():
         ('case = "example1"\n[vary]\n"solve.hh" = [0.5]', "did you mean 'h'"),
         ('case = "example1"\n[[together]]\nh = [0.5]\nrho = [1, 2]', "equally long"),
         ('case = "example1"\n[convergence]\nlevels = [2, 8]', "finer than the last level"),
-        ('case = "example1"\n[convergence]\nlevels = [2]\nvary = "eps"', "alg1 has no penalty"),
+        ('case = "example1"\n[convergence]\nlevels = [2]\nvary = "eps"', "alg1 has no ε"),
         ('case = "example1"\nranks_per_run = 0', "ranks_per_run"),
         ('case = "example1"\n[vary]\n' + "\n".join(f'"a.b{i}" = {[0] * 10}' for i in range(9)), "1000000000 runs"),
         ("case = ", "not a TOML file"),

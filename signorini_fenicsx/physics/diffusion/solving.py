@@ -23,7 +23,7 @@ from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
-from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.methods.registry import those
 from signorini_fenicsx.physics.diffusion.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
@@ -264,15 +264,14 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
     if data.inside is None and not spaces.part_names and data.c_h is None:
         raise InputError("signorini: lists no part, and there are no laws and no obstacle")
     if data.inside is not None and not method.laws_inside:
-        *others, last = (name for name, other in METHODS.items() if other.laws_inside)
         what = "an obstacle" if data.inside.is_obstacle else "laws in Ω"
-        raise InputError(f"{options.algorithm_name} does not take {what}; {', '.join(others)} and {last} do")
+        raise InputError(f"{options.algorithm_name} does not take {what}; {those(lambda other: other.laws_inside)} do")
     check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
     if spaces.inner.present and not method.takes_inner:
-        usable = ", ".join(name for name, other in METHODS.items() if other.takes_inner)
-        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; these do: {usable}")
+        usable = those(lambda other: other.takes_inner)
+        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; {usable} do")
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"
@@ -285,9 +284,8 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
         return
     check_start(spaces, start)
     if not method.starts_from_sets:
-        *others, last = (name for name, other in METHODS.items() if other.starts_from_sets)
-        usable = f"{', '.join(others)} or {last}"
-        raise InputError(f"{options.algorithm_name} has no facet sets to start from; use {usable}")
+        usable = those(lambda other: other.starts_from_sets)
+        raise InputError(f"{options.algorithm_name} has no facet sets to start from; {usable} have them")
 
 
 def check_start(spaces: Spaces, start: object) -> None:

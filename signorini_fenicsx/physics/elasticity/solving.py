@@ -19,7 +19,7 @@ from signorini_fenicsx.contact.backend import Iterate, Pairs
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.history import History, OnStep, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
-from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2
+from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.discrete.contact_sets import transferred
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
@@ -42,8 +42,6 @@ from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
 
 PREDICT_FROM = 15_000
 """Number of unknowns from which a prediction saves more than it costs."""
-RULES = {"alg1": ALGORITHM_1, "alg2": ALGORITHM_2}
-"""What solves elastic contact."""
 MORE_WITH_FRICTION = 4
 """By default so many times the iterations of problems without friction are allowed for each bound in the plane."""
 
@@ -76,9 +74,10 @@ class System:
             InputError: If the problem cannot be discretised as asked, or the body can move rigidly.
         """
         self.solved, options, (boundary, problem) = None, wish.options, given
-        if options.algorithm not in RULES:
-            name = options.algorithm_name
-            raise InputError(f"algorithm: elastic contact is solved by {' or '.join(RULES)}, not {name}")
+        rule_of(options)
+        for key in ("backend", "rho", "eps"):
+            if getattr(options, key) != getattr(Options, key):
+                raise InputError(f"{key}: elastic contact has no such option")
         if _with_parts_of_laws(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
         _check_start(self.spaces.domain, wish.start)
@@ -191,6 +190,19 @@ class ElasticRun:
         )
 
 
+def rule_of(options: Options) -> SetRule:
+    """The set rule that solves elastic contact.
+
+    Raises:
+        InputError: If the method runs none, or one with a penalty or a clip.
+    """
+    rule = options.method.rule
+    if rule is None or rule.penalty is not None or rule.clip is not None:
+        known = "alg1 or alg2, or in Python by a rule of your own without penalty and clip"
+        raise InputError(f"algorithm: elastic contact is solved by {known}, not by {options.algorithm_name}")
+    return rule
+
+
 def _failure(spaces: ElasticSpaces, data: ElasticData, outcome: Outcome, kkt: ElasticKKT) -> str | None:
     """Why there is no solution; None if there is one (collective)."""
     if not outcome.converged and data.friction.slipping is None:
@@ -280,7 +292,7 @@ def _settled(
 
     They are those of Coulomb's bounds, too. Collective.
     """
-    rule = RULES[str(options.algorithm)]
+    rule = rule_of(options)
     prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)
     conditions = first or backend.chains.conditions(rule.first(backend.chains))
     history.start_from(conditions)
@@ -330,7 +342,7 @@ def _with_friction(
     Returns:
         The outcome with the iterations of all loops. How much the bound changed after each is added to the changes.
     """
-    rule = RULES[str(options.algorithm)]
+    rule = rule_of(options)
     in_space = backend.friction.slipping is not None
     most = options.method.max_iterations * (MORE_WITH_FRICTION if backend.friction and not in_space else 1)
     parameters = Parameters(max_iterations=options.max_iterations or most)
