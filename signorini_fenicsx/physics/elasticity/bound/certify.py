@@ -17,13 +17,14 @@ osc, as in `certify`, where osc² sums the squares over the cells, and
     |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
 
 The bound is guaranteed if f and g_N are polynomials that the quadrature integrates exactly, or texts and what is given
-of u holds the body, see `hidden`; if E and ν are numbers or texts; if u_D and g are quadratic; and if all these are
-given as numbers or texts. Otherwise it is said which are not. The remainder is what the linear solver leaves of the
-jumps of σ_h n, and what may be missed of linear parts of loads.
+of u holds the body, see `hidden`; if E and ν are numbers or texts; if u_D and g are quadratic or, in the plane, texts,
+see `lifted`; and if all these are given as numbers or texts. Otherwise it is said which are not. The remainder is what
+the linear solver leaves of the jumps of σ_h n, and what may be missed of linear parts of loads.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,10 +39,10 @@ from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.lifted import lifted, lifts, of_degree
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, Resolution, is_enclosed
 from signorini_fenicsx.physics.elasticity.data import MOST
-from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
@@ -73,10 +74,13 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
     v, of_cells, past = _displacement(solution, y, resolution, spaces.split, degree=2)
+    lacking, lifted_data = lifted(resolution, of_cells)
+    of_cells = _with(of_cells, lacking)
     with_most = _with_most(spaces, of_cells)
     if comm.allreduce(len(with_most)) > 0:
         part = spaces.split.part(with_most)
         _, better, past_there = _displacement(solution, y, resolution, part, degree=HIGHER[spaces.dim], v=v)
+        better = _with(better, of_degree(resolution, lifted_data, HIGHER[spaces.dim]))
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
@@ -90,7 +94,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         hindrance=past,
         unbalanced=UNBALANCED,
         unbounded="the numbers of the data are too large for it",
-        by_quadrature=not_in_the_spaces(resolution),
+        by_quadrature=not_in_the_spaces(resolution, lifted=lifts(spaces, data)),
         account=lambda bound: resolution.unresolved(),
         coarse=lambda: resolution.coarse,
     )
@@ -124,6 +128,11 @@ def _displacement(
     v, past = problem.minimum()
     mismatch, on_contact = gap_of_cells(solution, y, problem, v, resolution)
     return v, mismatch + 2 * on_contact, past
+
+
+def _with(of_cells: Array, lacking: Array) -> Array:
+    """Twice the gap of cells for v + d, which is at most so much farther from y there."""
+    return np.where(lacking > 0, (np.sqrt(np.maximum(of_cells, 0.0)) + lacking) ** 2, of_cells)
 
 
 def gap_of_cells(
@@ -175,10 +184,8 @@ def _on_contact(
 
     w is the slip of the last step in time (collective).
     """
-    spaces, data, contact = solution.spaces, solution.data, problem.contact
-    moments = problem.moments_on_contact(v)
-    apart = facet_moments(spaces, "gap", data.gap, contact.facets, "on Γ_C")
-    apart = apart - np.einsum("nai,ni->na", moments, contact.facets.normals)
+    contact = problem.contact
+    apart = np.einsum("n,ak,nk->na", contact.facets.measure, problem.moments, problem.openings_of(v))
     found = np.einsum("na,na->n", y.pressure[contact.rows], apart)
     for law in problem.laws:
         pressure = y.pressure[contact.rows[law.rows]]
@@ -188,13 +195,19 @@ def _on_contact(
     return found
 
 
-def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True) -> tuple[str, ...]:
-    """Data that are neither exact in the discrete problem nor, where this is enough, enclosed (collective)."""
+def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, lifted: Sequence[str] = ()) -> tuple[str, ...]:
+    """Data that are neither exact in the discrete problem nor, where this is enough, enclosed (collective).
+
+    Args:
+        resolution: Of the data.
+        enclosed: Whether enclosures of loads and of the material are enough.
+        lifted: Data of which the bound contains what v lacks, see `lifts`.
+    """
     data = resolution.data
     loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
     loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and resolution.held)]
     found = [(each.name, each.polynomial, MOST // 2) for each in loads]
-    found += [("u_D", data.u_D.polynomial, 2), ("gap", data.gap.polynomial, 2)]
+    found += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in lifted]
     names = [name for name, degree, most in found if degree is None or degree > most]
     names += data.friction.inexact
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]

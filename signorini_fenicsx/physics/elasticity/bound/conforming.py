@@ -149,7 +149,7 @@ class BestDisplacement:
         forces, apart = self._pressing()
         measure = contact.facets.measure[rough]
         shear = np.einsum("nak,nki->nai", self._y.shear[here], self.spaces.tangents[here])
-        rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self._moments)
+        rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self.moments)
         self._forces = np.append(sides * forces[on, at], np.einsum("nki,nkmi->nkm", rubbing, tangents)[rubs])[free]
 
         pulling = vector(strain(ufl.TestFunction(self.space))), ufl.dot(self.material.stiffness, self._without_v)
@@ -388,10 +388,10 @@ class BestDisplacement:
     def moments_on_contact(self, v: fem.Function) -> Array:
         """∫ v φ_a over the facets `contact`, of the jump where two bodies touch, shape (facets, d, d)."""
         coefficients = self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
-        return np.einsum("n,ak,nki->nai", self.contact.facets.measure, self._moments, coefficients)
+        return np.einsum("n,ak,nki->nai", self.contact.facets.measure, self.moments, coefficients)
 
     @cached_property
-    def _moments(self) -> Array:
+    def moments(self) -> Array:
         """∫ φ_a B over the facet of measure 1 for the B of each of its nodes, shape (d, nodes)."""
         points, weights = facet_rule(self.spaces.dim, self.contact.degree)
         hats = np.column_stack([1 - points.sum(axis=1), points])
@@ -399,7 +399,7 @@ class BestDisplacement:
 
     def _in_coefficients(self, values: Array, measure: Array) -> Array:
         """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
-        found: Array = measure[:, None] * (values @ self._moments)
+        found: Array = measure[:, None] * (values @ self.moments)
         return found
 
     def _rubbing_weights(self) -> Array:
@@ -435,12 +435,12 @@ class BestDisplacement:
     def slips(self, v: fem.Function) -> Array:
         """∫ (v_t − w)φ_a over the facets with friction, shape (facets, d, d − 1); w is the slip of the last step."""
         coefficients = self._slips(v)
-        return np.einsum("n,ak,nkm->nam", self.contact.facets.measure[self.rough[0]], self._moments, coefficients)
+        return np.einsum("n,ak,nkm->nam", self.contact.facets.measure[self.rough[0]], self.moments, coefficients)
 
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t − w| over the facets with friction, see `FacetCoefficients.lengths`."""
         rough, here = self.rough
-        means = self.contact.lengths(self._slips(v), self.data.friction.bound[here], self._moments)
+        means = self.contact.lengths(self._slips(v), self.data.friction.bound[here], self.moments)
         return np.asarray(self.contact.facets.measure[rough] * means)
 
     def _slips(self, v: fem.Function) -> Array:

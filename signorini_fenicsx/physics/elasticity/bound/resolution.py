@@ -34,7 +34,7 @@ from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
 from signorini_fenicsx.physics.elasticity.bound.body import has_constant
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.material import Material
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -187,6 +187,16 @@ class Resolution:
     def unresolved(self) -> Places:
         """The data that are not resolved, each with a place, the same on all ranks (collective)."""
         return first_places(self._noted, self.spaces.mesh.comm)
+
+    def stiffest(self) -> Array:
+        """The largest eigenvalue of ℂ on each owned cell; in points where E and ν are not enclosed (collective)."""
+        if self._stiffness is not None:
+            return np.asarray(self._stiffness.most[:2].max(axis=0).reshape(len(self.coarse), -1).max(axis=1))
+        largest = np.zeros(len(self.coarse))
+        for cells in blocks_of_cells(self.spaces):
+            eigenvalues = np.linalg.eigvalsh(self.data.compliances(self.spaces, cells))
+            largest[cells] = 1 / eigenvalues[..., 0].min(axis=1)
+        return largest
 
     def with_missed(self, problem: BestDisplacement, squares: Array) -> Array:
         """‖o‖²_ℂ at most, from ‖o‖²_Q, per subcell of the split mesh or the part of it (collective).

@@ -1,0 +1,184 @@
+"""What v lacks of u_D and of the gap where they are not quadratic on facets, in the plane.
+
+On a facet e let t be what is given of u along a direction q, or on Γ_C the gap, and there q = n. v has, or stays off,
+an interpolant p of t in its place, of the degree of v. t − p is 0 in both ends a, b of e and in its middle. On the
+subcell S between e and the centroid c let s = λ_a + λ_b, and
+
+    d = s (t − p)(τ) q,   τ = λ_b/s,
+
+the value at the point of e that c sees behind x; elsewhere d = 0. It is continuous, and v + d is admissible: it has
+u_D, and on Γ_C g − v_n − d_n is what p − v_n was, and v_t + d_t is v_t, so no other term of the gap changes. With the
+derivative r of t − p by τ
+
+    |∇d| = |(t − p)∇s + r ((1 − τ)∇λ_b − τ∇λ_a)|
+
+depends on τ alone, all of which have the same share of S, and ‖t − p‖ ≤ ‖r‖/2π over τ, as t − p is 0 at 0, ½ and 1. So
+
+    ‖ε(d)‖_S ≤ |S|^½ (|∇s|/2π + max(|∇λ_a|, |∇λ_b|)) ‖r‖,
+
+and ‖ℂ(ε(v + d) − ε₀) − y‖ is larger by at most the root of the largest eigenvalue of ℂ times this.
+
+If ∇t is within ρ of the gradient of a polynomial of degree K on a part of e, ‖r‖ there is at most what a quadrature
+shows that is exact for the squares of such polynomials, and 2|e|ρ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import basix
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, values
+from signorini_fenicsx.expressions.enclosures import slopes
+from signorini_fenicsx.expressions.evaluation import values_and_gradient
+from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
+from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
+from signorini_fenicsx.physics.elasticity.problem import NORMAL
+from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
+
+QUADRATIC = 2
+"""What is a polynomial of this degree is interpolated exactly."""
+SHARE = 0.05
+"""ρ need not be smaller than what adds this share to ‖r‖,"""
+ROUNDING = 1e-9
+"""or this share of the derivative of t; else facets are halved,"""
+HALVINGS = 8
+"""at most so many times."""
+
+type _Given = tuple[str, BoundaryFacets, list[tuple[Datum, Array]]]
+"""The name of a datum, facets, and the scalars whose sum with these factors is t on them."""
+
+
+def lifts(spaces: ElasticSpaces, data: ElasticData) -> tuple[str, ...]:
+    """The data for which there is a d: texts of which one at least is not quadratic."""
+    found = []
+    for name, datum in (("u_D", data.u_D), ("gap", data.gap)):
+        known = all(
+            part.pieces is not None
+            for each, facets, scalars in _given(spaces, data)
+            for scalar, _ in scalars
+            for _, part in scalar.by_facets(facets.facets)
+            if each == name
+        )
+        if spaces.dim == 2 and known and (datum.polynomial is None or datum.polynomial > QUADRATIC):
+            found.append(name)
+    return tuple(found)
+
+
+def lifted(resolution: Resolution, counted: Array) -> tuple[Array, tuple[str, ...]]:
+    """‖ℂε(d)‖ in the energy norm on each owned cell, and the names of the data that it is for (collective).
+
+    If it is more than what is counted, or no bound of ∇t is known somewhere, it is 0 and for none: then it is recorded
+    that these data are not resolved.
+
+    Args:
+        resolution: Of the data.
+        counted: Twice the gap of each cell besides.
+    """
+    spaces, comm = resolution.spaces, resolution.spaces.mesh.comm
+    names = lifts(spaces, resolution.data)
+    if not names:
+        return np.zeros_like(counted), ()
+    sizes = {name: of_degree(resolution, (name,), QUADRATIC) for name in names}
+    squares = np.sum([each**2 for each in sizes.values()], axis=0)
+    if comm.allreduce(float(squares.sum())) <= comm.allreduce(float(counted.sum())):
+        return np.sqrt(squares), names
+    most = comm.allreduce(float(squares.max(initial=0.0)), MPI.MAX)
+    for name, each in sizes.items():
+        resolution.note(name, (each**2 >= most / 4) & (each > 0))
+    return np.zeros_like(counted), ()
+
+
+def of_degree(resolution: Resolution, names: Sequence[str], degree: int) -> Array:
+    """‖ℂε(d)‖ for some data and a v of this degree, which has u_D as quadratics all the same (collective)."""
+    spaces, squares = resolution.spaces, np.zeros((len(resolution.coarse), resolution.spaces.dim + 1))
+    if not names:
+        return squares[:, 0]
+    for name, facets, scalars in _given(spaces, resolution.data):
+        if name in names:  # directions are across each other
+            size = _rising(spaces, facets, scalars, degree if name == "gap" else QUADRATIC)
+            squares[facets.cells, facets.local] += size**2
+    subcells = split_vertices(spaces.vertices).reshape(-1, spaces.dim + 1, spaces.dim)
+    gradients = np.linalg.norm(barycentric_gradients(subcells), axis=2).reshape(*squares.shape, -1)
+    factors = gradients[..., -1] / (2 * np.pi) + gradients[..., :-1].max(axis=2)
+    of_subcells = (spaces.cell_measures / (spaces.dim + 1))[:, None] * factors**2 * squares
+    return np.asarray(np.sqrt(resolution.stiffest() * of_subcells.sum(axis=1)))
+
+
+def _given(spaces: ElasticSpaces, data: ElasticData) -> Iterator[_Given]:
+    """What is given on facets, in all directions."""
+    for facets, k, letter in spaces.fixed:
+        components = data.u_D.components
+        if letter == NORMAL:
+            yield "u_D", facets, [(each, facets.normals[:, i]) for i, each in enumerate(components)]
+        else:
+            yield "u_D", facets, [(components[k], np.ones(len(facets.facets)))]
+    yield "gap", spaces.contact, [(data.gap, np.ones(len(spaces.contact.facets)))]
+
+
+def _rising(spaces: ElasticSpaces, facets: BoundaryFacets, scalars: list[tuple[Datum, Array]], degree: int) -> Array:
+    """Bounds of ‖r‖ on facets for p of a degree, infinite where none is known."""
+    bounds = np.zeros(len(facets.facets))
+    for scalar, factors in scalars:
+        for tree, rows in _pieces(scalar, facets):
+            rows = rows[factors[rows] != 0]
+            bounds[rows] += np.abs(factors[rows]) * _of_tree(spaces, tree, facets.vertices[rows], degree)
+    return bounds
+
+
+def _of_tree(spaces: ElasticSpaces, tree: Tree, ends: Array, degree: int) -> Array:
+    """Bounds of ‖r‖ between ends, with parts that are halved where ρ is too large."""
+    points, weights = basix.make_quadrature(basix.CellType.interval, 2 * DEGREE)
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    rising, off = _derivatives(tree, ends, np.broadcast_to(points[:, 0], (len(ends), len(points))), degree)
+    enough = np.maximum(SHARE * np.sqrt(off**2 @ weights), ROUNDING * np.sqrt(rising**2 @ weights)) / (2 * length)
+    squares, rows, begin = np.zeros(len(ends)), np.arange(len(ends)), np.zeros(len(ends))
+    for level in range(HALVINGS + 1):
+        share = 0.5**level
+        at = begin[:, None] + share * points[:, 0]
+        parts = _between(ends[rows], np.stack([begin, begin + share], axis=1))
+        rho = slopes(tree, parts, spaces.frame, enough[rows])[1]
+        done = ~(rho > enough[rows]) | (level == HALVINGS)
+        seen = np.sqrt(_derivatives(tree, ends[rows[done]], at[done], degree)[1] ** 2 @ weights)
+        of_parts = share * (seen + 2 * length[rows[done]] * rho[done]) ** 2
+        squares += np.bincount(rows[done], np.nan_to_num(of_parts, nan=np.inf, posinf=np.inf), len(ends))
+        rows, begin = np.repeat(rows[~done], 2), np.repeat(begin[~done], 2)
+        begin[1::2] += share / 2
+    return np.sqrt(squares)
+
+
+def _pieces(datum: Datum, facets: BoundaryFacets) -> Iterator[tuple[Tree, Indices]]:
+    """The trees of a datum that are not quadratic, each with the numbers of its facets."""
+    for mask, part in datum.by_facets(facets.facets):
+        for tree, inside in part.pieces or ():
+            assert isinstance(tree, TREES)
+            degree = polynomial_degree(tree)
+            if degree is None or degree > QUADRATIC:
+                yield tree, np.flatnonzero(mask if inside is None else mask & inside[facets.cells])
+
+
+def _derivatives(tree: Tree, ends: Array, at: Array, degree: int) -> tuple[Array, Array]:
+    """The derivatives of t and of t − p by τ in points between the ends of facets, shape (facets, points) each."""
+    nodes, powers = np.linspace(0.0, 1.0, degree + 1), np.arange(1, degree + 1)
+    coefficients = np.linalg.inv(np.vander(nodes, increasing=True))[1:] * powers[:, None]
+    _, gradients = values_and_gradient(tree, _named(_between(ends, at)))
+    rising = np.einsum("nqi,ni->nq", gradients, ends[:, 1] - ends[:, 0])
+    in_nodes = values(tree, _named(_between(ends, np.broadcast_to(nodes, (len(ends), degree + 1)))))
+    return rising, rising - np.einsum("nqk,kj,nj->nq", at[..., None] ** (powers - 1), coefficients, in_nodes)
+
+
+def _between(ends: Array, at: Array) -> Array:
+    """Points between the ends of facets, from their τ, shape (facets, points, d)."""
+    return np.asarray(ends[:, :1] + at[..., None] * (ends[:, 1:] - ends[:, :1]))
+
+
+def _named(x: Array) -> dict[str, Array]:
+    """Points by the names of their coordinates."""
+    return dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))

@@ -1,0 +1,119 @@
+"""Elastic data that are no polynomials, but loads: what the displacement of the bound lacks of them is in the bound."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from elastic import box
+from mpi4py import MPI
+
+from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.expressions import read, values
+from signorini_fenicsx.physics.elasticity.bound.lifted import lifted
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+GIVEN: dict[str, Any] = {
+    "boundary": ElasticBoundary([]),
+    "f": ["24*y*sin(2*x)/5 - 4*exp(x)/5", "-8*cos(2*x)/5 - 2*y*exp(x)/5"],
+    "u_D": ["y*sin(2*x)", "y*exp(x)"],
+    "exact": ["y*sin(2*x)", "y*exp(x)"],
+}
+"""λ = μ = 2/5, and U on all sides."""
+ON_WAVES: dict[str, Any] = {
+    "boundary": ElasticBoundary(["y0"], neumann=["y1"]),
+    "f": ["24*y*cos(2*x)/25", "4*sin(2*x)/25"],
+    "u_D": {"x0": ["y/5", "-y"], "x1": ["y*cos(2)/5", "-sin(2)/10 - y"]},
+    "gap": "sin(2*x)/10",
+    "g_N": {"y1": ["0", "-4*sin(2*x)/25 - 6/5"]},
+    "exact": ["y*cos(2*x)/5", "-sin(2*x)/10 - y"],
+}
+"""On y = 0 in contact with a foundation that has waves: σ_yy = −6/5."""
+
+
+def bounded(comm: MPI.Comm, n: int, data: dict[str, Any]) -> tuple[ElasticSolution, Certificate]:
+    """A square with these data, and its bound."""
+    given = dict(data)
+    boundary = given.pop("boundary")
+    solution = solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), (boundary, ElasticProblem(1.0, 0.25, **given)))
+    return solution, certify(solution)
+
+
+@pytest.mark.parametrize("data", [GIVEN, ON_WAVES], ids=["u_D", "gap"])
+def test_bounds_are_guaranteed_and_near_the_error(data: dict[str, Any]):
+    """What is lacking adds less and less, as its order is higher by a half."""
+    ratios = []
+    for n in (2, 4, 16):
+        solution, certificate = bounded(COMM, n, data)
+        errors = solution.errors()
+        assert errors is not None
+        assert certificate.guaranteed
+        ratios.append(certificate.sigma_bound / errors["energy"])
+        assert 1 <= ratios[-1] < 1.45
+    assert ratios[2] < ratios[1] < ratios[0]
+    assert ratios[2] < 1.15
+
+
+@pytest.mark.parallel([2])
+def test_on_ranks():
+    """The bound of several ranks is that of one."""
+    together, alone = (bounded(comm, 3, ON_WAVES)[1].numbers() for comm in (COMM, MPI.COMM_SELF))
+    np.testing.assert_allclose(list(together.values()), list(alone.values()), rtol=1e-9)
+
+
+@pytest.mark.parametrize("text", ["sin(9*x + 4*y)", "exp(-200*((x - 0.4)^2 + (y - 0.1)^2))", "1/(1.05 - x + y)", "x^7"])
+def test_what_is_lacking_is_bounded(text: str):
+    """The bound is above the energy of s(t − p) by a fine quadrature, and near it."""
+    problem = ElasticProblem(1.0, 0.25, u_D=[text, "0"])
+    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary([]), problem))
+    spaces = solution.spaces
+    bound, names = lifted(Resolution(spaces, solution.data), np.full(len(spaces.order), 1e9))
+    assert names == ("u_D",)
+    squares, facets = np.zeros(len(spaces.order)), spaces.dirichlet
+    lame, tree = 0.4, read(text, "xy")
+    for cell, (a, b) in zip(facets.cells, facets.vertices, strict=True):
+        c = spaces.vertices[cell].mean(axis=0)
+        squares[cell] += energy_of_extension(tree, a, b, c, lame)
+    assert (np.sqrt(squares) <= bound + 1e-9).all()
+    assert (bound**2).sum() < 12 * squares.sum()
+
+
+def energy_of_extension(tree: Any, a: Any, b: Any, c: Any, lame: float) -> float:
+    """(ℂε(d), ε(d)) for d = (s(t − p), 0) on a triangle, λ = μ, by differences and the midpoints of many parts."""
+    s, tau = (each.ravel() for each in np.meshgrid(*[(np.arange(300) + 0.5) / 300] * 2, indexing="ij"))
+    nodes = np.array([0.0, 0.5, 1.0])
+
+    def t(tau: Any) -> Any:
+        x = a + tau[:, None] * (b - a)
+        return values(tree, {"x": x[:, 0], "y": x[:, 1]})
+
+    coefficients = np.polyfit(nodes, t(nodes), 2)
+
+    def d(x: Any) -> Any:
+        hats = np.linalg.solve(np.stack([a - c, b - c], axis=1), (x - c).T)
+        along = hats[1] / hats.sum(axis=0)
+        return hats.sum(axis=0) * (t(along) - np.polyval(coefficients, along))
+
+    x = c + s[:, None] * (a + tau[:, None] * (b - a) - c)
+    step = 1e-6
+    d_x, d_y = ((d(x + step * one) - d(x - step * one)) / (2 * step) for one in np.eye(2))
+    energy = 2 * lame * (d_x**2 + d_y**2 / 2) + lame * d_x**2
+    area = abs(np.linalg.det(np.stack([a - c, b - c])))
+    return float((energy * s).mean() * area)
+
+
+@pytest.mark.parametrize("data", [{"u_D": ["0", "-0.1*exp(-1e5*(x - 0.417)^2)"]}, {"gap": "0.01 - abs(x - 0.417)^0.5"}])
+def test_what_is_not_resolved_is_told(data: dict[str, Any]):
+    """A pulse between nodes, and a gap without a finite slope: the bound is not guaranteed, and it is said where."""
+    boundary = ElasticBoundary(["y0"] if "gap" in data else [], neumann=["x0", "x1"])
+    certificate = bounded(COMM, 6, {"boundary": boundary, **data})[1]
+    assert not certificate.guaranteed
+    assert certificate.by_quadrature == ()
+    name, place = certificate.unresolved[0]
+    assert name == next(iter(data))
+    assert abs(place[0] - 0.417) < 0.2
+    assert certificate.coarse.any()
