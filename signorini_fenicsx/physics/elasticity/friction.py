@@ -17,7 +17,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains, joined
-from signorini_fenicsx.discrete.datum import datum_of
+from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.lattices import lattice
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
@@ -66,7 +66,7 @@ class FrictionBounds:
         bound: g_i at their vertices, shape (facets, d).
         mu: μ there; 0 where g is given.
         coulomb: Whether g is μ times the pressure, per facet.
-        inexact: Names of data that are not linear on facets.
+        texts: The given g that are not linear on facets, each with its name and the rows where it holds.
         by_pressure: Whether g is μ times the pressure somewhere, on any rank.
         somewhere: Whether there is friction, on any rank.
         slipping: The linear law, in space; None in the plane.
@@ -75,7 +75,7 @@ class FrictionBounds:
     bound: Array
     mu: Array
     coulomb: Mask
-    inexact: tuple[str, ...]
+    texts: tuple[tuple[str, Datum, Indices], ...]
     by_pressure: bool
     somewhere: bool
     slipping: Slipping | None = None
@@ -284,24 +284,29 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
     none = np.zeros((number, dim))
     slipping = Slipping.nowhere(number) if dim == 3 and rubbing else None
     found = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), slipping)
-    inexact = []
+    texts = []
     for index, law in rubbing:
-        name = "mu" if isinstance(law, CoulombLaw) else "g"
-        given = getattr(law, name)
+        key = "mu" if isinstance(law, CoulombLaw) else "g"
+        name, given = f"law.{index}.{key}", getattr(law, key)
         for part in law.parts:
             facets = spaces.part(part)
             rows = order[np.searchsorted(rough.facets, facets.facets, sorter=order)]
-            values, linear = _lower_values(spaces, f"law.{index}.{name}", given, facets)
+            values, datum = _lower_values(spaces, name, given, facets)
             if isinstance(law, CoulombLaw):
                 found.mu[rows], found.bound[rows], found.coulomb[rows] = values, STICKS, True
             else:
                 found.bound[rows] = values
-        inexact += [] if linear else [f"law.{index}.{name}"]
-    return replace(found, inexact=tuple(inexact))
+                texts += [] if is_linear(datum) else [(name, datum, rows)]
+    return replace(found, texts=tuple(texts))
 
 
-def _lower_values(spaces: ElasticSpaces, name: str, given: Given, facets: BoundaryFacets) -> tuple[Array, bool]:
-    """Values at the vertices of linear functions below a datum, and whether they are the datum itself (collective)."""
+def is_linear(datum: Datum) -> bool:
+    """Whether a datum is known to be linear."""
+    return datum.polynomial is not None and datum.polynomial <= 1
+
+
+def _lower_values(spaces: ElasticSpaces, name: str, given: Given, facets: BoundaryFacets) -> tuple[Array, Datum]:
+    """Values at the vertices of linear functions below a datum, and the datum (collective)."""
     dim = spaces.dim
     datum = datum_of(spaces, name, parsed(given, "xyz"[:dim], name))
     hats = lattice(dim, SAMPLES) / SAMPLES
@@ -313,10 +318,9 @@ def _lower_values(spaces: ElasticSpaces, name: str, given: Given, facets: Bounda
     if spaces.mesh.comm.allreduce(low, MPI.MIN) < 0:
         raise InputError(f"{name}: must be finite and not negative everywhere on its parts")
     at_vertices = values[:, :dim]
-    linear = datum.polynomial is not None and datum.polynomial <= 1
-    if not linear:
+    if not is_linear(datum):
         values = np.maximum(from_within(datum.values, points), 0.0)
         at_vertices = values[:, :dim]
         interpolant = at_vertices @ hats.T
         at_vertices = np.maximum(at_vertices + np.minimum(values - interpolant, 0).min(axis=1, keepdims=True), 0.0)
-    return np.take_along_axis(at_vertices, facets.ranking, axis=1), linear
+    return np.take_along_axis(at_vertices, facets.ranking, axis=1), datum

@@ -67,21 +67,23 @@ def has_constant(spaces: ElasticSpaces) -> bool:
     return unknowns <= MOST[spaces.dim] and Bodies.of(spaces, ()).not_given(none).shape[1] == 0
 
 
-def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask) -> float:
+def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask, length: float) -> float:
     """C, or ∞ if no θ that was tried is small enough (collective).
 
     Args:
         spaces: The spaces.
         compliance: On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries).
         loaded: Mask of the facets with r, opposite to the vertices of each cell, shape (cells, d + 1).
+        length: l.
     """
-    comm, key = spaces.mesh.comm, hashlib.sha256(compliance.tobytes() + loaded.tobytes()).digest()
+    known = compliance.tobytes() + loaded.tobytes() + str(length).encode()
+    comm, key = spaces.mesh.comm, hashlib.sha256(known).digest()
     if not comm.allreduce(key in spaces.constants_of_body, MPI.LAND):
-        spaces.constants_of_body[key] = _by_factorisations(spaces, compliance, loaded)
+        spaces.constants_of_body[key] = _by_factorisations(spaces, compliance, loaded, length)
     return spaces.constants_of_body[key]
 
 
-def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask) -> float:
+def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask, length: float) -> float:
     """C, found anew (collective)."""
     comm, softness = spaces.mesh.comm, np.linalg.eigvalsh(compliance)[:, -1]
     constants = korn_constants(Cells(spaces.vertices).derivative) * np.sqrt(softness)
@@ -89,26 +91,26 @@ def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask) -
     softest, of_cells = (comm.allreduce(each, MPI.MAX) for each in ends)
     theta = 1 / (FIRST * softest * spaces.length**2)
     for _ in range(TRIES):
-        if _is_positive(spaces, compliance, loaded, theta):
+        if _is_positive(spaces, compliance, theta * length * loaded, theta):
             return float(1 / math.sqrt(theta) + MOMENTS[spaces.dim] * of_cells)
         theta /= FINER
     return math.inf
 
 
 def length_of_facets(spaces: ElasticSpaces) -> float:
-    """The length l beside ‖r‖² (collective when first used)."""
+    """The length l for tractions (collective when first used)."""
     return ON_FACETS * spaces.length
 
 
-def _is_positive(spaces: ElasticSpaces, compliance: Array, loaded: Mask, theta: float) -> bool:
-    """Whether K_θ is proved to be positive definite, but for rounding (collective)."""
+def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, theta: float) -> bool:
+    """Whether K_θ with these θl is proved to be positive definite, but for rounding (collective)."""
     comm, index_map, size = spaces.mesh.comm, spaces.traces.dofmap.index_map, spaces.dim**2
     rows, columns, values = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0)]
     local = index_map.local_to_global(np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32))
-    inside, length = True, length_of_facets(spaces)
+    inside = True
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
-        matrices, positive = _on_cells(cells, compliance[numbers], theta * length * loaded[numbers], theta)
+        matrices, positive = _on_cells(cells, compliance[numbers], of_facets[numbers], theta)
         inside &= positive
         for facets, frames in spaces.frames:
             mine = np.flatnonzero(np.isin(facets.cells, numbers))

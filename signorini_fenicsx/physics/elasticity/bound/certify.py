@@ -40,7 +40,7 @@ from signorini_fenicsx.physics.elasticity.bound import hidden
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.lifted import lifted, lifts, of_degree
-from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
+from signorini_fenicsx.physics.elasticity.bound.oscillation import compliances_above, load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, Resolution, is_enclosed
 from signorini_fenicsx.physics.elasticity.data import MOST
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -85,16 +85,17 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
     oscillation, missed = load_oscillation(resolution, y.stresses, of_cells)
+    of_friction, more, rubbing = _of_friction(resolution)
     gap = Gap(
         squares=of_cells,
-        oscillation=oscillation,
-        remainder=y.distance + missed,
+        oscillation=oscillation + of_friction,
+        remainder=y.distance + missed + more,
         size=solution.norms()["energy"],
         v=v,
         hindrance=past,
         unbalanced=UNBALANCED,
         unbounded="the numbers of the data are too large for it",
-        by_quadrature=not_in_the_spaces(resolution, lifted=lifts(spaces, data)),
+        by_quadrature=not_in_the_spaces(resolution, also=(*lifts(spaces, data), *rubbing)),
         account=lambda bound: resolution.unresolved(),
         coarse=lambda: resolution.coarse,
     )
@@ -128,6 +129,21 @@ def _displacement(
     v, past = problem.minimum()
     mismatch, on_contact = gap_of_cells(solution, y, problem, v, resolution)
     return v, mismatch + 2 * on_contact, past
+
+
+def _of_friction(resolution: Resolution) -> tuple[Array, float, tuple[str, ...]]:
+    """What texts for g add to the oscillation of cells and to the bound, and the names of those for which it is known.
+
+    There has to be a constant of the body (collective).
+    """
+    spaces, data = resolution.spaces, resolution.data
+    texts, nothing = data.friction.texts, np.zeros(len(spaces.order))
+    if not texts or not resolution.held or any(datum.pieces is None for _, datum, _ in texts):
+        return nothing, 0.0, ()
+    of_cells, together = hidden.friction_missed(resolution, compliances_above(spaces, data))
+    if not np.isfinite(together):
+        return nothing, 0.0, ()
+    return of_cells, together, tuple(name for name, *_ in texts)
 
 
 def _with(of_cells: Array, lacking: Array) -> Array:
@@ -195,21 +211,21 @@ def _on_contact(
     return found
 
 
-def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, lifted: Sequence[str] = ()) -> tuple[str, ...]:
+def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Sequence[str] = ()) -> tuple[str, ...]:
     """Data that are neither exact in the discrete problem nor, where this is enough, enclosed (collective).
 
     Args:
         resolution: Of the data.
         enclosed: Whether enclosures of loads and of the material are enough.
-        lifted: Data of which the bound contains what v lacks, see `lifts`.
+        also: Data of which the bound contains the rest besides: what v lacks, and what friction does.
     """
     data = resolution.data
     loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
     loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and resolution.held)]
     found = [(each.name, each.polynomial, MOST // 2) for each in loads]
-    found += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in lifted]
+    found += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
     names = [name for name, degree, most in found if degree is None or degree > most]
-    names += data.friction.inexact
+    names += sorted({name for name, *_ in data.friction.texts if name not in also})
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     own = data.material.own
     names += [each.name for each in own if (each.datum.polynomial is None or each.datum.polynomial > MOST // 2)]

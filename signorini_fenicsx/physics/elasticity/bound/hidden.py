@@ -7,6 +7,11 @@ fields on the simplex. d − Π₁d is orthogonal to linear fields as what is co
 there. Π₁d is a load that nothing balances: `body` bounds what all of them do together. If g is within ρ of a
 polynomial of degree K on the simplex S, then ‖d‖ ≤ ‖d‖_Q + 2ρ|S|^½ and ‖Π₁d‖ ≤ 2ρ|S|^½, as p has the moments by
 quadrature. Where this is too much S is cut, see `moments`.
+
+*Friction.* The discrete problem has linear bounds ĝ of the shear on facets in the place of g. With ĝ in the gap the
+identity of `forms/elasticity.py` lacks at most ∫|g − ĝ| |w_t|, w = u − v, on both sides where two bodies touch, as
+g|u_t| + y_t·u_t ≥ (g − ĝ)|u_t| and ĝ|v_t| + σ_t·v_t ≥ (ĝ − g)|v_t|. So |g − ĝ| adds like a load: ‖Π₁w‖_e is bounded by
+the constant of `body`, whose r is any linear field on e, and ‖w − Π₁w‖_e by that of `korn` for tractions.
 """
 
 from __future__ import annotations
@@ -23,10 +28,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.discrete.cell_shapes import corners
-from signorini_fenicsx.discrete.lattices import lagrange
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
 from signorini_fenicsx.expressions.enclosures import distances, moments
+from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, length_of_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
@@ -45,6 +52,8 @@ SHARE = 0.03
 """Enclosures stop where what may be missed is about this share of the bound."""
 ALONG = 1e-10
 """A direction with less than this left is one in which u is given."""
+FRICTION = 2.0
+"""The length beside bounds of friction is so many times |Ω|^(1/d)."""
 SMALLEST = 1e-100
 """Tolerances are at least this."""
 
@@ -172,7 +181,7 @@ def missed(resolution: Resolution, compliance: Array, counted: Array) -> tuple[A
     loaded = np.zeros((len(counted), spaces.dim + 1), dtype=bool)
     for facets, _ in tractions:
         loaded[facets.cells, facets.local] = True
-    of_body = constant_of_body(spaces, compliance, loaded)
+    of_body = constant_of_body(spaces, compliance, loaded, length_of_facets(spaces))
     if not math.isfinite(of_body):
         resolution.held = False
         return np.zeros_like(counted), 0.0
@@ -273,3 +282,49 @@ def _of_traction(
     constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
     columns = constants * np.maximum(norm - seen, 0.0), linear**2 / length_of_facets(spaces)
     return _Missed(datum.name, *(np.bincount(facets.cells, each, len(spaces.order)) for each in columns))
+
+
+def friction_missed(resolution: Resolution, compliance: Array) -> tuple[Array, float]:
+    """What texts for g of friction add to the oscillation of the owned cells, and to the bound (collective).
+
+    It is infinite if nothing is known of it.
+
+    Args:
+        resolution: Of the data.
+        compliance: As in `missed`.
+    """
+    spaces, data, length = resolution.spaces, resolution.data, FRICTION * resolution.spaces.length
+    sides = [(spaces.rough, np.arange(len(spaces.rough.facets)))]
+    across = np.flatnonzero(np.isin(spaces.inner.rows, spaces.rough_rows))
+    sides.append((spaces.across.take(across), np.searchsorted(spaces.rough_rows, spaces.inner.rows[across])))
+    off = np.zeros(len(spaces.rough.facets))
+    for _, datum, rows in data.friction.texts:
+        off[rows] += _off_linear(spaces, datum, spaces.rough.take(rows), data.friction.bound[rows])
+    beyond, linear = np.zeros((2, len(spaces.order)))
+    loaded = np.zeros((len(spaces.order), spaces.dim + 1), dtype=bool)
+    for facets, rows in sides:
+        loaded[facets.cells, facets.local] = off[rows] > 0
+        constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
+        beyond += np.bincount(facets.cells, constants * off[rows], len(beyond))
+        linear += np.bincount(facets.cells, off[rows] ** 2, len(linear))
+    beyond *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
+    of_body = constant_of_body(spaces, compliance, loaded, length)
+    return beyond, of_body * math.sqrt(spaces.mesh.comm.allreduce(float(linear.sum())) / length)
+
+
+def _off_linear(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Array:
+    """‖g − ĝ‖ on facets from the values of ĝ at their vertices, at most (collective)."""
+    vector = VectorDatum("g", (datum,))
+    points, weights = facet_rule(spaces.dim, DEGREE if datum.polynomial is None else datum.polynomial)
+    at = in_facets(spaces.mesh, facets.facets, points)
+    slopes, centre = barycentric_gradients(facets.vertices), facets.vertices.mean(axis=1, keepdims=True)
+    hats = 1 / spaces.dim + np.einsum("nqi,nai->nqa", at.x - centre, slopes)
+    rest = datum.values(at) - np.einsum("nqa,na->nq", hats, bound)
+    seen = rest**2 @ (weights / weights.sum())
+    sizes = np.array([seen.sum(), len(seen)])
+    spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes)
+    enough = max(SHARE * math.sqrt(sizes[0] / max(sizes[1], 1.0)), SMALLEST)
+    enclosures = _Enclosures(spaces, vector, ON_FACETS, enough)
+    near = (bound @ (lattice(spaces.dim, ON_FACETS) / ON_FACETS).T)[..., None]
+    enclosures.add(facets.cells, facets.vertices, near, seen[:, None])
+    return np.asarray(enclosures.roots()[1] * np.sqrt(facets.measure))

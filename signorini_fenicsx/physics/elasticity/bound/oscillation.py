@@ -49,12 +49,9 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
     spaces, data = resolution.spaces, resolution.data
     dim, found = spaces.dim, np.zeros(len(spaces.order))
     cells_of, local, traction = _tractions(spaces, data, found)
-    everywhere = np.empty((len(found), *[dim * (dim + 1) // 2] * 2))
+    everywhere = compliances_above(spaces, data)
     for numbers in blocks_of_cells(spaces):
-        cells = Cells(spaces.vertices[numbers])
-        compliance = above(data.compliances(spaces, numbers))
-        compliance += beyond(spaces, data, numbers)[:, None, None] * np.eye(compliance.shape[1])
-        everywhere[numbers] = compliance
+        cells, compliance = Cells(spaces.vertices[numbers]), everywhere[numbers]
         inside, rest = _force(spaces, data, stresses, numbers)
         rows = np.flatnonzero(np.isin(cells_of, numbers))
         on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))
@@ -65,6 +62,16 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
             found[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
     more, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + found)
     return found + more, together
+
+
+def compliances_above(spaces: ElasticSpaces, data: ElasticData) -> Array:
+    """On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries) (collective)."""
+    number = spaces.dim * (spaces.dim + 1) // 2
+    found = np.empty((len(spaces.order), number, number))
+    for cells in blocks_of_cells(spaces):
+        found[cells] = above(data.compliances(spaces, cells))
+        found[cells] += beyond(spaces, data, cells)[:, None, None] * np.eye(number)
+    return found
 
 
 def above(compliance: Array) -> Array:
