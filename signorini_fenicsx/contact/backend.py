@@ -1,7 +1,7 @@
 """What the loop over the sets needs from a discretisation: one linear solve under given conditions on its sites.
 
-`Backend` lists what every backend gives. `facets.FacetBackend` implements most of it for backends whose sites are the
-facets of Γ_S: a new one adds its name, its number of unknowns, `solver` and `solve`.
+`Backend` lists what every backend gives. `FacetBackend` of `physics/diffusion/facets.py` implements most of it for
+backends whose sites are the facets of Γ_S: a new one adds its name, its number of unknowns, `solver` and `solve`.
 """
 
 from collections.abc import Callable
@@ -12,6 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 
@@ -175,6 +176,33 @@ class Backend[I: Pairs](Protocol):
     def in_mixed_spaces(self, iterate: I, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """σ_h, u_h, p_h and facet conditions that belong to an iterate and its conditions (collective)."""
         ...
+
+
+class PlainBackend:
+    """What a `Backend` has unless it says otherwise: all is solved by `solve`, nothing is clipped.
+
+    Attributes:
+        precise: None, see `Backend.precise`.
+    """
+
+    precise: Callable[[], Backend[Any]] | None = None
+
+    @property
+    def inexact(self) -> Inexact | None:
+        """None, see `Backend.inexact`."""
+        return None
+
+    def without_flux(self, iterate: Any, where: Mask) -> Any:
+        """Refused.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("a rule that clips fluxes needs a backend whose unknown is the flux")
+
+    def in_mixed_spaces(self, iterate: Any, conditions: SiteConditions) -> tuple[Any, SiteConditions]:
+        """The iterate and its conditions as they are."""
+        return iterate, conditions
 
 
 @runtime_checkable

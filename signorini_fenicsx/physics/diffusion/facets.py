@@ -1,7 +1,6 @@
 """What the backends have in common whose sites are the facets of Γ_S and, with laws in Ω, the cells behind them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,7 +13,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_nodes, owned_values
-from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
+from signorini_fenicsx.contact.backend import Iterate, PlainBackend
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
@@ -25,7 +24,7 @@ from signorini_fenicsx.physics.diffusion.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 
-class FacetBackend(ABC):
+class FacetBackend(PlainBackend, ABC):
     """A `Backend` for RT0/P0 with a condition per facet of Γ_S; subclasses add `name`, `dofs`, `solver` and `solve`.
 
     With laws in Ω there is a condition per owned cell as well, behind those of the facets.
@@ -38,7 +37,6 @@ class FacetBackend(ABC):
     name: str
     noun = ("facet", "facets")
     dofs: int
-    precise: Callable[[], Backend[Iterate]] | None = None
 
     def __init__(self, spaces: Spaces, data: Data):
         """Keep the problem.
@@ -59,11 +57,6 @@ class FacetBackend(ABC):
     def chains(self) -> Chains:
         """The law of each site."""
         return self.data.chains
-
-    @property
-    def inexact(self) -> Inexact | None:
-        """Solves of the backend that predict the sets; None here."""
-        return None
 
     @abstractmethod
     def solver(self) -> str:

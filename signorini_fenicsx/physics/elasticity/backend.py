@@ -15,10 +15,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate
+from signorini_fenicsx.contact.backend import Inexact, Iterate, PlainBackend
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
@@ -42,7 +41,7 @@ SPRING = 1e-6
 """Share of a site's diagonal entry that is its spring."""
 
 
-class ElasticBackend:
+class ElasticBackend(PlainBackend):
     """Solves under one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
 
     ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is as
@@ -54,7 +53,6 @@ class ElasticBackend:
     name = "elastic"
     noun = ("vertex", "vertices")
     cheap = False
-    precise: Callable[[], Backend[Iterate]] | None = None
 
     def __init__(
         self,
@@ -427,14 +425,6 @@ class ElasticBackend:
             self._x.axpy(1.0, correction)
         return stresses, displacements
 
-    def without_flux(self, iterate: Iterate, where: Mask) -> Iterate:
-        """Refused: there is no clip without a penalty.
-
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("elastic contact takes no penalty; use alg1 or alg2")
-
     def scales(self, iterate: Iterate) -> tuple[Array, Array]:
         """The largest |u| and the largest |σ|, see `Backend.scales`."""
         return np.full(self.sites, self._largest[0]), np.full(self.sites, self._largest[1])
@@ -447,10 +437,6 @@ class ElasticBackend:
     def places(self) -> Array:
         """The places of the sites, see `ElasticSpaces.places`."""
         return self.spaces.places
-
-    def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """The iterate and its conditions: σ is in the Johnson-Mercier space and u linear on each cell already."""
-        return iterate, conditions
 
     def _extent(self, *values: Array) -> tuple[float, float]:
         u, sigma = (float(self.comm.allreduce(one.max(initial=0.0), MPI.MAX)) for one in values)

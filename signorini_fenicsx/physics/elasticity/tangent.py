@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.backend import Backend, Inexact, Pairs
+from signorini_fenicsx.contact.backend import Pairs, PlainBackend
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
@@ -18,7 +16,7 @@ from signorini_fenicsx.physics.elasticity.coulomb import newton
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 
 
-class Tangent:
+class Tangent(PlainBackend):
     """Solves for the traces of the change under segments of the laws; p and the flux are measured from moved corners.
 
     A biactive site has the two segments that meet at its corner for rays, any other site its own segment alone. With
@@ -29,8 +27,6 @@ class Tangent:
     """
 
     name = "tangent"
-    inexact: Inexact | None = None
-    precise: Callable[[], Backend[Any]] | None = None
 
     def __init__(
         self,
@@ -129,14 +125,6 @@ class Tangent:
         p, flux = conditions.clean(p, flux, np.inf)
         return Pairs(p=p, flux=flux, linear_iterations=1)
 
-    def without_flux(self, iterate: Pairs, where: Mask) -> Pairs:
-        """Refused: there is no clip.
-
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("the change of a solution takes no penalty")
-
     def scales(self, iterate: Pairs) -> tuple[Array, Array]:
         """The largest of both over all sites, see `Backend.scales` (collective)."""
         largest = np.array([np.abs(each).max(initial=0.0) for each in (iterate.p, iterate.flux)])
@@ -155,10 +143,6 @@ class Tangent:
     def places(self) -> Array:
         """One row per site, see `Backend.places`."""
         return self._backend.places()
-
-    def in_mixed_spaces(self, iterate: Any, conditions: SiteConditions) -> tuple[Any, SiteConditions]:
-        """The iterate and its conditions as they are."""
-        return iterate, conditions
 
 
 def stiffness_times(data: ElasticData, conditions: SiteConditions, p: Array) -> Array:

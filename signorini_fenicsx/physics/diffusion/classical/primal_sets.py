@@ -5,9 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.backend import Inexact, Iterate, Pairs
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.contact.backend import Iterate, Pairs, PlainBackend
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
@@ -34,7 +33,7 @@ class VertexPairs(Pairs):
     u: Array
 
 
-class VertexBackend:
+class VertexBackend(PlainBackend):
     """A `Backend` for conforming P1, whose sites are the vertices of Γ_S that are not on Γ_D.
 
     Attributes:
@@ -44,8 +43,6 @@ class VertexBackend:
 
     name = P1System.name
     noun = ("vertex", "vertices")
-    inexact: Inexact | None = None
-    precise: None = None
 
     def __init__(self, task: DiffusionTask, contact: Condition):
         """Assemble (collective).
@@ -85,14 +82,6 @@ class VertexBackend:
         reaction = (system.times(self.u) - system.load)[system.signorini] / system.weights
         p, flux = conditions.clean(self.u[system.signorini], reaction, self._conductance)
         return VertexPairs(p=p, flux=flux, linear_iterations=1, u=self.u)
-
-    def without_flux(self, iterate: VertexPairs, where: Mask) -> VertexPairs:
-        """Not possible in P1, where the flux is no unknown.
-
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("a rule that clips fluxes needs a backend whose unknown is the flux")
 
     def scales(self, iterate: VertexPairs) -> tuple[Array, Array]:
         """The largest |u|, and the λ that it would give at each vertex through the matrix diagonal (collective)."""
