@@ -207,6 +207,10 @@ class Material:
         turn = self._turn(points)
         return turn @ compliance @ turn.swapaxes(-1, -2)
 
+    def softness_in_space(self, points: CellPoints) -> Array:
+        """The eigenvalues of 𝔸 in space, ascending, shape (cells, points, 6) (collective)."""
+        return np.linalg.eigvalsh(self._in_space(points))
+
     def constants(self, points: CellPoints) -> tuple[Array, Array]:
         """E₁, E₂, E₃ and ν₁₂, ν₁₃, ν₂₃ in points, the last axis (collective)."""
         young, poisson = ([datum.values(points) for datum in data] for data in (self.young, self.poisson))

@@ -41,7 +41,13 @@ from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplaceme
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.lifted import lifted, lifts, of_degree
 from signorini_fenicsx.physics.elasticity.bound.oscillation import compliances_above, load_oscillation
-from signorini_fenicsx.physics.elasticity.bound.resolution import NAME, Resolution, is_enclosed
+from signorini_fenicsx.physics.elasticity.bound.resolution import (
+    NAME,
+    Resolution,
+    is_enclosed,
+    is_own_enclosed,
+    unresolved_by_quadrature,
+)
 from signorini_fenicsx.physics.elasticity.data import MOST
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -227,7 +233,7 @@ def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Se
     names = [name for name, degree, most in found if degree is None or degree > most]
     names += sorted({name for name, *_ in data.friction.texts if name not in also})
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
-    own = data.material.own
-    names += [each.name for each in own if (each.datum.polynomial is None or each.datum.polynomial > MOST // 2)]
+    if not (enclosed and is_own_enclosed(data.material)):
+        names += [each.name for each in data.material.own if unresolved_by_quadrature(each)]
     known = data.material.uniform or (enclosed and is_enclosed(data.material))
     return tuple(names) if known else (*names, NAME)

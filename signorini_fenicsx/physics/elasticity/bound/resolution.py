@@ -12,6 +12,10 @@ in true norms and in those by a quadrature with positive weights. o_P is cubic, 
 
     ‖o‖_ℂ ≤ (‖o‖_Q + s)/√(1 − 2η) + s.
 
+Where E and ν are numbers, and ε₀ or σ₀ within ρ of polynomials of degree 4 in their entries, η = 0, and s is the energy
+of the rest: at most the root of |S| Σρ² times the largest eigenvalue of ℂ for ε₀, of 𝔸 for σ₀, both in space. There the
+plane has less energy, as it is what is left after σ_zz or ε_zz is chosen.
+
 `expressions.enclosures` has ρ where E and ν are texts, and from distances to constants how much a coefficient varies.
 """
 
@@ -25,6 +29,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
@@ -34,9 +39,9 @@ from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
 from signorini_fenicsx.physics.elasticity.bound.body import has_constant
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
-from signorini_fenicsx.physics.elasticity.material import Material
+from signorini_fenicsx.physics.elasticity.material import Material, Strain
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 
 DEGREE = 2
@@ -45,6 +50,8 @@ ENOUGH, ROUGHLY = 1e-9, 1e-2
 """A coefficient need not be known better than up to the first share of itself, how it varies than up to the second."""
 RESOLVED = 0.05
 """A coefficient is not resolved if ρ is more than this share of it, or if it varies by more than half of itself."""
+OWN = 4
+"""Degree of the polynomials for strain and stress of the body's own: then their differences to ε(v) have this, too."""
 NAME = "young and poisson"
 
 
@@ -53,6 +60,18 @@ def is_enclosed(material: Material) -> bool:
     if len(material.young) != 1 or len(material.poisson) != 1 or material.shear or material.axes or material.own:
         return False
     return all(datum.pieces is not None for datum in (*material.young, *material.poisson))
+
+
+def is_own_enclosed(material: Material) -> bool:
+    """Whether a material has numbers for its elastic constants, and texts or numbers for what it has of its own."""
+    known = [datum.pieces is not None for strain in material.own for datum in (strain.datum, strain.beyond)]
+    return material.uniform and all(known)
+
+
+def unresolved_by_quadrature(strain: Strain) -> bool:
+    """Whether strain or stress of the body's own is no polynomial whose square quadrature integrates exactly."""
+    degree = strain.datum.polynomial
+    return degree is None or degree > MOST // 2
 
 
 def _coefficients(material: Material, young: Tree, poisson: Tree) -> tuple[Tree, ...]:
@@ -175,6 +194,32 @@ class Resolution:
         return _Stiffness.of(self.spaces, material) if is_varying(material) else None
 
     @cached_property
+    def _own(self) -> Array | None:
+        """S of strain and stress of the body's own on the subcells; None if quadrature is exact (collective).
+
+        Where it is large beside the largest value it is 0, and recorded that these are not resolved.
+        """
+        spaces, material = self.spaces, self.data.material
+        if not is_own_enclosed(material) or not any(map(unresolved_by_quadrature, material.own)):
+            return None
+        size, found = spaces.dim + 1, np.zeros(len(spaces.order) * (spaces.dim + 1))
+        for strain in material.own:
+            rho, largest = _of_strain(spaces, strain)
+            largest = spaces.mesh.comm.allreduce(float(largest.max(initial=0.0)), MPI.MAX)
+            coarse = ~(rho <= RESOLVED * largest)
+            self.note(strain.name, coarse.reshape(-1, size).any(axis=1))
+            found += np.where(coarse, 0.0, rho) * np.repeat(self._energy_of(strain.name), size)
+        return found * np.sqrt(np.repeat(spaces.cell_measures, size) / size)
+
+    def _energy_of(self, name: str) -> Array:
+        """The root of the largest eigenvalue of ℂ or 𝔸 in space on the owned cells (collective)."""
+        energy = np.empty(len(self.coarse))
+        for cells in blocks_of_cells(self.spaces):
+            softness = self.data.material.softness_in_space(self.data.points(self.spaces, cells).first)[:, 0]
+            energy[cells] = softness[:, -1] if name == "initial_stress" else 1 / softness[:, 0]
+        return np.sqrt(energy)
+
+    @cached_property
     def held(self) -> bool:
         """Whether there is a constant of the body, so that loads are enclosed (collective when first used)."""
         return has_constant(self.spaces)
@@ -201,8 +246,10 @@ class Resolution:
     def with_missed(self, problem: BestDisplacement, squares: Array) -> Array:
         """‖o‖²_ℂ at most, from ‖o‖²_Q, per subcell of the split mesh or the part of it (collective).
 
-        It is ‖o‖²_Q itself where E and ν are numbers or are not enclosed, and where a coefficient is not resolved.
+        It is ‖o‖²_Q itself where all is a polynomial or not enclosed, and where a coefficient is not resolved.
         """
+        if self._own is not None:
+            return np.asarray((np.sqrt(np.maximum(squares, 0.0)) + 2 * self._own[problem.split.subcells]) ** 2)
         if self._stiffness is None:
             return squares
         split, y = problem.split, problem.sigma
@@ -218,6 +265,25 @@ class Resolution:
         eta = (rho[:2] / least[:2]).max(axis=0)
         root = (np.sqrt(np.maximum(squares, 0.0)) + s) / np.sqrt(np.where(resolved, 1 - 2 * eta, 1.0)) + s
         return np.where(resolved, root**2, squares)
+
+
+def _of_strain(spaces: ElasticSpaces, strain: Strain) -> tuple[Array, Array]:
+    """The root of Σρ² over the entries on the subcells, infinite where none is known, and the largest entries."""
+    size, dim = spaces.dim + 1, spaces.dim
+    cells, vertices = np.repeat(np.arange(len(spaces.order)), size), split_vertices(spaces.vertices)
+    vertices = vertices.reshape(-1, size, dim)
+    middle = dict(zip("xyz", np.moveaxis(vertices.mean(axis=1), -1, 0), strict=False))
+    squares, largest = np.zeros((2, len(cells)))
+    for datum, times in ((strain.datum, dim), (strain.beyond, 3 - dim)):
+        for given, inside in datum.pieces or ():
+            rows = np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])
+            entries = [(given, times)] if isinstance(given, TREES) else [(each, 1) for row in given for each in row]
+            for tree, count in entries:
+                value = np.abs(np.broadcast_to(values(tree, middle), len(cells)))[rows]
+                rho = distances(tree, vertices[rows], spaces.frame, ENOUGH * value, OWN)
+                squares[rows] += count * rho**2
+                largest[rows] = np.maximum(largest[rows], value)
+    return np.sqrt(squares), largest
 
 
 def beyond(spaces: ElasticSpaces, data: ElasticData, cells: npt.NDArray[np.int32]) -> Array:
