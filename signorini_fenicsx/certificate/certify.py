@@ -1,6 +1,7 @@
 """The bound of a solution of any physics, and of a function that the user has."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast, overload
 
@@ -55,12 +56,17 @@ def certify(
         solved = cast(Solved, solution)
     if v is not None:
         return bound_field(solved, v)
-    of_physics, watch = bound_of(solved.physics, "certify"), Stopwatch()
+    return certified(solved, "certify", lambda bound: bound.certificate_of(solved, for_signorini=for_signorini))
+
+
+def certified(solution: Solved, module: str, certify: Callable[[Any], Certificate]) -> Certificate:
+    """The certificate that a module of the physics gives, with its seconds; no bound if there is none (collective)."""
+    of_physics, watch = bound_of(solution.physics, module), Stopwatch()
     if of_physics is None:
-        return _none(solved)
+        return _none(solution)
     with watch.phase("certificate"):
-        certificate: Certificate = of_physics.certificate_of(solved, for_signorini=for_signorini)
-    return replace(certificate, seconds=watch.longest(solved.spaces.mesh.comm)["certificate"])
+        certificate = certify(of_physics)
+    return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
 def _none(solution: Solved) -> Certificate:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
-from signorini_fenicsx.base.parallel import Stopwatch, collector_off
+from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.certificate.certify import certified
 from signorini_fenicsx.solving.evolving import Instant
-from signorini_fenicsx.solving.system import bound_of
 
 
 class StepBounds:
@@ -21,9 +20,10 @@ class StepBounds:
     @collector_off()
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it (collective)."""
-        solution, watch = instant.solution, Stopwatch()
-        if self._of is None:
-            self._of = bound_of(solution.physics, "steps").StepBounds()
-        with watch.phase("certificate"):
+
+        def of_step(bound: Any) -> Certificate:
+            self._of = self._of or bound.StepBounds()
             certificate: Certificate = self._of.certify(instant)
-        return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
+            return certificate
+
+        return certified(instant.solution, "steps", of_step)

@@ -1,7 +1,8 @@
 """One condition per site: with these each step of every algorithm is a linear problem.
 
 A site has one pair (p, σ·n). It is a facet of Γ_S or, for conforming P1, a vertex. With laws in Ω each cell is a site
-as well, with u_T less a reference for p and −s_T, of an obstacle its force, for σ·n.
+as well, with u_T less a reference for p and −s_T, of an obstacle its force, for σ·n. In elastic contact a site is a
+vertex of a facet of Γ_C, with the opening and the pressure; those with friction have one more for each tangent.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ type OnStep = Callable[["Step"], None]
 class Step:
     """One row of the history: iteration n of the algorithm. The start solve is n = 0 and has no row.
 
-    Sites are the facets of Γ_S or, for conforming P1, its vertices on Γ_S. Their numbers are sums over all ranks.
+    For sites see `conditions`. Their numbers are sums over all ranks.
 
     Attributes:
         iteration: n, from 1.
@@ -57,7 +57,7 @@ class Outcome:
 
     Attributes:
         iterate: Last solution.
-        conditions: Conditions on the Γ_S facets of this rank under which it was computed.
+        conditions: Conditions under which it was computed, on the Γ_S facets of this rank; of a body, its sites.
         history: One step per iteration, those of a prediction on the same mesh first.
         reason: Why it ended, in words.
         converged: Whether the sets repeated; in a `Solution`, whether its residuals are small as well.
@@ -89,7 +89,7 @@ class Outcome:
 
     @classmethod
     def interrupted(cls, by: LoopInterruption, backend: str, dofs: int = 0, linear_solver: str = "interrupted") -> Self:
-        """The last state of a run that was told to end; the last two where they are known."""
+        """The outcome of a run that was told to end, from its last state, with what is known of its backend."""
         iterate, conditions, history = by.state
         return cls(
             iterate=iterate,

@@ -410,20 +410,8 @@ class Storage(Corners):
 
 
 LAWS: Mapping[str, type[Law]] = {
-    "signorini": Signorini,
-    "friction": Friction,
-    "two-sided": TwoSided,
-    "wall": Wall,
-    "regulator": Regulator,
-    "seepage": Seepage,
-    "river": River,
-    "graph": Corners,
+    law.word: law for law in (Signorini, Friction, TwoSided, Wall, Regulator, Seepage, River, Corners)
 }
 """The laws on parts of the boundary by the names that case files have for them."""
-LAWS_INSIDE: Mapping[str, type[Law]] = {
-    "obstacle": Obstacle,
-    "reaction": Reaction,
-    "graph": Corners,
-    "storage": Storage,
-}
+LAWS_INSIDE: Mapping[str, type[Law]] = {law.word: law for law in (Obstacle, Reaction, Corners, Storage)}
 """The laws in regions by the names that case files have for them."""

@@ -1,12 +1,13 @@
 """The loop that all active/inactive-set algorithms share: rule, solve, until the sets repeat.
 
-It works on sites with a pair (p, σ·n) each, whether these are facets of Γ_S or vertices.
+It works on sites with a pair (p, σ·n) each, whatever these are, see `conditions`.
 
 *Ties.* A site where p and σ·n are both rounding (biactive sites, symmetry, no load) keeps its condition. After the
 algorithm's own start there is no condition to keep; there a tie counts as p = σ·n = 0. The backend's scales and
 `tolerances.TIE` define what is rounding.
 
-*Cycles.* Each set determines the next one, so if a set occurs a second time, the same sets repeat forever. Every rule
+*Cycles.* Each set determines the next one, so if a set occurs a second time, the same sets repeat forever. (`follow`
+may change the laws; then the conditions have other values, and are another set.) Every rule
 is principal pivoting for a linear complementarity problem: p ≥ 0, Sp − g ≥ 0, one of them 0 on each site, with the
 Schur complement S on Γ_S. For the penalties this holds in the shifted quantities of `Penalty.shift`, with
 (S⁻¹ + ε/|e|)⁻¹ or S + ε|e| in place of S. These matrices are symmetric and positive definite. For them, changing one
@@ -19,11 +20,12 @@ hold as well for laws with several corners, where a site moves by one segment at
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from typing import cast
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.base.errors import LinearSolveFailure, NumericalFailure
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.contact.backend import Backend, Pairs
@@ -31,7 +33,7 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
-from signorini_fenicsx.contact.set_rules import Present, SetRule
+from signorini_fenicsx.contact.set_rules import ALGORITHM_1, Present, SetRule
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,20 @@ def _clipped[I: Pairs](backend: Backend[I], iterate: I, where: Mask) -> tuple[I,
     """The iterate without the flux of these sites, and their number over all ranks (collective)."""
     number = backend.comm.allreduce(int(np.count_nonzero(where)))
     return (backend.without_flux(iterate, where) if number > 0 else iterate), number
+
+
+def settled_change[I: Pairs](backend: Backend[I], start: SiteConditions, biactive: int) -> I:
+    """The change of a solution: one solve, or where biactive sites choose between two rays Algorithm 1 (collective).
+
+    Raises:
+        NumericalFailure: If the sets of biactive sites do not settle.
+    """
+    if biactive == 0:
+        return backend.solve(start)
+    outcome = iterate_sets(backend, ALGORITHM_1, Parameters(), start=start)
+    if not outcome.converged:
+        raise NumericalFailure(f"derivative: {outcome.reason}")
+    return cast("I", outcome.iterate)
 
 
 @dataclass

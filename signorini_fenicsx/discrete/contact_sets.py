@@ -1,8 +1,8 @@
 """Sets of facets of Γ_S, on meshes that need not match: how much they overlap and how far they are apart."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import dolfinx.geometry
 import dolfinx.mesh
@@ -180,3 +180,29 @@ def by_state(
     return {
         name: {sites: int(count), "measure": size} for name, count, size in zip(names, counts, measures, strict=True)
     }
+
+
+def by_part(
+    spaces: MeshSpaces,
+    laws: Iterable[Any],
+    segment: Indices,
+    part_of_site: npt.NDArray[np.int32],
+    measure: Array,
+    sites: str,
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Number and measure of the sites on each segment of a law, by part and name of the segment (collective).
+
+    Args:
+        spaces: The spaces, with the names of the parts.
+        laws: The laws with their parts.
+        segment: The segment that each site is on.
+        part_of_site: The number of the part of each site.
+        measure: Of each site.
+        sites: What the sites are called.
+    """
+    states = {}
+    for law in (each.law for each in laws):
+        for part in law.parts:
+            on = part_of_site == spaces.part_names.index(part)
+            states[part] = by_state(spaces.mesh.comm, law.segments, law.named(segment[on]), measure[on], sites)
+    return states

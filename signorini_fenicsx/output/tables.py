@@ -2,15 +2,13 @@
 
 import csv
 import errno
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
-
-type Columns = Mapping[str, npt.NDArray]
+from signorini_fenicsx.solving.solved import Columns
 
 
 def write_columns(path: Path, tables: Iterable[Columns]) -> None:

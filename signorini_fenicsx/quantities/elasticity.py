@@ -42,7 +42,7 @@ from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, Elast
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Half
-from signorini_fenicsx.quantities.elastic_energy import indicator
+from signorini_fenicsx.quantities.elastic_energy import QUADRATIC, indicator
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
 from signorini_fenicsx.quantities.motions import (
     Posed,
@@ -55,8 +55,6 @@ from signorini_fenicsx.quantities.motions import (
 )
 from signorini_fenicsx.quantities.shifts import added, in_regions
 
-QUADRATIC = 2
-"""Degree of v."""
 STEP = "the exact solution of the step after the computed slip of the last one"
 """Of what the quantities of a step in time with friction are."""
 

@@ -85,11 +85,9 @@ class Solver[S: Solved]:
         with wish.watch.phase("assembly"):
             boundary, data = sorted_on(self.spaces.domain, problem, system.boundary)
             if with_sides(self.spaces.domain, problem) is not self.spaces.domain:
-                raise InputError("side: is another one than that which the solver was set up for")
+                raise InputError("side: the named side of a part is not the one that the solver was set up for")
             if not isinstance(boundary, type(system.boundary)):
                 raise InputError("problem: is of another physics than that which the solver was set up for")
-            if isinstance(start, Solved) and not isinstance(start.boundary, type(system.boundary)):
-                raise InputError(f"start: {start.name} is of another physics")
             run = system.prepared((boundary, data), wish)
         outcome = run.outcome()
         with wish.watch.phase("kkt"):

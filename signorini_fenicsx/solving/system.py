@@ -8,6 +8,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, Protocol
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.contact.history import OnStep, Outcome
@@ -136,7 +137,7 @@ def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
     """
     name = getattr(boundary, "physics", None)
     if name not in PHYSICS:
-        raise InputError(f"problem: must be one of {_problems()}, not {type(boundary).__name__}")
+        raise InputError(f"problem: must be {_problems()}, not {type(boundary).__name__}")
     system: System = import_module(f"{PHYSICS[name]}.solving").System(domain, boundary, problem)
     return system
 
@@ -153,7 +154,7 @@ def with_sides(domain: Domain, problem: Any) -> Domain:
 
 def _problems() -> str:
     """What the problems of all physics are called."""
-    return " and ".join(map(str.capitalize, PHYSICS))
+    return " or ".join(f"{'an' if name[0] in 'aeiou' else 'a'} {name.capitalize()}" for name in PHYSICS)
 
 
 def keeping_of(physics: str) -> Keeping:
@@ -186,8 +187,23 @@ def sorted_on(domain: Domain, problem: Any, boundary: Any = None) -> tuple[Any, 
         boundary, data = problem.on(domain)
         return boundary, data
     if boundary is None or not is_dataclass(problem):
-        raise InputError(f"problem: must be one of {_problems()}, not {type(problem).__name__}")
+        raise InputError(f"problem: must be {_problems()}, not {type(problem).__name__}")
     return boundary, problem
+
+
+def check_start(domain: Domain, start: Any, *kinds: type) -> None:
+    """Refuse a start that is none of these, or on another domain (collective).
+
+    Raises:
+        InputError: If it is.
+    """
+    if start is None:
+        return
+    if isinstance(start, Solved) and not isinstance(start, kinds):
+        raise InputError(f"start: {start.name} is of another physics")
+    check_kind("start", start, *kinds)
+    if not same_domain(domain, start.spaces.domain):
+        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{domain.name}'")
 
 
 def same_domain(domain: Domain, other: Domain) -> bool:

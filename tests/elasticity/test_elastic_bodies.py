@@ -161,7 +161,7 @@ def test_wrong_sides_from_python():
     ):
         with pytest.raises(InputError, match=message):
             solve(domain, Diffusion(1.0, conditions=[condition]))
-    with pytest.raises(InputError, match="side: is another one"):
+    with pytest.raises(InputError, match="side: the named side of a part is not the one"):
         solver.solve(Diffusion(1.0, conditions=[Signorini("fault", side=(0, -1))]))
 
 

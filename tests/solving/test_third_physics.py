@@ -22,7 +22,7 @@ COMM = MPI.COMM_WORLD
 def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """It is solved, written, drawn, read again, compared and reported; there is no bound, which is said."""
     domain = build_domain(COMM, "square", 0.3, mesh="structured")
-    with pytest.raises(InputError, match="must be one of Diffusion and Elasticity, not Edges"):
+    with pytest.raises(InputError, match="must be a Diffusion or an Elasticity, not Edges"):
         solve(domain, Bed(2.0, -1.0, ["bottom"]))
     monkeypatch.setitem(PHYSICS, "springs", "springs")
     solution = solve(domain, Bed(2.0, -1.0, ["bottom"]), name="bed")

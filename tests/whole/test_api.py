@@ -319,7 +319,7 @@ def test_refusals():
         domain_of(mesh, {}, {"west": None})
     with pytest.raises(InputError, match=r"signorini: must be a list of names, such as \['bottom'\]"):
         Boundary("bottom")
-    with pytest.raises(InputError, match="start: must be a Solution of a scalar problem, not str"):
+    with pytest.raises(InputError, match="start: must be a Solution or Segments, not str"):
         solve(domain, (bottom, f), start="results")
     with pytest.raises(InputError, match=r"laws: must be a list of laws, such as \[Friction"):
         Problem(f=1.0, laws=Friction(["bottom"], g=1))
@@ -346,8 +346,8 @@ def test_arguments_of_the_wrong_kind():
         (lambda: solve(domain, (free, pressed)), "problem: must be a Problem, not ElasticProblem"),
         (lambda: solve(domain, (free, scalar), {"algorithm": "alg1"}), "options: must be an Options, not dict"),
         (lambda: solve(domain.mesh, (held, pressed)), "domain: must be a Domain, not Mesh"),
-        (lambda: solve(domain, Wall("bottom", beta=1)), "problem: must be one of Diffusion and Elasticity, not Wall"),
-        (lambda: Solver(domain, scalar), "problem: must be one of Diffusion and Elasticity, not Problem"),
+        (lambda: solve(domain, Wall("bottom", beta=1)), "problem: must be a Diffusion or an Elasticity, not Wall"),
+        (lambda: Solver(domain, scalar), "problem: must be a Diffusion or an Elasticity, not Problem"),
         (lambda: Solver(domain, (free, scalar)).solve(pressed), "problem: must be a Problem, not ElasticProblem"),
         (lambda: solve(domain, (held, scalar)), "problem: must be an ElasticProblem, not Problem"),
         (lambda: solve(domain, (held, pressed), "alg1"), "options: must be an Options, not string"),

@@ -27,12 +27,11 @@ from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.loop import Parameters, iterate_sets
-from signorini_fenicsx.contact.set_rules import ALGORITHM_1
+from signorini_fenicsx.contact.loop import settled_change
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.discrete.part_laws import PartLaw, means_of
@@ -146,13 +145,7 @@ class Linearised:
         chains = rays((before, beyond), (one, other))
         backend = Tangent(self._spaces, self._data, self._backend, self._loads(changes), chains)
         start = chains.conditions((self._beside < 0).astype(np.int64))
-        if number == 0:
-            iterate = backend.solve(start)
-        else:
-            outcome = iterate_sets(backend, ALGORITHM_1, Parameters(), start=start)
-            if not outcome.converged:
-                raise NumericalFailure(f"derivative: {outcome.reason}")
-            iterate = outcome.iterate
+        iterate = settled_change(backend, start, number)
         p = self._spaces.multiplier(iterate.p[: len(self._spaces.facets)])
         return {"sigma": iterate.sigma, "u": iterate.u, "p": p}
 

@@ -23,7 +23,7 @@ from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_state, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
@@ -289,14 +289,8 @@ class Solution(Solved):
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
-        spaces, segment = self.spaces, self.segments().segment
-        states: dict[str, dict[str, dict[str, float]]] = {}
-        for law in self.data.laws.of_parts:
-            for part in law.law.parts:
-                on_part = spaces.part_of_facet == spaces.part_names.index(part)
-                own, measure = law.law.named(segment[on_part]), spaces.facet_measure[on_part]
-                states[part] = by_state(spaces.mesh.comm, law.law.segments, own, measure, "facets")
-        return states
+        spaces, laws, segment = self.spaces, self.data.laws.of_parts, self.segments().segment
+        return by_part(spaces, laws, segment, spaces.part_of_facet, spaces.facet_measure, "facets")
 
     @collector_off()
     def violation(self) -> dict[str, float]:

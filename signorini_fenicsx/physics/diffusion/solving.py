@@ -36,7 +36,7 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
+from signorini_fenicsx.solving.system import Remesh, Wish, check_start
 
 NO_TRACE = "a function with this trace has no finite energy, and there is no bound of the error"
 NO_BOUND = "there is one solution, but errors fall slowly and their bound is not guaranteed"
@@ -111,8 +111,7 @@ class System:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
         check_kind("problem", problem, Problem)
-        if start is not None:
-            check_start(self.spaces, start)
+        check_start(self.spaces.domain, start, Solution)
         return DiffusionSteps(self.spaces, problem, evolution, start)
 
     def backend_of(self, outcome: Outcome) -> HybridBackend | None:
@@ -280,24 +279,10 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
                 "alg1, alg2 and qp take every law"
             )
     _check_size(options, spaces)
-    if start is None:
-        return
-    check_start(spaces, start)
-    if not method.starts_from_sets:
+    check_start(spaces.domain, start, Solution, Segments)
+    if start is not None and not method.starts_from_sets:
         usable = those(lambda other: other.starts_from_sets)
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; {usable} have them")
-
-
-def check_start(spaces: Spaces, start: object) -> None:
-    """Refuse a start that is no solution of a scalar problem, or on another domain (collective).
-
-    Raises:
-        InputError: If it is.
-    """
-    if not isinstance(start, Solution | Segments):
-        raise InputError(f"start: must be a Solution of a scalar problem, not {type(start).__name__}")
-    if not same_domain(spaces.domain, start.spaces.domain):
-        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{spaces.domain.name}'")
 
 
 def _check_size(options: Options, spaces: Spaces) -> None:

@@ -30,12 +30,11 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.contact.loop import Parameters, iterate_sets
-from signorini_fenicsx.contact.set_rules import ALGORITHM_1
+from signorini_fenicsx.contact.loop import settled_change
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
@@ -157,12 +156,7 @@ class Linearised:
                 sites = counted(refused, "site")
                 raise InputError(f"derivative: {sites} may begin to turn in space, or leave a spring, so there is none")
             start = tangent.chains.conditions(below.astype(np.int64))
-            if number == 0:
-                tangent.solve(start)
-            else:
-                outcome = iterate_sets(tangent, ALGORITHM_1, Parameters(), start=start)
-                if not outcome.converged:
-                    raise NumericalFailure(f"derivative: {outcome.reason}")
+            settled_change(tangent, start, number)
             return backend.system.everywhere(tangent.x)
 
         stresses, u, _ = backend.system.respond(*self._by_changes(changes), solve)

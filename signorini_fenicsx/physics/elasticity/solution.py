@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.discrete.contact_sets import FacetSet, by_state, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part, by_state, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity import shown
@@ -253,14 +253,9 @@ class ElasticSolution(Solved):
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
-        spaces, states = self.spaces, {}
+        spaces, laws = self.spaces, self.data.laws.of_parts
         part_of_site = np.repeat(spaces.part_of_facet, spaces.dim)
-        for law in self.data.laws.of_parts:
-            for part in law.law.parts:
-                on_part = part_of_site == spaces.part_names.index(part)
-                segment, measure = law.law.named(self.segment[on_part]), spaces.site_measure[on_part]
-                states[part] = by_state(spaces.mesh.comm, law.law.segments, segment, measure, "vertices")
-        return states
+        return by_part(spaces, laws, self.segment, part_of_site, spaces.site_measure, "vertices")
 
     @collector_off()
     def resultants(self) -> dict[str, list[float]]:

@@ -38,7 +38,7 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_ela
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
-from signorini_fenicsx.solving.system import Remesh, Wish, same_domain
+from signorini_fenicsx.solving.system import Remesh, Wish, check_start
 
 PREDICT_FROM = 15_000
 """Number of unknowns from which a prediction saves more than it costs."""
@@ -80,7 +80,7 @@ class System:
                 raise InputError(f"{key}: elastic contact has no such option")
         if _with_parts_of_laws(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
-        _check_start(self.spaces.domain, wish.start)
+        check_start(self.spaces.domain, wish.start, ElasticSolution, ElasticSegments)
         data = elastic_data(self.spaces, problem, wish.memory)
         check_against_foundation(self.spaces, data)
         motions = check_rigid_motions(self.spaces, data)
@@ -101,7 +101,7 @@ class System:
             InputError: If a text cannot be read, or the start is on another domain.
         """
         check_kind("problem", problem, ElasticProblem)
-        _check_start(self.spaces.domain, start)
+        check_start(self.spaces.domain, start, ElasticSolution)
         plain = Evolution(evolution.end, evolution.steps)
         if evolution != plain:
             raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
@@ -220,19 +220,6 @@ def _with_parts_of_laws(boundary: ElasticBoundary, problem: ElasticProblem) -> E
     check_kind("boundary", boundary, ElasticBoundary)
     check_kind("problem", problem, ElasticProblem)
     return boundary.touching_on(problem.touching)
-
-
-def _check_start(domain: Domain, start: ElasticSolution | ElasticSegments | None) -> None:
-    """Refuse a start that is no elastic solution, or on another domain (collective).
-
-    Raises:
-        InputError: If it is.
-    """
-    if start is None:
-        return
-    check_kind("start", start, ElasticSolution, ElasticSegments)
-    if not same_domain(domain, start.spaces.domain):
-        raise InputError(f"the start was solved on '{start.spaces.domain.name}', not on '{domain.name}'")
 
 
 def _on_coarser_mesh(
