@@ -1,4 +1,4 @@
-"""The constants of `certificate/korn.py`, where the proof is that what is printed bounds them.
+"""The constants of `physics/elasticity/bound/korn.py`, where the proof is that what is printed bounds them.
 
 uv run python scripts/korn_constants.py
 uv run python scripts/korn_constants.py --plane 8 --space 10
@@ -55,7 +55,7 @@ def trace_constant(dim: int, parts: int) -> tuple[float, float]:
 
 
 def bound_of(c_h: float, s: float, q: float) -> float:
-    """The bound of ĉ that `certificate/korn.py` proves."""
+    """The bound of ĉ that `physics/elasticity/bound/korn.py` proves."""
     rest = 1 - s**2 * (1 + q**2)
     return c_h * (s * q + np.sqrt(1 - s**2)) / rest if rest > 0 else np.inf
 

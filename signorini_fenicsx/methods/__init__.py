@@ -1,1 +1,1 @@
-"""Methods that find the contact sets: the registry, the loop of the set rules, PETSc SNES, classical methods."""
+"""Methods that find the contact sets: the registry, what methods get, and how set rules start and end."""

@@ -170,6 +170,6 @@ def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
 
 
 def _trace_constant(cells: Simplices, kappa: Tensor, facets: Facets) -> Interval:
-    """C_e of `certificate.local_fluxes`, with ĥ in place of δ_T."""
+    """The constant C_e of `physics/diffusion/bound/local_fields`, with ĥ in place of δ_T."""
     factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
     return root(facets.measure / at(cells.measure, facets.cells) * factor) * at(kappa.diameter, facets.cells)
