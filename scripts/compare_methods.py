@@ -3,7 +3,7 @@
 Usage: python scripts/compare_methods.py [--examples 1,2,3,4,5,6] [--levels 3:5] [--reference 7] [--output FOLDER]
 
 For h ≤ 2^-level it prints, and writes into FOLDER/methods.csv, one row per algorithm, then means over the examples; the
-columns are explained in `method_comparison.MethodRow`. The reference is Algorithm 1 with
+columns are explained in `method_rows.MethodRow`. The reference is Algorithm 1 with
 h ≤ 2^-reference, and ε is 1e-8 in all examples. FOLDER/methods.png shows four of the columns over h, as geometric means
 over the examples.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from method_comparison import MethodRow, compare_methods
+from method_rows import MethodRow, compare_methods
 from mpi4py import MPI
 from rich.console import Console
 from rich.table import Table

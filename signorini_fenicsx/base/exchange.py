@@ -246,7 +246,7 @@ class Area:
                     raise _in_the_way(place / name, "no earlier run wrote it")
 
     def _listed(self, place: Path) -> set[str]:
-        """See `listed`; nothing if there is no such folder."""
+        """The files of a place, see `listed`; none if there is no such folder."""
         with contextlib.suppress(FileNotFoundError), folder_below(self._parent, self._from_parent(place)) as folder:
             return listed(folder, place)
         return set()

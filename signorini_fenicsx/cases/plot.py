@@ -32,7 +32,7 @@ class Plot(Section):
 
     @property
     def u_label(self) -> str:
-        """U with its unit, in Matplotlib's mathematical type."""
+        """The name of u with its unit, in Matplotlib's mathematical type."""
         return _with_unit(self.u, self.unit, "$u_h$")
 
     @property

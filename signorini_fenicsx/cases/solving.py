@@ -147,7 +147,8 @@ def refuse_time(case: CaseFile) -> None:
     """
     if case.last_time is not None:
         raise InputError(
-            f"{case.name}: is a problem in time, by its section [time]; only `signorini solve` takes those"
+            f"{case.name}: is a problem in time, by its section [time]; only `signorini solve` takes those, in Python "
+            "`evolve_case`"
         )
 
 

@@ -149,7 +149,7 @@ def adapt[S: Solved](
     mesh = 0
     while True:
         solution = solve_on(domain, start)
-        check_kind("what solve_on returns", solution, Solved)
+        check_kind("what `problem` returns", solution, Solved)
         start = solution if solution.method.starts_from_sets else None
         certificate = certify(solution)
         interval = None if measure is None else measure(solution)

@@ -54,7 +54,7 @@ class Evolution:
         return self.end * step / self.steps
 
     def formula(self, step: int) -> tuple[float, tuple[float, ...]]:
-        """A and w_1, w_2, … of a step; the first has number 1."""
+        """The factor a and the weights w_1, w_2, … of a step; steps are counted from 1."""
         a, weights = SCHEMES[self.scheme if step > 1 else "implicit-euler"]
         rate = self.steps / self.end
         return a * rate, tuple(w * rate for w in weights)

@@ -359,7 +359,7 @@ def test_arguments_of_the_wrong_kind():
         (lambda: domain_of(domain.mesh, ["bottom"]), "parts: must be a dict, not list; an example is"),
         (lambda: solve_case("hertz"), "case: must be a Case, not string; load_case reads one"),
         (lambda: write_solution(body, 3), "folder: must be a string or Path, not whole number"),
-        (lambda: adapt(domain, lambda domain, start: None), "what solve_on returns: must be a Solution, not None"),
+        (lambda: adapt(domain, lambda domain, start: None), "what `problem` returns: must be a Solution, not None"),
         (lambda: adapt(domain, lambda domain, start: body, theta=2), "theta: must be greater than 0 and at most 1"),
         (lambda: next(evolve(domain, (free, scalar), None)), "evolution: must be an Evolution, not None"),
     ]:

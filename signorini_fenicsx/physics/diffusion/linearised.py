@@ -172,8 +172,9 @@ class Linearised:
         """The derivatives by all numbers that are seen, but for where the data stand in J itself (collective).
 
         Args:
-            J: What is differentiated,
-            more: and something whose derivatives by u and by the s of laws in Ω of each cell these are.
+            J: What is differentiated.
+            more: The derivatives by u and by the s of laws in Ω of each cell, of what is differentiated besides; None
+                if nothing is.
         """
         spaces, data, u = self._spaces, self._data, owned_values(self._solution.u)
         p = self._solution.p.x.array[: len(spaces.facets)]
@@ -223,7 +224,7 @@ class Linearised:
         return derivatives
 
     def _jumps(self, functional: fem.Function) -> Array:
-        """Z with ⟨z, τ·n⟩ the value at τ of a functional that is given by its values at the basis functions."""
+        """The z whose ⟨z, τ·n⟩ is the value at τ of a functional, given by its values at the basis functions."""
         spaces, dofs, cells = self._spaces, cell_dofs(self._spaces.V), fem.Function(self._spaces.V).x
         cells.array[:] = np.bincount(dofs.ravel(), minlength=len(cells.array))
         cells.scatter_reverse(la.InsertMode.add)

@@ -152,7 +152,7 @@ def conditions_of_cells(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.
 def _pairs_of_cells(
     spaces: Spaces, data: Data, laws: CellLaws, sigma: CellFlux, u: fem.Function
 ) -> tuple[Array, Array, Array]:
-    """U less its reference and −s per owned cell, and how many units of s one of u is: k/(L h_T)."""
+    """The value of u less its reference and −s per owned cell, and how many units of s one of u is: k/(L h_T)."""
     force = -sigma.divergence - owned_values(data.source(u))
     return owned_values(u) - laws.means, force, data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
 

@@ -29,9 +29,9 @@ from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
 from signorini_fenicsx.physics.elasticity.friction import STICKS
 
 CHANGE = 1e-9
-"""The bound is found when it differs from μ times the pressure by this share of itself,"""
+"""The bound is found when it differs from μ times the pressure by this share of itself, or by `ROUNDING`."""
 ROUNDING = 1e-12
-"""or by this share of the largest pressure times μ, which the linear solver may leave."""
+"""What the linear solver may leave of μ times the pressure, as a share of the largest one."""
 MOST = 20
 """Problems of Tresca at most, before a path is followed."""
 MOST_SITES = 2000

@@ -48,7 +48,7 @@ from signorini_fenicsx.physics.elasticity.vector_datum import (
     vector_on_parts,
 )
 
-DEGREE, MOST = DEGREES
+DEGREE, LARGEST_DEGREE = DEGREES
 BLOCK = {2: 4096, 3: 512}
 """Cells, by dimension, whose values are held at a time: some tens of megabytes."""
 
@@ -211,7 +211,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     pulls = pulls_of(spaces, before.pulls)
     gap = beyond_surfaces(spaces, datum_on_parts(spaces, "gap", problem.gap), problem.surface)
     own = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
-    quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, own + 1), MOST))
+    quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, own + 1), LARGEST_DEGREE))
     lift = fem.Function(spaces.traces)
     load = la.vector(lift.function_space.dofmap.index_map, dim**2)
     laws = normal_laws(spaces, problem.normal)
@@ -315,7 +315,7 @@ def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh
         degree: For which the quadrature is exact; at least that of the data.
     """
     material, number = data.material, spaces.dim * (spaces.dim + 1) // 2
-    square = 2 * min(material.degree or 0, MOST // 2)
+    square = 2 * min(material.degree or 0, LARGEST_DEGREE // 2)
     rule = SplitQuadrature.of_degree(spaces.dim, max(degree, data.quadrature.degree, square))
     lower = np.tril_indices(number)
 

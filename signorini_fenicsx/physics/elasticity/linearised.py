@@ -187,8 +187,9 @@ class Linearised:
         """The derivatives of J by all that is seen, but for where the data stand in J itself (collective).
 
         Args:
-            J: What is differentiated,
-            of_slip: and something whose derivative by û_t at the sites with friction this is.
+            J: What is differentiated.
+            of_slip: The derivative by û_t at the sites with friction of what is differentiated besides; None if nothing
+                is.
 
         Returns:
             The derivatives, with "slipped" that by û_t of the step before.

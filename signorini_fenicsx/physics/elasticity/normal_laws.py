@@ -126,7 +126,7 @@ class NormalLaws:
     dim: int
 
     def corrections(self, pressure: Array) -> Array:
-        """P − p' by each segment, under these pressures from the references, shape (sites, segments)."""
+        """The differences p − p' by segment, under these pressures from the references, shape (sites, segments)."""
         facets = len(self.shared)
         low, high = self._ends()
         clipped = np.clip(pressure[:, None], low, high).reshape(facets, -1, self.shared.shape[1])
@@ -141,7 +141,7 @@ class NormalLaws:
         return fluxes[:, 1:], fluxes[:, :-1]
 
     def own(self, segment: Indices, means: Array, pressure: Array) -> Array:
-        """P' from the means p. On a flat segment it is what makes its ends those of the graph."""
+        """The openings p' from the means p. On a flat segment they make its ends those of the graph."""
         return self._moved(segment, means, pressure, inverse=False)
 
     def means(self, segment: Indices, own: Array, pressure: Array) -> Array:

@@ -20,7 +20,7 @@ from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, GivenVe
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
 from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum, vector_datum_of
 
-DEGREE, MOST = DEGREES
+DEGREE, LARGEST_DEGREE = DEGREES
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Pull:
 
 def facet_rule(dim: int, degree: int) -> tuple[Array, Array]:
     """Points and weights of the reference facet, exact for hats times a polynomial of this degree."""
-    points, weights = basix.make_quadrature(SIMPLEX[dim - 1], min(degree + 1, MOST))
+    points, weights = basix.make_quadrature(SIMPLEX[dim - 1], min(degree + 1, LARGEST_DEGREE))
     return points, weights
 
 

@@ -57,7 +57,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         p: g − u_n at the sites as `NormalLaws.own` has it, then u_t at those with friction.
     """
     comm, dim = spaces.mesh.comm, spaces.dim
-    volume = square = unbalanced = 0.0
+    volume = square = of_loads = 0.0
     stiffness = np.empty(len(spaces.order))
     missing = imbalance(spaces, data, stresses)
     for cells in blocks_of_cells(spaces):
@@ -65,9 +65,9 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         square += float((subcell_squares(stresses[cells]) * measure[:, None] / (dim + 1)).sum())
         stiffness[cells] = 1 / mean_compliances(data.compliances(spaces, cells))[0].mean(axis=1)
         volume += float(measure.sum())
-        unbalanced += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
-    sums = np.array([volume, square, unbalanced, _jumps(spaces, data, stresses)])
-    volume, square, unbalanced, jumps = comm.allreduce(sums).tolist()
+        of_loads += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
+    sums = np.array([volume, square, of_loads, _jumps(spaces, data, stresses)])
+    volume, square, of_loads, jumps = comm.allreduce(sums).tolist()
     jumps += _left_on_tools(spaces, data, stresses)
     norm, length = np.sqrt(square), volume ** (1 / dim)
     norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
@@ -85,7 +85,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     squares[1:] += [(weights * each**2).sum() for each in data.friction.residuals(slip, shear, unit)]
     squares = comm.allreduce(squares)
     primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
-    return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(unbalanced) / norm))
+    return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(of_loads) / norm))
 
 
 def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:

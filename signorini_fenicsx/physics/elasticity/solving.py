@@ -277,7 +277,7 @@ def _settled(
 ) -> tuple[SiteConditions, Iterate | None]:
     """Conditions from solves for traces, which stop as soon as the next ones are known, and the last iterate.
 
-    They are those of Coulomb's bounds, too. Collective.
+    With Coulomb's law the bounds of the friction are found as well. Collective.
     """
     rule = rule_of(options)
     prediction = Prediction(rule, rho=1.0, eps=1.0, coarser=None, tuning=options.tuning)

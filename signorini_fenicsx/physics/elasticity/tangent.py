@@ -113,7 +113,7 @@ class Tangent(PlainBackend):
         return np.asarray(sides * spaces.slip_measure * np.repeat(bound, spaces.dim - 1))
 
     def _pairs(self, conditions: SiteConditions, gap: Array, bound: Array, flux: Array) -> Pairs:
-        """P and the flux from the moved corners."""
+        """The trace p and the flux from the moved corners."""
         spaces, normal = self._backend.spaces, self._normal
         p = np.append(gap - self.x[spaces.sites], self.x[spaces.slip_sites] - self._numbers["lift"][spaces.slip_sites])
         steep = np.isinf(self.chains.slope[:normal, 0])

@@ -57,7 +57,7 @@ class Moments:
 
     @classmethod
     def of(cls, tree: Tree, vertices: Array, given: Given, name: str) -> Moments:
-        """Those of a tree on simplices with these vertices, shape (n, k + 1, d)."""
+        """The moments of a tree on simplices with these vertices, shape (n, k + 1, d)."""
         dim, degree = vertices.shape[1] - 1, polynomial_degree(tree)
         if degree is not None and degree <= 2:
             x = with_midpoints(enclosing(vertices))

@@ -84,7 +84,7 @@ def _coefficients(dim: int) -> Interval:
 
 
 def stresses_of(cells: Simplices, pulls: Interval, moments: Interval) -> Interval:
-    """Y at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d).
+    """The stress y at the vertices of the subcells, shape (cells, d + 1, d + 1, d, d).
 
     Args:
         cells: The cells.

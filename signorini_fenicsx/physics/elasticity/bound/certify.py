@@ -16,10 +16,13 @@ osc, as in `certify`, where osc² sums the squares over the cells, and
 
     |v − u| and ‖σ − σ_h‖ are both at most   √(2 gap) + osc + remainder.
 
-The bound is guaranteed if f and g_N are polynomials that the quadrature integrates exactly, or texts and what is given
-of u holds the body, see `hidden`; if E and ν are numbers or texts; if u_D and g are quadratic or, in the plane, texts,
-see `lifted`; and if all these are given as numbers or texts. Otherwise it is said which are not. The remainder is what
-the linear solver leaves of the jumps of σ_h n, and what may be missed of linear parts of loads.
+The bound is guaranteed if all data are numbers or texts, and
+
+- f and g_N are polynomials that the quadrature integrates exactly, or what is given of u holds the body, see `hidden`;
+- u_D and g are quadratic or, in the plane, any texts, see `lifted`.
+
+Otherwise it is said which are not. The remainder is what the linear solver leaves of the jumps of σ_h n, and what may
+be missed of linear parts of loads.
 """
 
 from __future__ import annotations
@@ -48,7 +51,7 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import (
     is_own_enclosed,
     unresolved_by_quadrature,
 )
-from signorini_fenicsx.physics.elasticity.data import MOST
+from signorini_fenicsx.physics.elasticity.data import LARGEST_DEGREE
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
@@ -228,7 +231,7 @@ def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Se
     data = resolution.data
     loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
     loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and resolution.held)]
-    found = [(each.name, each.polynomial, MOST // 2) for each in loads]
+    found = [(each.name, each.polynomial, LARGEST_DEGREE // 2) for each in loads]
     found += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
     names = [name for name, degree, most in found if degree is None or degree > most]
     names += sorted({name for name, *_ in data.friction.texts if name not in also})

@@ -39,7 +39,7 @@ from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, le
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
-from signorini_fenicsx.physics.elasticity.data import DEGREE, MOST, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.data import DEGREE, LARGEST_DEGREE, ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, Cells, SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
@@ -61,7 +61,7 @@ SMALLEST = 1e-100
 def is_enclosed(datum: VectorDatum | PressureDatum) -> bool:
     """Whether a load is known as texts, some of which are no polynomials that quadrature integrates exactly."""
     known = all(scalar.pieces is not None for scalar in datum.scalars)
-    return known and (datum.polynomial is None or datum.polynomial > MOST // 2)
+    return known and (datum.polynomial is None or datum.polynomial > LARGEST_DEGREE // 2)
 
 
 def loads_of(spaces: ElasticSpaces, data: ElasticData) -> list[tuple[BoundaryFacets, VectorDatum | PressureDatum]]:
@@ -247,7 +247,7 @@ def traction_rule(data: ElasticData, dim: int, datum: VectorDatum | PressureDatu
 
 def degree_of_square(datum: VectorDatum | PressureDatum, otherwise: int) -> int:
     """Degree of a quadrature that is exact for the square of a datum, if there is one."""
-    return otherwise if datum.polynomial is None else min(2 * datum.polynomial, MOST)
+    return otherwise if datum.polynomial is None else min(2 * datum.polynomial, LARGEST_DEGREE)
 
 
 def _of_force(spaces: ElasticSpaces, data: ElasticData, enough: float) -> _Missed:

@@ -39,7 +39,7 @@ from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
 from signorini_fenicsx.physics.elasticity.bound.body import has_constant
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.data import MOST, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.data import LARGEST_DEGREE, ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.material import Material, Strain
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -71,7 +71,7 @@ def is_own_enclosed(material: Material) -> bool:
 def unresolved_by_quadrature(strain: Strain) -> bool:
     """Whether strain or stress of the body's own is no polynomial whose square quadrature integrates exactly."""
     degree = strain.datum.polynomial
-    return degree is None or degree > MOST // 2
+    return degree is None or degree > LARGEST_DEGREE // 2
 
 
 def _coefficients(material: Material, young: Tree, poisson: Tree) -> tuple[Tree, ...]:

@@ -1,4 +1,4 @@
-"""Comparison of all algorithms on one mesh: work, accuracy, mass balance and contact set."""
+"""The rows of `compare_methods.py`: all algorithms on one mesh, by work, accuracy, mass balance and contact set."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
