@@ -208,6 +208,11 @@ class ElasticSpaces(MeshSpaces):
         return numbers
 
     @cached_property
+    def displacement_rounding(self) -> float:
+        """A displacement that is rounding of the coordinates of nodes, on any body (collective when first used)."""
+        return 8 * float(np.finfo(float).eps) * self.length
+
+    @cached_property
     def sites(self) -> npt.NDArray[np.int32]:
         """The unknown of each site: the normal ones of Γ_C, facet by facet."""
         return self.unknowns(self.contact, 0).ravel()

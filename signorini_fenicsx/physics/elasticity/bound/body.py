@@ -59,12 +59,14 @@ INERTIA = MUMPS_WORKSPACE | {"mat_mumps_icntl_13": "1", "mat_mumps_icntl_24": "1
 """MUMPS counts eigenvalues of each sign if it leaves no block to ScaLAPACK and looks for zeros."""
 
 
-def has_constant(spaces: ElasticSpaces) -> bool:
-    """Whether what is given of u alone holds each body, and a factorisation is not too much (collective)."""
+def why_no_constant(spaces: ElasticSpaces) -> str:
+    """Why no constant is looked for, in words; empty if what is given of u alone holds each body (collective)."""
     unknowns = spaces.dim**2 * spaces.facets_of_mesh
     no_facets = spaces.boundary_facets(np.empty(0, dtype=np.int32))
     none = Supports(no_facets, np.empty((0, spaces.dim, spaces.dim)))
-    return unknowns <= MOST[spaces.dim] and Bodies.of(spaces, ()).not_given(none).shape[1] == 0
+    if Bodies.of(spaces, ()).not_given(none).shape[1] > 0:
+        return "as what is given of u does not hold each body"
+    return "as the mesh is large" if unknowns > MOST[spaces.dim] else ""
 
 
 def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask, length: float) -> float:

@@ -110,7 +110,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     )
     of_last_bound = data.friction.by_pressure
     of = with_surface(solution, TRESCA if of_last_bound else "")
-    certificate = replace(gap.certificate(spaces), lacking=LACKING, of=of)
+    certificate = replace(gap.certificate(spaces), lacking=_lacking(resolution, gap.by_quadrature), of=of)
     about = {"guaranteed": False, "of_last_bound": True} if of_last_bound else {}
     return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.guaranteed else {}))
 
@@ -118,6 +118,16 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
 def with_surface(solution: ElasticSolution, of: str) -> str:
     """Of which solution a bound is, in words; with tools from surface meshes it says how far these are known."""
     return f"{of or 'the exact solution'}, {SURFACE}" if solution.problem.surface else of
+
+
+def _lacking(resolution: Resolution, names: Sequence[str]) -> str:
+    """What is missing for these data: a constant of the body, if they are loads and bounds of friction by texts."""
+    data = resolution.data
+    loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
+    by_constant = {each.name for each in loads if hidden.is_enclosed(each)}
+    by_constant |= {name for name, datum, _ in data.friction.texts if datum.pieces is not None}
+    reason = resolution.no_constant
+    return f"by quadrature, {reason}" if reason and by_constant >= set(names) else LACKING
 
 
 def _displacement(
@@ -147,7 +157,7 @@ def _of_friction(resolution: Resolution) -> tuple[Array, float, tuple[str, ...]]
     """
     spaces, data = resolution.spaces, resolution.data
     texts, nothing = data.friction.texts, np.zeros(len(spaces.order))
-    if not texts or not resolution.held or any(datum.pieces is None for _, datum, _ in texts):
+    if not texts or resolution.no_constant or any(datum.pieces is None for _, datum, _ in texts):
         return nothing, 0.0, ()
     of_cells, together = hidden.friction_missed(resolution, compliances_above(spaces, data))
     if not np.isfinite(together):
@@ -230,7 +240,7 @@ def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Se
     """
     data = resolution.data
     loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
-    loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and resolution.held)]
+    loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and not resolution.no_constant)]
     found = [(each.name, each.polynomial, LARGEST_DEGREE // 2) for each in loads]
     found += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
     names = [name for name, degree, most in found if degree is None or degree > most]

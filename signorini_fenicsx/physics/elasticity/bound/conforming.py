@@ -364,10 +364,11 @@ class BestDisplacement:
         largest = np.array([np.abs(each).max(initial=0.0) for each in (coefficients, self.openings)])
         self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         apart, place = max(self.comm.allgather(self._given.apart))
+        apart -= self.spaces.displacement_rounding
         if apart > (KKT if self.data.u_D.polynomial is None else LINEAR) * largest[0]:
             return f"at {place} parts meet on which different displacements are given"
         worst = float(past.max(initial=0.0)), ""
-        if worst[0] > ROUNDING * largest.max():
+        if worst[0] > ROUNDING * largest.max() + self.spaces.displacement_rounding:
             facet, place = np.unravel_index(int(past.argmax()), past.shape)
             worst = worst[0], self._told(int(facet), int(place))
         past_by, where = max(self.comm.allgather(worst))

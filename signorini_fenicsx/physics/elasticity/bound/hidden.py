@@ -176,14 +176,14 @@ def missed(resolution: Resolution, compliance: Array, counted: Array) -> tuple[A
     """
     spaces, data, comm = resolution.spaces, resolution.data, resolution.spaces.mesh.comm
     tractions = [(facets, datum) for facets, datum in loads_of(spaces, data) if is_enclosed(datum)]
-    if not (tractions or is_enclosed(data.f)) or not resolution.held:
+    if not (tractions or is_enclosed(data.f)) or resolution.no_constant:
         return np.zeros_like(counted), 0.0
     loaded = np.zeros((len(counted), spaces.dim + 1), dtype=bool)
     for facets, _ in tractions:
         loaded[facets.cells, facets.local] = True
     of_body = constant_of_body(spaces, compliance, loaded, length_of_facets(spaces))
     if not math.isfinite(of_body):
-        resolution.held = False
+        resolution.no_constant = "as no constant of Korn was found for the body"
         return np.zeros_like(counted), 0.0
     bound = math.sqrt(comm.allreduce(float((counted**2).sum())))
     enough = max(SHARE * bound / of_body, SMALLEST)

@@ -37,7 +37,7 @@ from signorini_fenicsx.certificate.certificate import Places, first_places
 from signorini_fenicsx.expressions import TREES, values
 from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
-from signorini_fenicsx.physics.elasticity.bound.body import has_constant
+from signorini_fenicsx.physics.elasticity.bound.body import why_no_constant
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.data import LARGEST_DEGREE, ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
@@ -220,9 +220,9 @@ class Resolution:
         return np.sqrt(energy)
 
     @cached_property
-    def held(self) -> bool:
-        """Whether there is a constant of the body, so that loads are enclosed (collective when first used)."""
-        return has_constant(self.spaces)
+    def no_constant(self) -> str:
+        """Why there is no constant of the body, which encloses loads; empty if there is (collective at first)."""
+        return why_no_constant(self.spaces)
 
     def note(self, name: str, cells: npt.NDArray[np.bool_]) -> None:
         """Record a mask of the owned cells where a datum is not resolved."""
