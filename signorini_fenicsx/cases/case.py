@@ -70,6 +70,7 @@ class CaseFile(Section):
     """
 
     WORD: ClassVar[str] = "Case"
+    PHYSICS: ClassVar[str] = "diffusion"
     name: str = Field(default="case", exclude=True)
     title: str = ""
     geometry: Geometry

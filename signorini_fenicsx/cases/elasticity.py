@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -164,6 +164,7 @@ class ElasticExact(DataSection):
 class ElasticCase(CaseFile):
     """One problem of elastic contact, its discretisation and its algorithm."""
 
+    PHYSICS: ClassVar[str] = "elasticity"
     physics: Literal["elasticity"]
     boundary: ElasticParts
     problem: ElasticTexts

@@ -168,10 +168,9 @@ def _check_provable(case: "CaseFile") -> None:
         InputError: If its mesh is too large, or if there is no theorem for the problem.
     """
     from signorini_fenicsx.cases.domains import rough_cells
-    from signorini_fenicsx.cases.elasticity import ElasticCase
     from signorini_fenicsx.rigorous.proof import check_size
 
-    check_size(rough_cells(case), elastic=isinstance(case, ElasticCase))
+    check_size(rough_cells(case), case.PHYSICS)
     if case.unproved:
         raise InputError(f"--rigorous: {case.unproved}")
 

@@ -22,11 +22,6 @@ from signorini_fenicsx.rigorous.proven import Proven
 from signorini_fenicsx.rigorous.theorem import prove
 from signorini_fenicsx.solving.solved import Solved
 
-MOST_CELLS = 500_000
-"""Largest number of cells. Their enclosures take about 4 GB of one process in 3D, and 1 GB in 2D."""
-MOST_ELASTIC = 50_000
-"""Likewise of elastic bodies. It is 5 GB in 3D, and 1 GB in 2D."""
-
 
 @dataclass(frozen=True)
 class Proof:
@@ -49,13 +44,15 @@ class Proof:
         return {"proved": asdict(self.proven) | {"seconds": self.seconds}}
 
 
-def check_size(cells: float, *, elastic: bool) -> None:
-    """Refuse a mesh that is too large for one process.
+def check_size(cells: float, physics: str) -> None:
+    """Refuse a mesh that is too large for one process, or a physics without proofs.
 
     Raises:
-        InputError: If there are too many cells.
+        InputError: If there are too many cells, or no proofs.
     """
-    most = MOST_ELASTIC if elastic else MOST_CELLS
+    if physics not in PROOFS:
+        raise InputError(f"--rigorous: there is no proof for {physics}")
+    most = PROOFS[physics].most
     if cells > most:
         raise InputError(f"--rigorous: one process has room for {most} cells, not {cells:.3g}; choose a larger h")
 
@@ -73,16 +70,14 @@ def proof_of(solution: Solved, v: fem.Function) -> Proof:
     with watch.phase("proof"):
         try:
             cells = solution.spaces.Q.dofmap.index_map.size_global
-            check_size(cells, elastic=isinstance(solution, ElasticSolution))
-            assert isinstance(solution, Solution | ElasticSolution)
-            prepared = _prepared(solution, v) if isinstance(solution, Solution) else _prepared_elastic(solution, v)
-            proven = on_root(comm, prepared)
+            check_size(cells, solution.physics)
+            proven = on_root(comm, PROOFS[solution.physics].prepared(solution, v))
         except InputError as error:
             reason = str(error)
     return Proof(proven, reason, watch.longest(comm)["proof"])
 
 
-def _prepared(solution: Solution, v: fem.Function) -> Callable[[], Proven | None]:
+def _prepared_scalar(solution: Solution, v: fem.Function) -> Callable[[], Proven | None]:
     """The proof of a scalar problem, to be run on rank 0 (collective).
 
     Raises:
@@ -110,3 +105,20 @@ def _prepared_elastic(solution: ElasticSolution, v: fem.Function) -> Callable[[]
         raise InputError(reason or "the proof is not for steps in time")
     found = elastic.gathered(solution, v, FromArb())
     return lambda: None if found is None else prove_elastic(*found)
+
+
+@dataclass(frozen=True)
+class OfPhysics:
+    """The proofs of a physics.
+
+    Attributes:
+        most: Largest number of cells.
+        prepared: Gives the proof for a solution, to be run on rank 0 (collective).
+    """
+
+    most: int
+    prepared: Callable[[Any, fem.Function], Callable[[], Proven | None]]
+
+
+PROOFS = {"diffusion": OfPhysics(500_000, _prepared_scalar), "elasticity": OfPhysics(50_000, _prepared_elastic)}
+"""The physics that have proofs. Enclosures of so many cells take 4 and 5 GB in space, 1 GB in the plane."""

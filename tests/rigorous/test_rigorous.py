@@ -322,11 +322,13 @@ def test_data_from_python_and_large_meshes():
     solution = solve_case(on_square(4, ["bottom"]), MPI.COMM_SELF)
     with pytest.raises(InputError, match="f must be an expression"):
         Given.of({name: tree for name, tree in solution.data.trees.items() if name != "f"}, FromArb())
-    check_size(rough_cells(load_case("example1")), elastic=False)
+    check_size(rough_cells(load_case("example1")), "diffusion")
     with pytest.raises(InputError, match="has room for 500000 cells"):
-        check_size(rough_cells(load_case("example1").with_values({"solve.h": "2^-10"})), elastic=False)
+        check_size(rough_cells(load_case("example1").with_values({"solve.h": "2^-10"})), "diffusion")
     with pytest.raises(InputError, match="has room for 50000 cells, not 6e"):
-        check_size(60_000, elastic=True)
+        check_size(60_000, "elasticity")
+    with pytest.raises(InputError, match="there is no proof for springs"):
+        check_size(10, "springs")
 
 
 def test_command_line(tmp_path: Path):
