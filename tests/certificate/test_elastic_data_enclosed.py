@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from elastic import box
+from elastic import box, two_boxes
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, Tresca, compare
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
@@ -127,6 +128,18 @@ def energy_of_extension(tree: Any, a: Any, b: Any, c: Any, lame: float) -> float
     energy = 2 * lame * (d_x**2 + d_y**2 / 2) + lame * d_x**2
     area = abs(np.linalg.det(np.stack([a - c, b - c])))
     return float((energy * s).mean() * area)
+
+
+def test_bodies_that_touch():
+    """With texts for gap and friction the bound is above the distance to a finer solution, and near it."""
+    law = Contact("fault", gap="0.02*sin(4*x)^2", friction=Tresca("0.005*exp(2*x)"))
+    held = Dirichlet("top", ["0.05*sin(2*x)", "-0.05"]), Dirichlet("bottom", [0, 0])
+    given: dict[str, Any] = {"young": {"upper": 1.0, "lower": 2.0}, "poisson": 0.3}
+    problem = Elasticity(**given, conditions=[law, *held, Neumann(["left", "right"])])
+    coarse, fine = (solve(two_boxes(COMM, n, 2), problem) for n in (4, 16))
+    certificate, between = certify(coarse), compare(coarse, fine).norms.energy
+    assert certificate.guaranteed
+    assert between < certificate.sigma_bound < 1.5 * between
 
 
 def test_displacements_that_are_rounding():
