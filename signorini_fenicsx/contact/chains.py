@@ -192,13 +192,17 @@ class Chains:
         """
         low_p, high_p, low, high = self.extent()
         inner_p, inner = np.clip(p, low_p, high_p), np.clip(flux, low, high)
+        return p - inner_p, flux - inner, self.off_segments(inner_p, inner, unit).min(axis=1)
+
+    def off_segments(self, p: Array, flux: Array, unit: Array) -> Array:
+        """How far p and σ·n are off each segment between its ends, as `residuals`, shape (sites, corners + 1)."""
         off = np.abs(self.residuals(p, flux, unit))
         with np.errstate(invalid="ignore"):
-            past = np.maximum(unit[:, None] * (inner_p[:, None] - self.p), self.flux - inner[:, None])
-            short = np.maximum(unit[:, None] * (self.p - inner_p[:, None]), inner[:, None] - self.flux)
+            past = np.maximum(unit[:, None] * (p[:, None] - self.p), self.flux - flux[:, None])
+            short = np.maximum(unit[:, None] * (self.p - p[:, None]), flux[:, None] - self.flux)
         off[:, :-1] = np.maximum(off[:, :-1], past)
         off[:, 1:] = np.maximum(off[:, 1:], short)
-        return p - inner_p, flux - inner, off.min(axis=1)
+        return off
 
     def ends_at(self, p: Array) -> tuple[Array, Array]:
         """The largest and the least σ·n at a p per site: they differ on vertical segments; outside those of the ends.

@@ -138,15 +138,7 @@ def conditions_of_cells(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.
         return None
     above, force, unit = _pairs_of_cells(spaces, data, data.inside, CellFlux.of(spaces, sigma), u)
     chains = data.inside.chains
-    # Within the ends of each segment, so that a line that goes on beyond them is not the nearest.
-    off = np.abs(chains.residuals(above, force, unit))
-    past = np.maximum(unit[:, None] * (above[:, None] - chains.p), chains.flux - force[:, None])
-    short = np.maximum(unit[:, None] * (chains.p - above[:, None]), force[:, None] - chains.flux)
-    none = np.zeros((len(above), 1))
-    inside = np.where(np.arange(chains.corners + 1) <= chains.count[:, None], 0.0, np.inf)
-    beyond = np.maximum(np.hstack([np.minimum(past, 1e300), none]), np.hstack([none, np.minimum(short, 1e300)]))
-    segment = np.argmin(np.hypot(off, np.maximum(beyond, 0.0)) + inside, axis=1)
-    return chains.conditions(segment)
+    return chains.conditions(np.argmin(chains.off_segments(above, force, unit), axis=1))
 
 
 def _pairs_of_cells(

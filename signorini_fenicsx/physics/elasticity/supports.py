@@ -56,7 +56,7 @@ class Supports:
         return self.stiffness / np.linalg.norm(self.stiffness, 2, axis=(1, 2))[:, None, None]
 
     def moved(self, spaces: ElasticSpaces, tractions: Array, stresses: Array) -> Array:
-        """The shift w at the vertices from tractions and a stress, 0 where K does not hold it, shape (facets, d, d).
+        """The w at the vertices from tractions and a stress, 0 where K does not hold it, shape (facets, d, d).
 
         Args:
             spaces: The spaces.
