@@ -41,6 +41,14 @@ class ConstrainedMatrix:
         if self._basis is not None:
             self._assembled.ptap(self._basis, self.natural)
 
+    def image(self, x: PETSc.Vec) -> npt.NDArray[np.float64]:
+        """`natural` times x, for the owned unknowns (collective)."""
+        product = self.natural.createVecLeft()
+        self.natural.mult(x, product)
+        found = np.array(product.array_r)
+        product.destroy()
+        return found
+
     def rows(self, unknowns: npt.NDArray[np.int32]) -> PETSc.Mat:
         """The rows of `natural` for some owned unknowns, each once (collective)."""
         rows = (unknowns + self.natural.getOwnershipRange()[0]).astype(PETSc.IntType)

@@ -16,6 +16,8 @@ from signorini_fenicsx import (
     Evolution,
     InputError,
     NumericalFailure,
+    Options,
+    Tresca,
     certify,
     compare,
     evolve,
@@ -24,6 +26,7 @@ from signorini_fenicsx import (
     solve,
     solve_case,
 )
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Wall
 from signorini_fenicsx.physics.elasticity.problem import Contact
 
@@ -187,3 +190,19 @@ def test_no_derivatives():
     solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), punched())
     with pytest.raises(InputError, match="derivatives are not there where a tool moves"):
         solution.linearised(1e-8)
+
+
+@pytest.mark.parametrize("law", [None, Tresca(0.01), Coulomb(0.3)], ids=["none", "Tresca", "Coulomb"])
+@pytest.mark.parallel([1, 3])
+def test_iterated(law: Tresca | Coulomb | None):
+    """CG finds what a factorisation does; solves on the way stop early, and so do those for the motions of the tool."""
+    domain = box(COMM, 8, [0.0, 0.0], [1.0, 1.0])
+    by_cg, direct = (
+        solve(domain, punched(friction=law), Options(tuning=Tuning(direct_up_to=size, predict_from=1)))
+        for size in (0, None)
+    )
+    assert by_cg.outcome.linear_solver.startswith("cg")
+    assert sum(step.rough for step in by_cg.outcome.history) > 0
+    assert not any(step.rough for step in direct.outcome.history)
+    np.testing.assert_allclose(by_cg.data.tools[0].moved, direct.data.tools[0].moved, rtol=1e-8)
+    np.testing.assert_allclose(by_cg.stresses, direct.stresses, atol=1e-8)

@@ -35,6 +35,8 @@ from signorini_fenicsx.physics.elasticity.tools import Moving
 
 MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
+ROUGH = 1e-2
+"""What a rough solve with tools leaves, as a share of what there was at its start."""
 REFINEMENTS = 3
 """Corrections of a stress at most."""
 SPRING = 1e-6
@@ -84,18 +86,18 @@ class ElasticBackend(PlainBackend):
         self._turns = data.friction.slipping is not None  # σ_t turns with the slip, as in space
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
-        self.dofs = self._operator.matrix.getSize()[0]
+        matrix = self._operator.matrix
+        self.dofs = matrix.getSize()[0]
         large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
-        stiff = data.stiffness_of_volume(spaces) >= STIFF
+        make = partial(of_facets, spaces, matrix, data.stiffness_of_volume(spaces) >= STIFF) if large else None
         prefix = "certificate_" if direct else "facet_"
-        make = partial(of_facets, spaces, self._operator.matrix, stiff) if large else None
-        self._solver = FacetSolver(self._operator.matrix, prefix, DEFAULTS, make, MOST_ITERATIONS)
+        self._solver = FacetSolver(matrix, prefix, DEFAULTS, make, MOST_ITERATIONS)
         self._factors = KeptFactors(self._solver, self._operator, data.fixed, self._unknowns, spaces.dim)
-        self._x, self._b = self._operator.matrix.createVecs()
-        self._x.set(0.0)
-        self._held = self._x.duplicate()
-        self._held.set(0.0)
+        (self._x, self._b), self._held = matrix.createVecs(), matrix.createVecRight()
+        for vector in (self._x, self._held):
+            vector.set(0.0)
         self.tools = Moving(spaces, data.tools)
+        self._moved: Array | float = 0.0  # the part of the last solution by the motion of tools
         self._springs: Springs | None = None
         self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
@@ -112,13 +114,13 @@ class ElasticBackend(PlainBackend):
 
     @property
     def iterates(self) -> bool:
-        """Whether the linear solver iterates and may stop early, which it must not with tools."""
-        return self._solver.iterates and not self.tools
+        """Whether the linear solver iterates and may stop early."""
+        return self._solver.iterates
 
     @property
     def inexact(self) -> Inexact | None:
-        """The backend itself but with tools: traces cost less than fields."""
-        return None if self.tools else self
+        """The backend itself, as traces cost less than fields; with tools only if solves can be rough."""
+        return self if not self.tools or (self.iterates and not self.friction.by_pressure) else None
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -143,6 +145,11 @@ class ElasticBackend(PlainBackend):
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
+        if self.tools:
+            self.leave(ROUGH)
+            self._solve(conditions)
+            self.leave(0.0)
+            return self._pairs(self._x, conditions)
         if not self._has_solved(conditions):
             load, given, contact, _ = self._posed(conditions)
             if (traces := self._factors.at_sites(load, contact)) is not None:
@@ -178,14 +185,6 @@ class ElasticBackend(PlainBackend):
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
         return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self._measure)
 
-    def _image(self, x: PETSc.Vec) -> Array:
-        """Kx (collective)."""
-        image = x.duplicate()
-        self._operator.natural.mult(x, image)
-        found = np.array(image.array_r)
-        image.destroy()
-        return found
-
     def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
         laws, normal = self._data.laws, len(self.spaces.sites)
@@ -205,11 +204,12 @@ class ElasticBackend(PlainBackend):
         if self._has_solved(conditions):
             return
         self._applied = None
+        self._x.array_w[:], self._moved = self._x.array_r - self._moved, 0.0
         load, _, contact, loose = self._posed(conditions)
         springs = np.where(sprung := loose & (conditions.kind == Condition.NO_FLUX), self._weak, 0.0)
         if self._follows:
             self._factors.impose(contact, springs, self._blocks())
-            law = self.system.load - self._image(self._held), self.friction.slopes.ravel()
+            law = self.system.load - self._operator.image(self._held), self.friction.slopes.ravel()
             self._iterations, self.to_the_end = self._couple(load, self._x, contact, law, self._solver.share)
         else:
             if not self._factors.solve(load, self._x, contact):
@@ -220,9 +220,10 @@ class ElasticBackend(PlainBackend):
         self._sprung = loose
         if self.tools:
             self._respond(conditions, sprung)
+            self.to_the_end &= self._solver.share == 0.0
             forces = self._factors.forces(self._x) - self.system.load[self._unknowns]
-            rho, moved = self.tools.follow(forces, loaded=True)
-            self.tools.rho, self._x.array_w[:] = rho, self._x.array_r + moved
+            self.tools.rho, self._moved = self.tools.follow(forces, loaded=True)
+            self._x.array_w[:] = self._x.array_r + self._moved
         self._applied = conditions
 
     def _has_solved(self, conditions: SiteConditions) -> bool:
@@ -242,7 +243,7 @@ class ElasticBackend(PlainBackend):
         load[self._unknowns] += given
         if conditions.has_values:
             self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
-            load -= self._image(self._held)
+            load -= self._operator.image(self._held)
         means = np.where(free[:, None], 0.0, self._motions)
         means[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
         loose = is_free(self.comm, means)
@@ -255,19 +256,18 @@ class ElasticBackend(PlainBackend):
         """Find how the body follows the tools under the conditions of the present matrix (collective)."""
         contact, at_rest = conditions.kind == Condition.ZERO_TRACE, self._given_forces(conditions)
 
-        def response(move: Array) -> PETSc.Vec:
+        def response(move: Array, last: Array | None) -> PETSc.Vec:
             load, lift = np.zeros((2, len(self.system.load)))
             pulled = self._given_forces(conditions, -self._signs * move) - at_rest + self._weak * sprung * move
             load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
-            return self._at_rest(conditions, load, lift)
+            return self._at_rest(conditions, load, lift, last)
 
         self.tools.respond(response, self._factors.forces)
 
     def _take_springs(self, conditions: SiteConditions) -> None:
         """Take the springs under these conditions; no factors of other ones serve with springs (collective)."""
-        self._springs = None
-        if conditions.counts(self.comm)[Condition.ROBIN] > 0:
-            self._springs = self._data.laws.springs(conditions.take(slice(len(self.spaces.sites))))
+        some, normal = conditions.counts(self.comm)[Condition.ROBIN] > 0, slice(len(self.spaces.sites))
+        self._springs = self._data.laws.springs(conditions.take(normal)) if some else None
         if self._springs is not None or self._turns:
             self._factors.forget()
 
@@ -296,21 +296,23 @@ class ElasticBackend(PlainBackend):
             x.array_w[:] += self.tools.follow(self._factors.forces(x), loaded=False)[1]
         return x
 
-    def _at_rest(self, conditions: SiteConditions, load: Array, lift: Array | float) -> PETSc.Vec:
-        """`solve_homogeneous` with tools at rest (collective)."""
+    def _at_rest(
+        self, conditions: SiteConditions, load: Array, lift: Array | float, start: Array | None = None
+    ) -> PETSc.Vec:
+        """`solve_homogeneous` with tools at rest; iterations begin at the start (collective)."""
         contact, x, given = conditions.kind == Condition.ZERO_TRACE, self._x.duplicate(), self._x.duplicate()
-        x.set(0.0)
         given.array_w[:] = lift
-        load = load - self._image(given)
+        x.array_w[:], load = 0.0 if start is None else start - given.array_r, load - self._operator.image(given)
         present = conditions.same(self._imposed, self.comm)
         if not present:
             self._applied = None
             self._take_springs(conditions)
         if present and self._follows:
-            self._couple(load, x, contact, (load, self.friction.slopes.ravel()), 0.0)
+            self._couple(load, x, contact, (load, self.friction.slopes.ravel()), self._solver.share)
         elif present and (self._springs is not None or self._turns or self._sprung or self._solver.iterates):
-            load[self._factors.essential(contact)] = 0.0
             self._b.array_w[:] = load
+            for vector in (self._b, x):
+                vector.array_w[self._factors.essential(contact)] = 0.0
             self._solver.solve(self._b, x)
         elif not self._factors.solve(load, x, contact):
             self._factors.solve_anew(load, x, contact, 0.0, self._blocks())
@@ -391,8 +393,7 @@ class ElasticBackend(PlainBackend):
         stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self._data.lift)
         if refine and not self._sprung:
             stresses, displacements = self._refined(conditions, stresses, displacements)
-        reactions = self._data.reactions(spaces, stresses)
-        p, flux = self._cleaned(conditions, self._beside_tools(self._x), reactions)
+        p, flux = self._cleaned(conditions, self._beside_tools(self._x), self._data.reactions(spaces, stresses))
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
         return Iterate(p, flux, self._iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
 
@@ -403,7 +404,6 @@ class ElasticBackend(PlainBackend):
         less than rounding. Corrections are small, so that their own errors are.
         """
         contact, spaces = conditions.kind == Condition.ZERO_TRACE, self.spaces
-        essential = self._factors.essential(contact)
         correction, before = self._x.duplicate(), np.inf
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
@@ -411,7 +411,7 @@ class ElasticBackend(PlainBackend):
             left[self._unknowns] += self._given_forces(conditions, self._beside_tools(self._x))
             pressure = spaces.pressure_of(self.flux(self._x, self.system.load))
             left[spaces.slip_sites] += spaces.slip_measure * self.friction.pressed(pressure)
-            left[essential] = 0.0
+            left[self._factors.essential(contact)] = 0.0
             size, scale = self._extent(np.abs(left), np.abs(forces))
             if size <= TIE * scale or not size < before:
                 break

@@ -207,7 +207,7 @@ def _step(
 ) -> Array:
     """The step of `newton`; one GMRES finds it where CG solves for contact, and the solution follows."""
     friction, (directions, slope) = backend.friction, law
-    if not backend.iterates or not backend.is_contact:
+    if not backend.iterates or not backend.is_contact or backend.tools:
         return newton(backend, conditions, law, left, share)
     left = np.where(friction.coulomb[:, None], left, 0.0)
     forces, slopes = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))

@@ -192,7 +192,8 @@ class Moving:
         """Begin at rest."""
         self._comm, self._load = spaces.mesh.comm, loads_of(tools)
         self.moves, self.rho = moves_at_sites(spaces, tools), np.zeros(len(self._load))
-        self._responses, self._stiffness = np.empty((0, 0)), np.empty((0, 0))
+        self._responses: Array | None = None
+        self._stiffness = np.empty((0, 0))
 
     def __bool__(self) -> bool:
         """Whether there is a motion."""
@@ -203,14 +204,18 @@ class Moving:
         """The part of û at the sites that comes from the motion of the tools."""
         return np.asarray(self.moves @ self.rho)
 
-    def respond(self, response: Callable[[Array], PETSc.Vec], pulls: Callable[[PETSc.Vec], Array]) -> None:
+    def respond(
+        self, response: Callable[[Array, Array | None], PETSc.Vec], pulls: Callable[[PETSc.Vec], Array]
+    ) -> None:
         """Find the responses of the body under new conditions (collective).
 
         Args:
-            response: Gives x where û follows some values at the sites under the present conditions.
+            response: Gives x where û follows some values at the sites under the present conditions, and gets the last
+                x for these values.
             pulls: The forces at the sites that belong to x, Kx.
         """
-        columns = [response(column) for column in self.moves.T]
+        before = [None] * len(self.rho) if self._responses is None else self._responses.T
+        columns = [response(*each) for each in zip(self.moves.T, before, strict=True)]
         self._responses = np.stack([np.array(column.array_r) for column in columns], axis=1)
         forces = np.stack([pulls(column) for column in columns], axis=1)
         self._stiffness = self._comm.allreduce(self.moves.T @ forces)
@@ -230,4 +235,5 @@ class Moving:
             rho: Array = on_root(self._comm, lambda: np.linalg.solve(self._stiffness, left))
         except np.linalg.LinAlgError as error:
             raise LinearSolveFailure("nothing holds a tool") from error
+        assert self._responses is not None
         return rho, self._responses @ rho
