@@ -265,10 +265,9 @@ class KeptFactors:
             differs = load != self._load
             differs[self._essential] = differs[self._unknowns[held]] = differs[self._unknowns[self._changed]] = False
         if self._comm.allreduce(self._load is None or bool(differs.any()), MPI.LOR):
-            self._load = load.copy()
-            self._b.array_w[:] = load
-            self._b.array_w[self._essential] = 0.0
-            self._solver.solve(self._b, self._w)
+            self._load, right = load.copy(), load.copy()
+            right[self._essential] = 0.0
+            self._w.array_w[:] = self._solver.solve_all(right[:, None])[:, 0]
             self._of_load = self._traces(self._w)
 
     def _traces(self, x: PETSc.Vec) -> Array:
@@ -297,15 +296,12 @@ class KeptFactors:
         assert self._held is not None
         own = np.zeros((count, len(self._held)))
         own[before + np.arange(len(sites)), sites] = 1.0
-        right = PETSc.Mat().createDense((self._natural.getSizes()[0], (PETSc.DECIDE, count)), comm=self._comm)
-        right.setUp()
-        columns = right.getDenseArray()
+        columns = np.zeros((self._natural.getLocalSize()[0], count), order="F")
         for column, moved in enumerate(np.where(self._held, own, 0.0)):
             columns[:, column] = -self._of_moved(moved)
         columns[self._essential] = 0.0
         columns[self._unknowns] += (np.where(self._held, 0.0, own) * self._diagonal).T
-        right.assemble()
-        solutions = self._solver.solve_all(right)
+        solutions = self._solver.solve_all(columns)
         traces = []
         for column, moved in enumerate(np.where(self._held, own, 0.0)):
             self._x.array_w[:] = solutions[:, column]

@@ -195,14 +195,14 @@ def test_no_derivatives():
 @pytest.mark.parametrize("law", [None, Tresca(0.01), Coulomb(0.3)], ids=["none", "Tresca", "Coulomb"])
 @pytest.mark.parallel([1, 3])
 def test_iterated(law: Tresca | Coulomb | None):
-    """CG finds what a factorisation does; solves on the way stop early, and so do those for the motions of the tool."""
+    """CG finds what a factorisation does; solves are rough at first where no bound has to be found from them."""
     domain = box(COMM, 8, [0.0, 0.0], [1.0, 1.0])
     by_cg, direct = (
         solve(domain, punched(friction=law), Options(tuning=Tuning(direct_up_to=size, predict_from=1)))
         for size in (0, None)
     )
     assert by_cg.outcome.linear_solver.startswith("cg")
-    assert sum(step.rough for step in by_cg.outcome.history) > 0
+    assert any(step.rough for step in by_cg.outcome.history) == (not isinstance(law, Coulomb))
     assert not any(step.rough for step in direct.outcome.history)
     np.testing.assert_allclose(by_cg.data.tools[0].moved, direct.data.tools[0].moved, rtol=1e-8)
     np.testing.assert_allclose(by_cg.stresses, direct.stresses, atol=1e-8)
