@@ -34,11 +34,11 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Iterate(Pairs):
-    """Solution of one linear mixed problem; its sites are facets. Functions have up-to-date ghost values.
+    """Solution of one linear mixed problem. Functions have up-to-date ghost values.
 
     Attributes:
-        sigma: Flux in RT0.
-        u: Scalar in P0.
+        sigma: Flux in RT0; of a body the stress.
+        u: Scalar in P0; of a body the displacement.
         cells: Conditions of the owned cells; None without laws in Ω.
     """
 

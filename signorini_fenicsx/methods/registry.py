@@ -37,12 +37,10 @@ class Method:
     Attributes:
         title: What it solves and where it is defined.
         reference: Its source in the literature.
-        run: Solves a task (collective).
-        rule: The set rule that it runs with a backend; None if it runs something else.
+        run: Solves a task of diffusion (collective).
         contact: Condition on the facets in contact.
         penalty: Its penalty law, or None; with one the KKT residuals are those of the penalty formulation.
         stabilised: Whether ε adds −ε(u, v) to the mass balance.
-        has_rho: Whether it has a ρ.
         starts_from_sets: Whether it can start from a contact set.
         needs_dirichlet: Whether it needs a Γ_D, a part of the boundary where u = u_D.
         laws: The laws that it takes in [[law]]; None for all.
@@ -51,16 +49,17 @@ class Method:
         max_iterations: Iterations allowed unless the options say otherwise.
         on_one_rank: Whether it collects the whole mesh on one rank, see `Tuning.on_one_rank_up_to`.
         dense: Whether it needs dense matrices on Γ_S, see `Tuning.dense_up_to`.
+        has_rho: Whether it has a ρ.
+        rule: The set rule that `run` runs with a backend, and that elastic contact takes; None if it runs something
+            else.
     """
 
     title: str
     reference: str
     run: Callable[[Task], Outcome]
-    rule: SetRule | None = None
     contact: Condition = Condition.ZERO_TRACE
     penalty: Penalty | None = None
     stabilised: bool = False
-    has_rho: bool = False
     starts_from_sets: bool = False
     needs_dirichlet: bool = False
     laws: tuple[type[Law], ...] | None = (Signorini,)
@@ -69,6 +68,8 @@ class Method:
     max_iterations: int = 50
     on_one_rank: bool = False
     dense: bool = False
+    has_rho: bool = False
+    rule: SetRule | None = None
 
     @classmethod
     def of_rule(cls, title: str, reference: str, rule: SetRule) -> Self:
@@ -80,10 +81,10 @@ class Method:
             title,
             reference,
             run,
-            rule,
             rule.contact,
             rule.penalty,
             has_rho=True,
+            rule=rule,
             starts_from_sets=True,
             laws=laws,
             takes_inner=exact,

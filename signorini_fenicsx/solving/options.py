@@ -23,6 +23,8 @@ OWN = "own"
 class Options:
     """How to solve, like the section `[solve]` of a case file without h.
 
+    Elastic contact takes alg1, alg2, or your own rule without a penalty, and no other backend, ρ or ε.
+
     Attributes:
         algorithm: A name that `signorini methods` lists, or your own rule or method.
         backend: Solves the linear problems of the set rules: "hybrid", "mixed", or your own backend.
