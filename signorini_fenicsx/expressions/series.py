@@ -91,7 +91,7 @@ class Series:
         return self._with(self, at, value, layers[1:])
 
     def power(self, exponent: float) -> Series:
-        """E to the power of a number."""
+        """The expression to the power of a number."""
         binomials = itertools.accumulate(range(DEGREE), lambda b, k: b * (exponent - k) / (k + 1), initial=1.0)
         powers = [intervals.power(NUMPY, self.value, enclosing(exponent - k)) for k in range(DEGREE + 1)]
         derivatives = [None if b == 0 else power * b for power, b in zip(powers, binomials, strict=True)]

@@ -196,7 +196,7 @@ def _bound(discrete: ElasticDiscrete, given: Given) -> Interval:
 
 
 def _loads(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tuple[Interval, Interval]:
-    """Q = |e| yn at the vertices of facets, before cells are in balance, and a bound of ‖g_N − Π₁g_N‖ on facets.
+    """The pulls q = |e| yn at vertices of facets, before cells are in balance, and a bound of ‖g_N − Π₁g_N‖ on facets.
 
     In directions in which u is given, and inside, they are those of σ_h, elsewhere what the data say.
     """
