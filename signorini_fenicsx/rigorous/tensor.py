@@ -68,7 +68,11 @@ class Tensor:
 
     def deviation_norm(self, slopes: Interval) -> Interval:
         """Bound of ‖Lᵀ(κ − κ̃)∇v‖ per cell, from ‖∇v‖²."""
-        return root(self._half_size * slopes) * self._deviation
+        return self.half_norm(slopes) * self._deviation
+
+    def half_norm(self, squares: Interval) -> Interval:
+        """Bound of ‖Lᵀq‖ per cell, from ‖q‖²."""
+        return root(self._half_size * squares)
 
     @functools.cached_property
     def diameter(self) -> Interval:

@@ -275,6 +275,29 @@ def test_with_friction(dim: int, n: int, monkeypatch: pytest.MonkeyPatch):
         assert prove(larger, dataclasses.replace(given, trees=doubled)).gap > 1.01 * certificate.gap
 
 
+@pytest.mark.parametrize(("dim", "plane"), [(2, "strain"), (2, "stress"), (3, "strain")])
+def test_eigenstrain(dim: int, plane: str, monkeypatch: pytest.MonkeyPatch):
+    """With the same displacement the gap is that of the certificate where the strain is linear, else a bit larger."""
+    monkeypatch.setattr("signorini_fenicsx.physics.elasticity.bound.certify._with_most", lambda *_: np.empty(0, int))
+    sides = [f"{axis}{end}" for axis in "xyz"[: dim - 1] for end in (0, 1)]
+    bottom, top = (f"{'xyz'[dim - 1]}{end}" for end in (0, 1))
+    boundary = ElasticBoundary([bottom], neumann=sides)
+    matrix = [["x/10", "y/20", "0.01"], ["y/20", "-0.1 + y", "x/30"], ["0.01", "x/30", "x + y"]]
+    domain = box(COMM, 8 if dim == 2 else 2, [0.0] * dim, [1.0] * dim)
+    gaps = []
+    for own in ("(x - y)/10", [row[:dim] for row in matrix[:dim]], "exp(x*y)/10"):
+        given = {"u_D": {top: [0.0] * (dim - 1) + [-0.02]}, "eigenstrain": own, "plane": plane}
+        solution = solve(domain, (boundary, ElasticProblem(1.0, 0.25, **given)))  # type: ignore[arg-type]
+        certificate = certify(solution)
+        assert certificate.guaranteed
+        proof = proof_of(solution, certificate.v)
+        assert proof.proven is not None, proof.reason
+        gaps.append((proof.proven.gap, certificate.gap))
+    for proven, certified in gaps[:2]:
+        assert proven == pytest.approx(certified, rel=1e-7)
+    assert gaps[2][1] < gaps[2][0] < 3 * gaps[2][1]
+
+
 @pytest.mark.parametrize("name", ["two_cylinders", "stack", "plate"])
 def test_bodies_that_touch(name: str, monkeypatch: pytest.MonkeyPatch):
     """With the same displacement the gap is that of the certificate, also where contact alone holds bodies."""

@@ -16,6 +16,7 @@ from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Elementary
+from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw
@@ -41,6 +42,7 @@ class ElasticDiscrete(Cells):
             in `simplices.EDGES`, shape (cells, d + 1, coefficients, d).
         nodes: Their numbers, the same for the same node, shape (cells, d + 1, coefficients).
         material: E and ν, shape (cells, 2).
+        own: The entries of the eigenstrain, as in `forms.elasticity.pairs` without weights, and in the plane its zz.
         force: f, shape (cells, d).
         displacement: u_D, in each component, on each facet, shape (cells, d + 1, d).
         traction: g_N likewise.
@@ -55,6 +57,7 @@ class ElasticDiscrete(Cells):
     v: Array
     nodes: Indices
     material: Indices
+    own: Indices
     force: Indices
     displacement: Indices
     traction: Indices
@@ -161,6 +164,7 @@ def gathered(
     cells, dim = len(spaces.order), spaces.dim
     known: dict[str, npt.NDArray[Any]] = {
         "material": collected.in_cells((data.material.young[0], data.material.poisson[0]), "young or poisson", cells),
+        "own": _own(solution, collected),
         "force": collected.in_cells(data.f.scalars, "f", cells),
         **_loads(solution, collected),
         **_given(solution, collected),
@@ -196,6 +200,27 @@ def _loads(solution: ElasticSolution, collected: _Collected) -> dict[str, npt.ND
         for k, scalar in enumerate(datum.scalars):
             target[facets.cells, facets.local, k] = collected.on_facets(scalar, datum.name, facets.facets)
     return {"traction": traction, "pressure": pressure}
+
+
+def _own(solution: ElasticSolution, collected: _Collected) -> Indices:
+    """The eigenstrain in cells."""
+    dim, cells = solution.spaces.dim, len(solution.spaces.order)
+    entries = pairs(dim)
+    found = np.full((cells, len(entries) + 1), NONE)
+    for strain in solution.data.material.own:
+        if strain.datum.pieces is None or strain.beyond.pieces is None:
+            collected.unread.append(strain.name)
+            continue
+        for given, inside in strain.datum.pieces:
+            rows = slice(None) if inside is None else inside[:cells]
+            for k, (i, j) in enumerate(entries):
+                if not isinstance(given, TREES):
+                    found[rows, k] = collected.number(given[i][j])
+                elif i == j:
+                    found[rows, k] = collected.number(given)
+        if dim == 2:
+            found[:, -1:] = collected.in_cells([strain.beyond], strain.name, cells)
+    return found
 
 
 def _given(solution: ElasticSolution, collected: _Collected) -> dict[str, npt.NDArray[Any]]:

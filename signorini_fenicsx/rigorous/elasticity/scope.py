@@ -16,7 +16,7 @@ def outside(problem: ElasticProblem) -> str:
         "with rigid tools under a force or from a surface": bool(problem.surface or problem.force or problem.moment),
         "on elastic supports": bool(problem.support),
         "of orthotropic bodies": along_axes or problem.shear is not None or problem.axes is not None,
-        "with strain or stress of their own": problem.eigenstrain is not None or problem.initial_stress is not None,
+        "with an initial stress": problem.initial_stress is not None,
     }
     found = [reason for reason, holds in reasons.items() if holds]
     return f"the proof is not for elastic problems {found[0]}" if found else ""

@@ -1,9 +1,9 @@
 """The error bound of elastic contact as a theorem: the gap identity with every number in it enclosed.
 
-What is proved. Ω is the union of the simplices whose vertices are the stored floats. f, E, ν, u_D, g_N, the pressures
-and g are the functions written in the case file, with exact literals and exact pi. u solves the problem of contact,
-with friction that of Tresca; where the bound of the shear is by the pressure it is the stored linear function on each
-facet. σ = ℂε(u). σ_h is the field that is linear on each subcell, where the stored floats are its values
+What is proved. Ω is the union of the simplices whose vertices are the stored floats. f, E, ν, ε₀, u_D, g_N, the
+pressures and g are the functions written in the case file, with exact literals and exact pi. u solves the problem of
+contact, with friction that of Tresca; where the bound of the shear is by the pressure it is the stored linear function
+on each facet. σ = ℂ(ε(u) − ε₀). σ_h is the field that is linear on each subcell, where the stored floats are its values
 at the vertices. Then `Proven.sigma_bound` is an upper bound of ‖σ − σ_h‖, and `Proven.bound` one of ‖σ − σ_h‖ and of
 |v − u|, in energy norms. It does not matter how σ_h and v were computed.
 
@@ -15,7 +15,8 @@ Proof. The argument is that of `forms.elasticity`, here with exact ingredients.
   leave. What is left of loads in cells and on facets is bounded by constants of these, see `loads`.
 - *Displacement.* See `displacement`: v = u_D where u is given, and v_n ≤ g on Γ_C.
 - *Material.* 𝔸 stands in the place of κ in `tensor`, and ℂ in that of κ⁻¹: with LᵀAL ≥ θ > 0 it is ‖ε(v) − 𝔸y‖_ℂ ≤
-  θ^-½‖Lᵀ(ε(v) − 𝔸y)‖, and ‖τ‖_𝔸 = ‖𝔸τ‖_ℂ.
+  θ^-½‖Lᵀ(ε(v) − 𝔸y)‖, and ‖τ‖_𝔸 = ‖𝔸τ‖_ℂ. An eigenstrain ε₀ is added to 𝔸y: a linear function on each cell, and
+  what is left of it in its largest size.
 """
 
 from __future__ import annotations
@@ -88,7 +89,8 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     v = admissible(discrete, given, normal)
 
     y_entries = _entries(y)
-    mismatch = _energy(compliance, subcells, y_entries, _strains(subcells, v.values))
+    strains = _strains(subcells, v.values), *_own_strain(discrete, given)
+    mismatch = _energy(compliance, subcells, y_entries, strains)
     left = _energy(compliance, subcells, y_entries - _entries(enclosing(discrete.stresses)))
     on_contact = pressed(pressure, v.off)
     rough = bound.hi.any(axis=1)
@@ -162,16 +164,46 @@ def _compliance(discrete: ElasticDiscrete, given: Given, subcells: Simplices) ->
                     corners.lo[chosen, :, i, j], corners.hi[chosen, :, i, j] = more.lo, more.hi
                     deviations[chosen, i, j] += found.largest * (1 + 1e-15)
     deviations = root(total(total(squared(enclosing(deviations))))).hi
-    middle = total(corners, axis=1) / float(dim + 1)
-    on_subcells = [stacked([*(at(corners, np.s_[:, k]) for k in each), middle], axis=1) for each in opposite(dim)]
-    whole = stacked(on_subcells, axis=1)
-    shape = count * (dim + 1), dim + 1, len(entries), len(entries)
     return Tensor(
         subcells,
-        Interval(whole.lo.reshape(shape), whole.hi.reshape(shape)),
+        _on_subcells(corners),
         np.repeat(deviations, dim + 1),
         name="the compliance of young and poisson",
     )
+
+
+def _own_strain(discrete: ElasticDiscrete, given: Given) -> tuple[Interval, Array]:
+    """The entries of ε₀ at the vertices of subcells, linear on each cell, and bounds of the rest on subcells.
+
+    In plane strain ε_zz = 0, and ν times the zz of the eigenstrain is in the normal entries.
+    """
+    dim, count, entries = discrete.dim, len(discrete.vertices), pairs(discrete.dim)
+    corners = Interval(*np.zeros((2, count, dim + 1, len(entries))))
+    deviations = np.zeros((count, len(entries)))
+    terms = [(k, tree, mask) for k in range(len(entries)) for tree, mask in given.each(discrete.own[:, k])]
+    if dim == 2 and given.in_strain:
+        for beyond, with_beyond in given.each(discrete.own[:, -1]):
+            for poisson, with_poisson in given.each(discrete.material[:, 1]):
+                pressed_out = Binary("*", poisson, beyond)
+                both = with_beyond & with_poisson
+                terms += [(k, pressed_out, both) for k in range(dim) if both.any()]
+    for k, tree, mask in terms:
+        found = deviation(tree, discrete.vertices[mask], given.elementary, name="eigenstrain", degree=1)
+        weight = enclosing(1.0) if k < dim else root(enclosing(2.0))
+        more = at(corners, np.s_[mask, :, k]) + at(found.nodes, np.s_[:, : dim + 1]) * weight
+        corners.lo[mask, :, k], corners.hi[mask, :, k] = more.lo, more.hi
+        deviations[mask, k] += found.largest * weight.hi * (1 + 1e-15)
+    return _on_subcells(corners), np.repeat(root(total(squared(enclosing(deviations)))).hi, dim + 1)
+
+
+def _on_subcells(corners: Interval) -> Interval:
+    """Linear functions on cells at the vertices of subcells, shape (subcells, d + 1, …)."""
+    dim = corners.lo.shape[1] - 1
+    middle = total(corners, axis=1) / float(dim + 1)
+    on_subcells = [stacked([*(at(corners, np.s_[:, k]) for k in each), middle], axis=1) for each in opposite(dim)]
+    whole = stacked(on_subcells, axis=1)
+    shape = -1, *corners.lo.shape[1:]
+    return Interval(whole.lo.reshape(shape), whole.hi.reshape(shape))
 
 
 def _of_shear(young: Tree, poisson: Tree) -> Tree:
@@ -320,9 +352,17 @@ def _strains(subcells: Simplices, values: Interval) -> Interval:
     return stacked(columns)
 
 
-def _energy(compliance: Tensor, subcells: Simplices, stress: Interval, strain: Interval | None = None) -> Interval:
-    """A bound of ‖𝔸y − ε‖_ℂ of each subcell, which without ε is ‖y‖_𝔸, from entries at the vertices."""
+def _energy(
+    compliance: Tensor, subcells: Simplices, stress: Interval, strains: tuple[Interval, Interval, Array] | None = None
+) -> Interval:
+    """A bound of ‖𝔸y + ε₀ − ε‖_ℂ of each subcell, which without strains is ‖y‖_𝔸, from entries at the vertices.
+
+    The strains are ε, ε₀ and bounds of what is not linear in ε₀.
+    """
     y = with_midpoints(stress)
-    off = compliance.times(y) if strain is None else compliance.times(y) - with_midpoints(strain)
-    size = root(square_norm(subcells, compliance.half(off))) + compliance.deviation_norm(square_norm(subcells, y))
-    return size / root(compliance.theta)
+    off, size = compliance.times(y), compliance.deviation_norm(square_norm(subcells, y))
+    if strains is not None:
+        of_v, own, beyond = strains
+        off = off - with_midpoints(of_v) if own.is_zero.all() else off + with_midpoints(own - of_v)
+        size = size + compliance.half_norm(subcells.measure * squared(enclosing(beyond)))
+    return (root(square_norm(subcells, compliance.half(off))) + size) / root(compliance.theta)
