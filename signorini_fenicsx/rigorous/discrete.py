@@ -132,7 +132,7 @@ def gathered(solution: Solution, v: fem.Function) -> Discrete | None:
         corners=whole["corners"],
         facets=facets,
         kinds=whole["kinds"],
-        fluxes=opposite(facets, whole["fluxes"]),
+        fluxes=opposed(facets, whole["fluxes"]),
         v=_nodal(whole["corners"], whole["v"]),
         regions=(tuple(spaces.domain.regions), whole["inside"].astype(bool)),
     )
@@ -175,7 +175,7 @@ def alike(numbers: Indices, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return values.reshape(-1, *values.shape[numbers.ndim :])[first][own.reshape(numbers.shape)]
 
 
-def opposite(facets: Indices, fluxes: Array) -> Array:
+def opposed(facets: Indices, fluxes: Array) -> Array:
     """The flux out of the first cell of each facet, and its negative for the second cell; it may have components."""
     _, first = np.unique(facets, return_index=True)
     other = np.ones(facets.size, dtype=bool)

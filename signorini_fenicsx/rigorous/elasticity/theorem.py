@@ -31,7 +31,7 @@ from signorini_fenicsx.expressions.tree import Negative, exactly
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, opposite, split_vertices
 from signorini_fenicsx.rigorous.data import deviation
-from signorini_fenicsx.rigorous.discrete import opposite as opposed
+from signorini_fenicsx.rigorous.discrete import opposed
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
 from signorini_fenicsx.rigorous.elasticity.loads import Moments, constants, force
