@@ -17,7 +17,7 @@ from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.base.parallel import collector_off, on_root_only
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.derivatives.controls import (
     check_control,
@@ -210,8 +210,8 @@ def _of_step(
     check_unchanged(spaces, solved.data.given)
     comm = spaces.mesh.comm
     places = np.concatenate(comm.allgather(problem.places()))
-    if len(places) > 0 and comm.rank == 0:
-        warnings.warn(NotDifferentiable(places, tolerance), stacklevel=4)
+    if len(places) > 0:  # a filter may make it an error
+        on_root_only(comm, lambda: warnings.warn(NotDifferentiable(places, tolerance), stacklevel=6))
     sensitivities = problem.adjoint(J, more)
     whole = J + sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
     value = sum(spaces.integrate(part) for part in parts_of(J))
