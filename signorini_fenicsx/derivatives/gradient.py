@@ -211,7 +211,7 @@ def _of_step(
     comm = spaces.mesh.comm
     places = np.concatenate(comm.allgather(problem.places()))
     if len(places) > 0:  # a filter may make it an error
-        on_root_only(comm, lambda: warnings.warn(NotDifferentiable(places, tolerance), stacklevel=6))
+        on_root_only(comm, lambda: warnings.warn(NotDifferentiable(places, tolerance), stacklevel=7))
     sensitivities = problem.adjoint(J, more)
     whole = J + sum_of([seen.weighted(sensitivities[name]) for name, seen in problem.seen.items()])
     value = sum(spaces.integrate(part) for part in parts_of(J))

@@ -178,6 +178,7 @@ def test_biactive():
     with pytest.warns(NotDifferentiable, match="4 sites") as warned:
         solution.gradient(solution.u * ufl.dx, [f])
     assert warned[0].message.places.shape == (4, 2)  # type: ignore[union-attr]
+    assert warned[0].filename == __file__
 
 
 def test_refusals():
