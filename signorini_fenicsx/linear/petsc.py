@@ -143,10 +143,9 @@ class LinearSolver:
             InputError: If PETSc cannot do what the user's options ask for.
             LinearSolveFailure: If PETSc gives up.
         """
-        operator, pc = self.ksp.getOperators()[0], self.ksp.getPC()
-        right = PETSc.Mat().createDense((operator.getSizes()[0], (PETSc.DECIDE, columns.shape[1])), comm=pc.getComm())
-        right.setUp()
-        solutions = right.duplicate()
+        pc, found = self.ksp.getPC(), np.empty(columns.shape, order="F")
+        size = self.ksp.getOperators()[0].getSizes()[0], (PETSc.DECIDE, columns.shape[1])
+        solutions = PETSc.Mat().createDense(size, array=found, comm=pc.getComm())
         alone = pc.getComm().getSize() == 1 and pc.getFactorSolverType() == "mumps"
         if alone and np.count_nonzero(columns) < SPARSE * columns.size:
             number, row = np.nonzero(columns.T)
@@ -156,11 +155,10 @@ class LinearSolver:
             with self._errors():
                 pc.getFactorMatrix().matSolve(PETSc.Mat().createTranspose(transposed), solutions)
         else:
-            right.getDenseArray()[:] = columns
-            right.assemble()
+            right = PETSc.Mat().createDense(size, array=np.asfortranarray(columns), comm=pc.getComm())
             with self._errors():
                 self.ksp.matSolve(right, solutions)
-        return np.array(solutions.getDenseArray(readonly=True))
+        return found
 
     def preconditioner(self) -> PETSc.PC:
         """The preconditioner, fitted to the present matrix (collective).
