@@ -76,7 +76,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     only ∫ g|v_t − w| is needed of it.
 
     Costs some linear solves for quadratic displacements on the split mesh, and some on a part of it. The `v` of the
-    certificate is quadratic also where the bound has a better one.
+    certificate is quadratic also where the bound has a better one, and lacks the d of `lifted`.
     """
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
