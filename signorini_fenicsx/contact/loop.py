@@ -64,7 +64,7 @@ def iterate_sets[I: Pairs](
     before: I | None = None,
     history: History | None = None,
     on_step: OnStep = lambda step: None,
-    follow: Callable[[I], None] = lambda iterate: None,
+    follow: Callable[[I], bool] = lambda iterate: False,
 ) -> Outcome:
     """Run an algorithm until the sets repeat (collective).
 
@@ -82,7 +82,8 @@ def iterate_sets[I: Pairs](
             none.
         history: The steps before, which goes on; None if there are none.
         on_step: Called on all ranks after each iteration, if there is no history.
-        follow: Called on all ranks with each solution; it may change the chains of the backend.
+        follow: Called on all ranks with each solution; it may change the chains of the backend. If it returns that it
+            has, sets that repeat are no cycle.
 
     Raises:
         LinearSolveFailure: If the start cannot be solved. Later failures end the loop; the outcome's reason tells them.
@@ -127,7 +128,7 @@ def iterate_sets[I: Pairs](
         with reached(partial(backend.in_mixed_spaces, iterate, solved_with), history.steps):
             history.append(conditions, change, linear_iterations=iterate.linear_iterations, clipped=clipped)
 
-        follow(iterate)
+        safeguard.begin(anew=follow(iterate))
         wanted = _wanted(backend, rule, parameters, iterate, solved_with)
         changing = safeguard.look(conditions, wanted, len(history.steps))
         if changing == 0:
@@ -197,6 +198,10 @@ class _Safeguard[I: Pairs]:
     _places: Array | None = None  # from the first single change on
     _fewest: int = 0
     _last: int = 0
+
+    def begin(self, *, anew: bool) -> None:
+        """Forget what was seen if the law is another one: sets that repeat are no cycle then."""
+        self._seen = [] if anew else self._seen
 
     def look(self, conditions: SiteConditions, wanted: SiteConditions, iterations: int) -> int:
         """Remember the conditions of an iteration; return how many sites the wanted ones change (collective)."""

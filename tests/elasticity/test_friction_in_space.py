@@ -263,6 +263,24 @@ def test_other_tractions_have_no_bound():
     assert certify(wrong).bound == np.inf
 
 
+BLOCKS = {
+    4.0: (0.183, -0.086, 0.059, 0.078, -0.083),
+    7.0: (-0.199, 0.189, -0.081, -0.074, 0.157),
+    12.0: (-0.077, -0.051, 0.106, -0.002, 0.114),
+}
+
+
+@pytest.mark.parametrize("mu", [4.0, 7.0, 12.0])
+def test_much_friction(mu: float):
+    """Blocks that are twisted, pushed and tilted; Newton's method alone goes round and round."""
+    a, b, c, d, e = BLOCKS[mu]
+    u = [f"{a}*(y - 0.4) + {b}", f"{c}*(x - 0.5) + {d}", f"-0.05 + {e / 4}*x + {e / 6}*y"]
+    problem = ElasticProblem(1.0, 0.3, u_D={"z1": u}, gap="0.01*x", laws=[CoulombLaw(["z0"], mu)])
+    solution = solve(box(COMM, 2, [0.0] * 3, [1.0, 1.0, 0.5]), (ElasticBoundary([], SIDES), problem))
+    assert solution.bound_changes[-1] < 1e-9
+    assert len(solution.outcome.history) < 40
+
+
 def test_a_tool_that_nothing_holds_is_told():
     """A pushed tool that friction alone holds, and too little of it: one sentence, where a matrix is singular."""
     conditions = [

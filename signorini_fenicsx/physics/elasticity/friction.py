@@ -36,19 +36,21 @@ class Slipping:
     """A linear law at the vertices with friction in space: σ_t = −gθs − (g/a)(I − θssᵀ)u_t, or u_t = 0.
 
     With θ = 1 it is Newton's, with θ = 0 one whose energy is above that of friction, g|u_t|, and equal to it where
-    |u_t| = a. Where g follows the pressure λ, −(μλ − g)s is added.
+    |u_t| = a. Where g follows the pressure λ, a slope m and the last λ' add −m(λ − λ')s.
 
     Attributes:
         direction: The unit vector s in the frame of the facet, 0 where nothing slips, shape (facets, 3, 2).
         size: a, the last |u_t|, shape (facets, 3).
         turning: θ, shape (facets, 3).
-        slope: μ where g follows the pressure, 0 elsewhere, shape (facets, 3).
+        slope: m where g follows the pressure, 0 elsewhere, shape (facets, 3).
+        pressed: mλ', shape (facets, 3).
     """
 
     direction: Array
     size: Array
     turning: Array | float = 1.0
     slope: Array | float = 0.0
+    pressed: Array | float = 0.0
 
     @classmethod
     def nowhere(cls, facets: int) -> Slipping:
@@ -89,8 +91,8 @@ class FrictionBounds:
         if self.slipping is None:
             return friction_chains(self.bound.ravel())
         sticks, force = np.repeat(self.sticks.ravel(), 2), self.forces.ravel()
-        p, flux = np.where(sticks, 0.0, STICKS), np.where(sticks, -STICKS, force)
-        return Chains.through(p[:, None], flux[:, None], np.where(sticks, np.inf, 0.0), np.zeros(len(p)))
+        p, flux, slope = np.where(sticks, 0.0, STICKS), np.where(sticks, -STICKS, force), np.where(sticks, np.inf, 0.0)
+        return Chains.through(p[:, None], flux[:, None], slope, slope)
 
     @property
     def sticks(self) -> Mask:
@@ -102,8 +104,7 @@ class FrictionBounds:
     def forces(self) -> Array:
         """The constant part of the linear law in space, shape (facets, 3, 2)."""
         assert self.slipping is not None
-        follows = np.asarray(self.slipping.slope) > 0
-        part = np.where(self.sticks, 0.0, self.bound) * (follows - self.slipping.turning)
+        part = np.where(self.sticks, 0.0, self.slipping.pressed - self.bound * self.slipping.turning)
         return part[:, :, None] * self.slipping.direction
 
     @property
@@ -202,6 +203,11 @@ class FrictionBounds:
     def with_bounds(self, bound: Array) -> FrictionBounds:
         """The friction with new bounds where they are by the pressure, shape (facets, d)."""
         return replace(self, bound=np.where(self.coulomb[:, None], bound, self.bound))
+
+    def towards(self, other: FrictionBounds, share: float) -> FrictionBounds:
+        """The friction with bounds between these and others; with 1, or where nothing has slipped, with the others."""
+        between = (1 - share) * self.bound + share * other.bound
+        return self.with_bounds(np.where(self.bound >= STICKS, other.bound, between))
 
     def moved(self, step: Array) -> FrictionBounds:
         """The bounds after a step of those by the pressure; none is negative."""

@@ -32,7 +32,7 @@ from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps, spread
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
-from signorini_fenicsx.physics.elasticity.slipping import slipped
+from signorini_fenicsx.physics.elasticity.slipping import is_large, slipped
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.evolution import Evolution
@@ -43,7 +43,7 @@ from signorini_fenicsx.solving.system import Remesh, Wish, check_start
 PREDICT_FROM = 15_000
 """Number of unknowns from which a prediction saves more than it costs."""
 MORE_WITH_FRICTION = 4
-"""By default so many times the iterations of problems without friction are allowed for each bound in the plane."""
+"""So many times the iterations of other problems are allowed for each bound in the plane, and in space for large μ."""
 
 
 class System:
@@ -331,11 +331,12 @@ def _with_friction(
     """
     rule = rule_of(options)
     in_space = backend.friction.slipping is not None
-    most = options.method.max_iterations * (MORE_WITH_FRICTION if backend.friction and not in_space else 1)
+    more = is_large(backend) if in_space else backend.friction
+    most = options.method.max_iterations * (MORE_WITH_FRICTION if more else 1)
     parameters = Parameters(max_iterations=options.max_iterations or most)
     last: Indices | None = None
 
-    def loop(segments: Indices | None = None, follow: Callable[[Pairs], None] = lambda iterate: None) -> Outcome:
+    def loop(segments: Indices | None = None, follow: Callable[[Pairs], bool] = lambda iterate: False) -> Outcome:
         nonlocal before, last
         segments = last if segments is None else segments
         start = first if segments is None else backend.chains.conditions(segments)  # with the values of this bound
