@@ -55,8 +55,8 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
 
 def _add(lo: Array, hi: Array, index: tuple[Indices, ...], more: Interval) -> None:
     """Add to entries of an interval in place; `index` must not contain an entry twice."""
-    found = Interval(lo[index], hi[index]) + more
-    lo[index], hi[index] = found.lo, found.hi
+    total = Interval(lo[index], hi[index]) + more
+    lo[index], hi[index] = total.lo, total.hi
 
 
 def _rank_among_equals(values: Indices) -> Indices:

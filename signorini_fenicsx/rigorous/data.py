@@ -97,13 +97,13 @@ def deviation(
     tolerance = np.full(len(vertices), FINE[by] * size / (extent if by == "tilt" else 1.0))
     if by == "mean" and len(vertices):
         tolerance += IN_MEANS * len(vertices) ** (-order / dim) * np.nan_to_num(np.ptp(sampled, axis=1))
-    found = enclose(tree, vertices, p, tolerance, elementary, by)
-    known = found.norm + (found.tilt if by == "tilt" else 0.0)
-    if not np.isfinite(known).all():
+    enclosed = enclose(tree, vertices, p, tolerance, elementary, by)
+    reached = enclosed.norm + (enclosed.tilt if by == "tilt" else 0.0)
+    if not np.isfinite(reached).all():
         what = "no certain bounds of it and its gradient" if by == "tilt" else "no certain bounds"
-        raise InputError(f"{name} has {what} {near(found.place[:, None], np.where(np.isfinite(known), 0, -1))}")
+        raise InputError(f"{name} has {what} {near(enclosed.place[:, None], np.where(np.isfinite(reached), 0, -1))}")
     nodes = _in_nodes(p, vertices, with_midpoints(enclosing(vertices)))
-    return Deviation(nodes, found.mean, found.norm, found.sup, found.slope, found.tilt, found.rise)
+    return Deviation(nodes, enclosed.mean, enclosed.norm, enclosed.sup, enclosed.slope, enclosed.tilt, enclosed.rise)
 
 
 def places(x: Interval) -> dict[str, Array]:
@@ -189,19 +189,19 @@ class Given:
         count, size = len(cells.vertices), max(len(rows) for rows in self.kappa.values())
         corners = Interval(*np.zeros((2, count, cells.dim + 1, size, size)))
         deviations = np.zeros((count, size, size))
-        known = np.zeros(count, dtype=bool)
+        is_set = np.zeros(count, dtype=bool)
         for region, rows in self.kappa.items():
             chosen = np.arange(count) if region == "" else np.flatnonzero(inside[:, names.index(region)])
-            known[chosen] = True
+            is_set[chosen] = True
             for i, j in itertools.combinations_with_replacement(range(size), 2):
                 if len(rows) == 1 < size and i != j:
                     continue
                 tree = rows[i % len(rows)][j % len(rows)]
-                found = deviation(tree, cells.vertices[chosen], self.elementary, name="kappa", degree=1)
+                entry = deviation(tree, cells.vertices[chosen], self.elementary, name="kappa", degree=1)
                 for k, m in ((i, j), (j, i)):
-                    corners.lo[chosen, :, k, m] = found.nodes.lo[:, : cells.dim + 1]
-                    corners.hi[chosen, :, k, m] = found.nodes.hi[:, : cells.dim + 1]
-                    deviations[chosen, k, m] = found.largest
-        if not known.all():
+                    corners.lo[chosen, :, k, m] = entry.nodes.lo[:, : cells.dim + 1]
+                    corners.hi[chosen, :, k, m] = entry.nodes.hi[:, : cells.dim + 1]
+                    deviations[chosen, k, m] = entry.largest
+        if not is_set.all():
             raise InputError("kappa must be an expression in all regions, as in a case file")
         return Tensor(cells, corners, root(total(total(squared(enclosing(deviations))))).hi)

@@ -201,9 +201,9 @@ def _nodal(corners: Indices, coefficients: Array) -> Array:
     """Values in the nodes of P2 from Bernstein coefficients, with the same floats in neighbouring cells."""
     dim = corners.shape[1] - 1
     ends = np.array(EDGES[dim]).T
-    found = alike_in_nodes(corners, coefficients)
-    found[:, dim + 1 :] = found[:, dim + 1 :] / 2 + (found[:, ends[0]] + found[:, ends[1]]) / 4
-    return found
+    in_nodes = alike_in_nodes(corners, coefficients)
+    in_nodes[:, dim + 1 :] = in_nodes[:, dim + 1 :] / 2 + (in_nodes[:, ends[0]] + in_nodes[:, ends[1]]) / 4
+    return in_nodes
 
 
 def _outward_fluxes(solution: Solution, cells: int) -> Array:

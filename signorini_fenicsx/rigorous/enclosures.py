@@ -96,19 +96,19 @@ def enclose(
     with np.errstate(all="ignore"):
         work = _Bisection(vertices, tolerance, by)
         parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
-        known = look(parts)
+        values = look(parts)
         left = (BUDGET_EACH - 1) * len(vertices) + BUDGET
         while True:
-            active, cut = work.decide(parts, known)
+            active, cut = work.decide(parts, values)
             wanted = 2 * int(np.count_nonzero(cut))
             if not 0 < wanted <= left:
-                work.add(parts, known)
+                work.add(parts, values)
                 return work.result()
             left -= wanted
-            work.add(parts.take(~active), known[~active])
+            work.add(parts.take(~active), values[~active])
             halves = parts.take(cut).halves()
             kept = active & ~cut
-            parts, known = parts.take(kept).and_(halves), np.concatenate([known[kept], look(halves)])
+            parts, values = parts.take(kept).and_(halves), np.concatenate([values[kept], look(halves)])
 
 
 MEAN_LO, MEAN_HI, MEAN, SQUARE, LEAST, STEEP, FLAT, SUP, SLOPE, RISE, LO, HI = range(12)
@@ -129,15 +129,15 @@ class _Bisection:
         self._range = np.tile([np.inf, -np.inf], (n, 1))
         self._place = vertices.mean(axis=1)
 
-    def decide(self, parts: Parts, known: Array) -> tuple[Mask, Mask]:
+    def decide(self, parts: Parts, values: Array) -> tuple[Mask, Mask]:
         """Masks of the parts of simplices that are not done, and of the worst of them, which are to be cut."""
         own, n = parts.own, len(self._cost)
-        gap = parts.share * (known[:, self._above] - known[:, self._below])
+        gap = parts.share * (values[:, self._above] - values[:, self._below])
         left = np.bincount(own, gap, n)
         if self._above == MEAN_HI:
             needy = ~(left <= self._tolerance)
         else:
-            upper = np.bincount(own, parts.share * known[:, self._above], n)
+            upper = np.bincount(own, parts.share * values[:, self._above], n)
             needy = ~((np.isfinite(upper) & (left <= CLOSE * upper)) | (upper <= self._tolerance**2))
         largest = np.zeros(n)
         np.maximum.at(largest, own, gap)
@@ -147,16 +147,16 @@ class _Bisection:
         self._cost = np.where(needy, cost, self._cost)
         return needy[own], cut & needy[own]
 
-    def add(self, parts: Parts, known: Array) -> None:
+    def add(self, parts: Parts, values: Array) -> None:
         """Sum up all parts of simplices that are done."""
         own, n = parts.own, len(self._cost)
         for column, name in enumerate((MEAN_LO, MEAN_HI, MEAN, SQUARE, STEEP)):
-            self._sums[:, column] += np.bincount(own, parts.share * known[:, name], n)
+            self._sums[:, column] += np.bincount(own, parts.share * values[:, name], n)
         for column, name in enumerate((SUP, SLOPE, RISE)):
-            np.maximum.at(self._most[:, column], own, known[:, name])
-        np.minimum.at(self._range[:, 0], own, known[:, LO])
-        np.maximum.at(self._range[:, 1], own, known[:, HI])
-        order = np.argsort(parts.share * known[:, SQUARE], kind="stable")  # the worst part of each simplex comes last
+            np.maximum.at(self._most[:, column], own, values[:, name])
+        np.minimum.at(self._range[:, 0], own, values[:, LO])
+        np.maximum.at(self._range[:, 1], own, values[:, HI])
+        order = np.argsort(parts.share * values[:, SQUARE], kind="stable")  # the worst part of each simplex comes last
         self._place[own[order]] = parts.vertices[order].mean(axis=1)
 
     def result(self) -> Enclosure:

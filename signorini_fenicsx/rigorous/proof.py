@@ -103,8 +103,8 @@ def _prepared_elastic(solution: ElasticSolution, v: fem.Function) -> Callable[[]
     reason = outside(solution.problem)
     if reason or solution.step is not None:
         raise InputError(reason or "the proof is not for steps in time")
-    found = elastic.gathered(solution, v, FromArb())
-    return lambda: None if found is None else prove_elastic(*found)
+    discrete = elastic.gathered(solution, v, FromArb())
+    return lambda: None if discrete is None else prove_elastic(*discrete)
 
 
 @dataclass(frozen=True)

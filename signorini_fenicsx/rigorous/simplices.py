@@ -53,8 +53,8 @@ def total_above(values: Array) -> float:
     """A float not below the sum of floats ≥ 0."""
     if not values.any():
         return 0.0
-    found = math.fsum(values.tolist())  # correctly rounded
-    return math.nextafter(found, math.inf) if math.isfinite(found) else math.inf
+    total = math.fsum(values.tolist())  # correctly rounded
+    return math.nextafter(total, math.inf) if math.isfinite(total) else math.inf
 
 
 def root_above(value: float) -> float:
@@ -145,14 +145,14 @@ def gradient_in_vertices(cells: Simplices, values: Interval) -> Interval:
     """∇v in the vertices, shape (cells, d + 1, d), of a quadratic with these values in the nodes of P2."""
     dim = cells.dim
     slopes = [at(cells.gradients, np.s_[:, i]) for i in range(dim + 1)]
-    found = []
+    columns = []
     for k in range(dim + 1):
         terms = [at(values, np.s_[:, i, None]) * slopes[i] * (3.0 if i == k else -1.0) for i in range(dim + 1)]
         for number, (i, j) in enumerate(EDGES[dim]):
             if k in (i, j):
                 terms.append(at(values, np.s_[:, dim + 1 + number, None]) * slopes[j if i == k else i] * 4.0)
-        found.append(sum(terms[1:], terms[0]))
-    return stacked(found, axis=1)
+        columns.append(sum(terms[1:], terms[0]))
+    return stacked(columns, axis=1)
 
 
 def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
@@ -161,13 +161,13 @@ def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
     y(x) = Σ_i Φ_i (x − x_i)/(d|T|): its normal component is constant on facets, and its divergence ΣΦ_i/|T|.
     """
     x = enclosing(cells.vertices)
-    found = []
+    columns = []
     for k in range(cells.dim + 1):
         arms = at(x, np.s_[:, k, None, :]) - x
-        found.append(
+        columns.append(
             total(at(fluxes, np.s_[:, :, None]) * arms, axis=1) / at(cells.measure * float(cells.dim), np.s_[:, None])
         )
-    return stacked(found, axis=1)
+    return stacked(columns, axis=1)
 
 
 def _mass(dim: int) -> Array:
@@ -194,11 +194,11 @@ def square_norm(cells: Simplices, nodes: Interval) -> Interval:
     if nodes.lo.ndim == 2:
         nodes = at(nodes, np.s_[..., None])
     mass, scale = _mass(cells.dim), {2: 180.0, 3: 420.0}[cells.dim]
-    found = enclosing(np.zeros(len(nodes.lo)))
+    square = enclosing(np.zeros(len(nodes.lo)))
     for i in range(len(mass)):
         row = total(nodes * mass[i][:, None], axis=1)
-        found = found + total(at(nodes, np.s_[:, i]) * row)
-    positive = Interval(np.maximum(found.lo, 0.0), np.maximum(found.hi, 0.0))
+        square = square + total(at(nodes, np.s_[:, i]) * row)
+    positive = Interval(np.maximum(square.lo, 0.0), np.maximum(square.hi, 0.0))
     return positive * cells.measure / scale
 
 

@@ -130,13 +130,13 @@ def _boundary_fluxes(
         coefficients = bernstein(g.nodes, dim)
         highest, lowest = enclosing(coefficients.hi.max(axis=1)), enclosing(coefficients.lo.min(axis=1))
         spread = (highest - lowest) / 2.0 + g.norm
-        found = (_trace_constant(cells, kappa, facets) * root(facets.measure) * spread).hi
+        rest = (_trace_constant(cells, kappa, facets) * root(facets.measure) * spread).hi
         if kind == SIGNORINI:
             varies = spread.hi * facets.measure.hi > VARIES * np.abs(discrete.fluxes[place])
             pressed = varies & (discrete.fluxes[place] >= (facets.measure * (highest + g.largest)).hi)
             pressed &= (discrete.kinds == DIRICHLET).any()  # otherwise the imbalance leaves through such facets
-            found[pressed] = 0.0
-        np.add.at(oscillation, facets.cells, found)
+            rest[pressed] = 0.0
+        np.add.at(oscillation, facets.cells, rest)
         for _ in range(2):  # a cell has at most four facets: three roundings, of half a step each
             oscillation = np.where(oscillation > 0, np.nextafter(oscillation, np.inf), 0.0)
     return Interval(lo, hi), least, pressed, enclosing(oscillation)

@@ -107,13 +107,13 @@ def _nodes_on(discrete: Discrete, kind: int) -> Mask:
     """Mask of the nodes of P2 of each cell that lie on facets of this kind, of this or other cells."""
     facets, dim = boundary(discrete, kind), discrete.dim
     corners = discrete.corners
-    found = np.zeros(discrete.v.shape, dtype=bool)
+    on_kind = np.zeros(discrete.v.shape, dtype=bool)
     of_facet = corners[facets.cells[:, None], facets.nodes[:, :dim]]
-    found[:, : dim + 1] = np.isin(corners, of_facet)
+    on_kind[:, : dim + 1] = np.isin(corners, of_facet)
     for number, (i, j) in enumerate(EDGES[dim]):
         edges = np.concatenate([pairs(of_facet[:, a], of_facet[:, b]) for a, b in EDGES[dim - 1]])
-        found[:, dim + 1 + number] = np.isin(pairs(corners[:, i], corners[:, j]), edges)
-    return found
+        on_kind[:, dim + 1 + number] = np.isin(pairs(corners[:, i], corners[:, j]), edges)
+    return on_kind
 
 
 def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet: Mask) -> _Correction:
@@ -124,21 +124,21 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
         vertices = discrete.vertices[near]
         sampled = values(given.u_D, places(with_midpoints(enclosing(vertices))))
         wanted = np.where(on_dirichlet[near], discrete.v[near], alike_in_nodes(discrete.corners[near], sampled))
-        found = deviation(given.u_D, vertices, given.elementary, name="u_D", by="tilt", wanted=wanted)
-        missed = enclosing(wanted) - found.nodes
+        enclosed = deviation(given.u_D, vertices, given.elementary, name="u_D", by="tilt", wanted=wanted)
+        missed = enclosing(wanted) - enclosed.nodes
         chi = on_dirichlet[near, : dim + 1]
         hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * at(cells.gradients, near)
         steep = root(total(squared(total(hats, axis=1))))
         steep = Interval(steep.lo, np.where(chi.all(axis=1), 0.0, steep.hi))  # χ = 1 on these
         near_cells = cells.some(near)
-        sup = (enclosing(found.largest) + bernstein(missed, dim).largest.max(axis=1)).hi
+        sup = (enclosing(enclosed.largest) + bernstein(missed, dim).largest.max(axis=1)).hi
         gradient = gradient_in_vertices(near_cells, missed)
         steepest = root(total(squared(gradient))).hi.max(axis=1)
-        size[near], slope[near] = sup, (enclosing(found.slope) + steepest).hi
+        size[near], slope[near] = sup, (enclosing(enclosed.slope) + steepest).hi
         bent = root(square_norm(near_cells, with_midpoints(gradient)))
         flat = root(square_norm(near_cells, missed))
         whole = root(near_cells.measure)
-        extra[near] = (bent + whole * found.tilt + steep * (flat + whole * found.norm)).hi
+        extra[near] = (bent + whole * enclosed.tilt + steep * (flat + whole * enclosed.norm)).hi
     return _Correction(extra, size, slope)
 
 
@@ -149,18 +149,18 @@ def _at_seam(given: Given, facets: Facets, fixed: Mask) -> Array:
         InputError: If u_D ≥ ψ is not certain there.
     """
     width = fixed.shape[1]
-    found = np.where(fixed.any(axis=1), np.inf, 0.0)
+    lowest = np.where(fixed.any(axis=1), np.inf, 0.0)
     above = difference(given.u_D, given.psi)
     for size in range(1, width + 1):
         for face in itertools.combinations(range(width), size):
             chosen = fixed[:, face].all(axis=1)
             if chosen.any():
                 corners = facets.corners[chosen][:, face]
-                found[chosen] = np.minimum(found[chosen], smallest(above, corners, given.elementary))
-    if not (found >= 0).all():
-        where = ", ".join(f"{x:.4g}" for x in facets.corners[np.argmin(found)].mean(axis=0))
+                lowest[chosen] = np.minimum(lowest[chosen], smallest(above, corners, given.elementary))
+    if not (lowest >= 0).all():
+        where = ", ".join(f"{x:.4g}" for x in facets.corners[np.argmin(lowest)].mean(axis=0))
         raise InputError(f"where Γ_D meets Γ_S, u_D ≥ psi is not certain near ({where})")
-    return found
+    return lowest
 
 
 def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction: _Correction) -> Interval:

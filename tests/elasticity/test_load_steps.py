@@ -168,8 +168,9 @@ def test_case_file(folder: Path):
     if COMM.rank == 0:
         (folder / "push.toml").write_text(CASE, encoding="utf-8")
         (folder / "scheme.toml").write_text(CASE.replace("steps = 4", 'steps = 4, scheme = "bdf2"'), encoding="utf-8")
-        (folder / "cubic.toml").write_text(
-            CASE.replace('"-0.02"', '"0.001*x^3 - 0.02"').replace("1/4", "1/2").replace("4}", "1}"), encoding="utf-8"
+        (folder / "pulse.toml").write_text(
+            CASE.replace('"-0.02"', '"0.001*exp(-1e4*(x - 0.3)^2) - 0.02"').replace("1/4", "1/2").replace("4}", "1}"),
+            encoding="utf-8",
         )
         (folder / "steady.toml").write_text(CASE.replace("time =", "#"), encoding="utf-8")
     COMM.Barrier()
@@ -190,7 +191,7 @@ def test_case_file(folder: Path):
     assert (summary["time"]["steps"], summary["converged"]) == (4, True)
     for name in ("forces.png", "contact.png", "solution.bp", "solution.xdmf", "contact.csv"):
         assert (folder / "out" / name).exists(), name
-    done = signorini(folder, "solve", "cubic.toml", "--output", "cubic", "--certify-steps")
+    done = signorini(folder, "solve", "pulse.toml", "--output", "pulse", "--certify-steps")
     assert COMM.rank != 0 or "not all are guaranteed: u_D not enclosed or not resolved" in done.stdout
     expected = {"scheme": "unknown key 'scheme' in [time]", "steady": "unknown name 't'"}
     for name, message in expected.items():

@@ -261,14 +261,14 @@ class ElasticSpaces(MeshSpaces):
         nodes = gamma.geometry.x[gamma.geometry.dofmaps[0][:size], :dim]
         places = np.einsum("qa,fai->fqi", hats, nodes)
         nearest = np.square(places[:, None] - self.contact.vertices[facets][:, :, None]).sum(axis=3).argmin(axis=2)
-        found = []
+        at_vertices = []
         for sample in samples:
             shape = sample.ufl_shape
             at_points = sample.x.array.reshape(-1, *shape)[sample.function_space.dofmap.list[:size]]
             values = np.empty((size, dim, *shape))
             values[facets] = np.take_along_axis(at_points, nearest.reshape(*nearest.shape, *[1] * len(shape)), axis=1)
-            found.append(values)
-        return found
+            at_vertices.append(values)
+        return at_vertices
 
     @property
     def places(self) -> Array:

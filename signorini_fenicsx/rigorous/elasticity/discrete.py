@@ -135,13 +135,13 @@ class _Collected:
 
     def on_facets(self, datum: Datum, name: str, facets: npt.NDArray[np.int32]) -> Indices:
         """The numbers of a datum on facets; it is 0 on those for which none is given."""
-        found = np.zeros(len(facets), dtype=np.int64)
+        numbers = np.zeros(len(facets), dtype=np.int64)
         for mask, part in datum.by_facets(facets):
             if part.pieces is None:
                 self.unread.append(name)
             for tree, _ in part.pieces or ():
-                found[mask] = self.number(tree)
-        return found
+                numbers[mask] = self.number(tree)
+        return numbers
 
 
 def gathered(
@@ -162,7 +162,7 @@ def gathered(
     """
     spaces, data, collected = solution.spaces, solution.data, _Collected()
     cells, dim = len(spaces.order), spaces.dim
-    known: dict[str, npt.NDArray[Any]] = {
+    arrays: dict[str, npt.NDArray[Any]] = {
         "material": collected.in_cells((data.material.young[0], data.material.poisson[0]), "young or poisson", cells),
         "own": _own(solution, collected),
         "force": collected.in_cells(data.f.scalars, "f", cells),
@@ -175,10 +175,10 @@ def gathered(
         raise InputError(f"{', '.join(unread)} must be an expression, as in a case file")
     space = v.function_space
     local = space.dofmap.list[spaces.split.cells]
-    known["nodes"] = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
-    known["v"] = v.x.array.reshape(-1, dim)[local]
-    known["stresses"] = solution.stresses
-    whole = gathered_rows(spaces, spaces.nodes, known)
+    arrays["nodes"] = space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
+    arrays["v"] = v.x.array.reshape(-1, dim)[local]
+    arrays["stresses"] = solution.stresses
+    whole = gathered_rows(spaces, spaces.nodes, arrays)
     if whole is None:
         return None
     whole["v"] = alike(whole["nodes"], whole["v"])

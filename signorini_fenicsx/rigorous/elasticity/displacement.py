@@ -83,10 +83,10 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
         raise InputError("where two bodies touch, their facets are not certainly the same")
     g = enclosing(np.zeros(nodes.shape))
     for tree, mask in given.each(discrete.gap):
-        _, found = _on_facets(discrete, given, "gap", tree, mask, numbers)
+        _, gap = _on_facets(discrete, given, "gap", tree, mask, numbers)
         where = mask[on]
         lo, hi = g.lo.copy(), g.hi.copy()
-        lo[where], hi[where] = found.lo, found.hi
+        lo[where], hi[where] = gap.lo, gap.hi
         g = Interval(lo, hi)
     wide = g * at(facet_measures(x), np.s_[:, None])
     for _ in range(ROUNDS):
@@ -100,9 +100,9 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
 
 def _jump(at_nodes: Interval, nodes: Indices, touching: Mask, other: Indices) -> Interval:
     """The coefficients of v on the facets of Γ_C, where two bodies touch of the jump."""
-    found = at(at_nodes, nodes)
-    jump = at(found, touching) - at(at_nodes, other)
-    lo, hi = found.lo.copy(), found.hi.copy()
+    coefficients = at(at_nodes, nodes)
+    jump = at(coefficients, touching) - at(at_nodes, other)
+    lo, hi = coefficients.lo.copy(), coefficients.hi.copy()
     lo[touching], hi[touching] = jump.lo, jump.hi
     return Interval(lo, hi)
 
@@ -125,18 +125,18 @@ def _on_facets(
     return nodes, bernstein(interval(tree, point, given.elementary).on(nodes.shape), discrete.dim - 1)
 
 
-def _give(at_nodes: Interval, fixed: Mask, component: int, nodes: Indices, found: Interval) -> None:
+def _give(at_nodes: Interval, fixed: Mask, component: int, nodes: Indices, values: Interval) -> None:
     """Set a component at some nodes.
 
     Raises:
         InputError: If it was set before, and is not certainly the same.
     """
     before = fixed[nodes, component]
-    known = Interval(at_nodes.lo[nodes, component], at_nodes.hi[nodes, component])
-    same = (known.lo == known.hi) & (known.lo == found.lo) & (known.lo == found.hi)
+    already = Interval(at_nodes.lo[nodes, component], at_nodes.hi[nodes, component])
+    same = (already.lo == already.hi) & (already.lo == values.lo) & (already.lo == values.hi)
     if (before & ~same).any():
         raise InputError("where parts with different u_D meet, it is not certain that these are the same")
-    at_nodes.lo[nodes, component], at_nodes.hi[nodes, component] = found.lo, found.hi
+    at_nodes.lo[nodes, component], at_nodes.hi[nodes, component] = values.lo, values.hi
     fixed[nodes, component] = True
 
 

@@ -65,8 +65,8 @@ class Moments:
             nodes, none = interval(tree, point, given.elementary).on(x.lo.shape[:2]), np.zeros(len(vertices))
             mean, norm = enclosing(none), none
         else:
-            found = deviation(tree, vertices, given.elementary, name=name, by="mean", order=2)
-            nodes, mean, norm = found.nodes, found.mean, found.norm
+            enclosed = deviation(tree, vertices, given.elementary, name=name, by="mean", order=2)
+            nodes, mean, norm = enclosed.nodes, enclosed.mean, enclosed.norm
         quadratic = bernstein(nodes, dim)
         ends = _ends(dim)
         weights = np.array([[1.0 + end.count(a) for end in ends] for a in range(dim + 1)])
@@ -102,7 +102,7 @@ def _ends(dim: int) -> list[tuple[int, int]]:
 
 def mean_square(coefficients: Interval, dim: int) -> Interval:
     """Mean squares over simplices of quadratics, from their coefficients in Bernstein's basis."""
-    ends, found = _ends(dim), enclosing(np.zeros(len(coefficients.lo)))
+    ends, square = _ends(dim), enclosing(np.zeros(len(coefficients.lo)))
     share = float(24 * math.comb(dim + 4, dim))
     for row, one in enumerate(ends):
         weights = []
@@ -110,8 +110,8 @@ def mean_square(coefficients: Interval, dim: int) -> Interval:
             powers = [one.count(a) + other.count(a) for a in range(dim + 1)]
             products = math.prod(math.factorial(power) for power in powers)
             weights.append(float(products * (1 + (one[0] != one[1])) * (1 + (other[0] != other[1]))))
-        found = found + at(coefficients, np.s_[:, row]) * total(coefficients * np.array(weights))
-    return Interval(np.maximum(found.lo, 0.0), np.maximum(found.hi, 0.0)) / share
+        square = square + at(coefficients, np.s_[:, row]) * total(coefficients * np.array(weights))
+    return Interval(np.maximum(square.lo, 0.0), np.maximum(square.hi, 0.0)) / share
 
 
 def force(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> tuple[Interval, Interval]:
@@ -121,23 +121,23 @@ def force(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> tuple[In
     squares = Interval(*np.zeros((2, count)))
     for k in range(dim):
         for tree, mask in given.each(discrete.force[:, k]):
-            found = Moments.of(tree, discrete.vertices[mask], given, "f")
-            moments.lo[mask, :, k], moments.hi[mask, :, k] = found.hats.lo, found.hats.hi
-            if found.degree == 0:
+            enclosed = Moments.of(tree, discrete.vertices[mask], given, "f")
+            moments.lo[mask, :, k], moments.hi[mask, :, k] = enclosed.hats.lo, enclosed.hats.hi
+            if enclosed.degree == 0:
                 continue
-            size = root(off_subcells(found, dim)) + found.beyond * (2 + MOMENTS[dim])
+            size = root(off_subcells(enclosed, dim)) + enclosed.beyond * (2 + MOMENTS[dim])
             more = at(squares, mask) + squared(size)
             squares.lo[mask], squares.hi[mask] = more.lo, more.hi
     return moments * at(cells.measure, np.s_[:, None, None]), root(squares * cells.measure)
 
 
-def off_subcells(found: Moments, dim: int) -> Interval:
+def off_subcells(moments: Moments, dim: int) -> Interval:
     """The mean square of P − QP on cells."""
     size = dim + 1
     weights = np.array([[1.0 + end.count(a) for end in _ends(dim)] for a in range(size)])
-    hats = total(at(found.quadratic, np.s_[:, None]) * weights) / float((dim + 3) * math.comb(dim + 2, dim))
+    hats = total(at(moments.quadratic, np.s_[:, None]) * weights) / float((dim + 3) * math.comb(dim + 2, dim))
     middle = total(hats)
-    columns = {end: at(found.quadratic, np.s_[:, n]) for n, end in enumerate(_ends(dim))}
+    columns = {end: at(moments.quadratic, np.s_[:, n]) for n, end in enumerate(_ends(dim))}
 
     def blossom(one: int, other: int) -> Interval:
         """The polar form at two vertices, of which `size` is the centroid."""

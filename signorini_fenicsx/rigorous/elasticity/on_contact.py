@@ -79,14 +79,14 @@ def changed(
     """
     across = at(areas, np.s_[:, None])
     normal = total(more * across) / total(squared(across))
-    found = enclosing(pressure) - normal
+    pressures = enclosing(pressure) - normal
     beside = more - at(normal, np.s_[..., None]) * across
     wide = root(total(squared(enclosing(w)))) + root(total(squared(beside)) / total(squared(across)))
     moved = sticks[:, None] & ~beside.is_zero.all(axis=2)
     beside = beside.where(moved[..., None], enclosing(np.zeros(beside.lo.shape)))
-    if (found.lo < 0).any() or (moved & (wide.hi > bound.lo)).any():
+    if (pressures.lo < 0).any() or (moved & (wide.hi > bound.lo)).any():
         raise InputError("the stress cannot be balanced: what the solver leaves is larger than the tractions on Γ_C")
-    return found, tangential(across, enclosing(w)) + beside
+    return pressures, tangential(across, enclosing(w)) + beside
 
 
 def pressed(pressure: Interval, off: Interval) -> Interval:

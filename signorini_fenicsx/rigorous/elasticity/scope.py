@@ -18,8 +18,8 @@ def outside(problem: ElasticProblem) -> str:
         "of orthotropic bodies": along_axes or problem.shear is not None or problem.axes is not None,
         "with an initial stress": problem.initial_stress is not None,
     }
-    found = [reason for reason, holds in reasons.items() if holds]
-    return f"the proof is not for elastic problems {found[0]}" if found else ""
+    reasons_that_hold = [reason for reason, holds in reasons.items() if holds]
+    return f"the proof is not for elastic problems {reasons_that_hold[0]}" if reasons_that_hold else ""
 
 
 def _has_list(given: Any) -> bool:

@@ -53,11 +53,11 @@ def _coefficients(dim: int) -> Interval:
 
     def pull(subcell: int, place: int, row: int, direction: list[int]) -> dict[int, int]:
         """The component `row` of ŷ times a direction, as coefficients of the values of ŷ."""
-        found = {}
+        coefficients = {}
         for column, factor in enumerate(direction):
             entry = entries.index((min(row, column), max(row, column)))
-            found[(subcell * size + place) * len(entries) + entry] = factor
-        return found
+            coefficients[(subcell * size + place) * len(entries) + entry] = factor
+        return coefficients
 
     rows = [pull(i, a, r, gradients[i]) for i in range(size) for a in range(dim) for r in range(dim)]
     rows += [{vertex * len(entries) + n: 1 for vertex in range(size * size)} for n in range(len(entries))]
@@ -106,15 +106,15 @@ def stresses_of(cells: Simplices, pulls: Interval, moments: Interval) -> Interva
     hatted = Interval(*(each.reshape(count, dim + 1, dim + 1, len(entries)) for each in (hatted.lo, hatted.hi)))
     x = enclosing(cells.vertices)
     arms = [at(x, np.s_[:, k]) - at(x, np.s_[:, 0]) for k in range(1, dim + 1)]
-    found: dict[tuple[int, int], Interval] = {}
+    columns: dict[tuple[int, int], Interval] = {}
     for i, j in entries:
         terms = []
         for n, (k, m) in enumerate(entries):
             factor = at(arms[k], np.s_[:, i]) * at(arms[m], np.s_[:, j])
             factor = factor if k == m else factor + at(arms[m], np.s_[:, i]) * at(arms[k], np.s_[:, j])
             terms.append(at(hatted, np.s_[..., n]) * at(factor, np.s_[:, None, None]))
-        found[i, j] = found[j, i] = sum(terms[1:], terms[0])
-    rows = [stacked([found[i, j] for j in range(dim)]) for i in range(dim)]
+        columns[i, j] = columns[j, i] = sum(terms[1:], terms[0])
+    rows = [stacked([columns[i, j] for j in range(dim)]) for i in range(dim)]
     return stacked(rows, axis=-2)
 
 
@@ -208,10 +208,10 @@ def pulls_with(x: Interval, wrench: Interval, origin: Array) -> Interval:
     share = float(dim * (dim + 1))
     rows = [stacked([total(_turning(arms, field, i, j)) / share for field in fields]) for i, j in turns]
     rates = solved(stacked(rows, axis=1), stacked(moments))
-    found = at(force, np.s_[:, None])
+    pulls = at(force, np.s_[:, None])
     for n, field in enumerate(fields):
-        found = found + field * at(rates, np.s_[:, n, None, None])
-    return found
+        pulls = pulls + field * at(rates, np.s_[:, n, None, None])
+    return pulls
 
 
 def solved(matrix: Interval, right: Interval) -> Interval:
@@ -300,12 +300,12 @@ def along_tree(
 
 def _across(pair: Indices) -> Indices:
     """The cell and the local number of the facet that touches each facet; of others themselves."""
-    found: Indices = np.stack(list(np.indices(pair.shape)), axis=-1)
+    beyond: Indices = np.stack(list(np.indices(pair.shape)), axis=-1)
     both = np.argwhere(pair != NONE)
     places = both[np.argsort(pair[tuple(both.T)], kind="stable")].reshape(-1, 2, 2)
     for one, other in ((0, 1), (1, 0)):
-        found[places[:, one, 0], places[:, one, 1]] = places[:, other]
-    return found
+        beyond[places[:, one, 0], places[:, one, 1]] = places[:, other]
+    return beyond
 
 
 def _levels(bodies: Indices, across: Indices, outlets: Mask, held: Mask) -> Indices:

@@ -157,12 +157,14 @@ def _compliance(discrete: ElasticDiscrete, given: Given, subcells: Simplices) ->
                     [(i, j) for i in beside for j in beside],
                 ),
             ):
-                found = deviation(tree, discrete.vertices[chosen], given.elementary, name="young or poisson", degree=1)
-                hats = at(found.nodes, np.s_[:, : dim + 1])
+                enclosed = deviation(
+                    tree, discrete.vertices[chosen], given.elementary, name="young or poisson", degree=1
+                )
+                hats = at(enclosed.nodes, np.s_[:, : dim + 1])
                 for i, j in places:
                     more = at(corners, np.s_[chosen, :, i, j]) + hats
                     corners.lo[chosen, :, i, j], corners.hi[chosen, :, i, j] = more.lo, more.hi
-                    deviations[chosen, i, j] += found.largest * (1 + 1e-15)
+                    deviations[chosen, i, j] += enclosed.largest * (1 + 1e-15)
     deviations = root(total(total(squared(enclosing(deviations))))).hi
     return Tensor(
         subcells,
@@ -219,8 +221,8 @@ def _of_volume(young: Tree, poisson: Tree, *, in_strain: bool) -> Tree:
 def _bound(discrete: ElasticDiscrete, given: Given) -> Interval:
     """The bound of the shear at the vertices of the facets of Γ_C, shape (facets, d)."""
     contact = discrete.gap != NONE
-    found = discrete.bound[contact]
-    bound, numbers, x = Interval(found, found.copy()), discrete.rubbing[contact], discrete.facet_vertices(contact)
+    bounds = discrete.bound[contact]
+    bound, numbers, x = Interval(bounds, bounds.copy()), discrete.rubbing[contact], discrete.facet_vertices(contact)
     for tree, mask in given.each(numbers):
         values = _linear(given, "g of friction", tree, x[mask])
         bound.lo[mask], bound.hi[mask] = np.maximum(values.lo, 0.0), values.hi
@@ -245,15 +247,15 @@ def _loads(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tuple[In
     for k in range(dim):
         for tree, mask in given.each(np.where(free[..., k], NONE, discrete.traction[..., k])):
             data = Moments.of(tree, x[mask], given, "g_N")
-            found = data.linear() * at(facet_measures(x[mask]), np.s_[:, None])
-            pulls.lo[mask, :, k], pulls.hi[mask, :, k] = found.lo, found.hi
+            pull = data.linear() * at(facet_measures(x[mask]), np.s_[:, None])
+            pulls.lo[mask, :, k], pulls.hi[mask, :, k] = pull.lo, pull.hi
             more = at(squares, mask) + squared(data.off_linear())
             squares.lo[mask], squares.hi[mask] = more.lo, more.hi
     for tree, mask in given.each(discrete.pressure):
         data = Moments.of(tree, x[mask], given, "pressure")
-        found = at(-data.linear(), np.s_[..., None]) * at(areas, np.s_[mask, None])
-        found = at(pulls, mask).where(free[mask][:, None], found)
-        pulls.lo[mask], pulls.hi[mask] = found.lo, found.hi
+        pull = at(-data.linear(), np.s_[..., None]) * at(areas, np.s_[mask, None])
+        pull = at(pulls, mask).where(free[mask][:, None], pull)
+        pulls.lo[mask], pulls.hi[mask] = pull.lo, pull.hi
         more = squared(data.off_linear())
         squares.lo[mask], squares.hi[mask] = more.lo, more.hi
     measures = facet_measures(x.reshape(-1, dim, dim))
@@ -271,18 +273,18 @@ def _on_contact(
     normals = outer[contact] / np.linalg.norm(outer[contact], axis=1, keepdims=True)
     at_vertices = np.einsum("naij,nj->nai", discrete.stresses[:, :, :dim][contact], normals)
     shear, across = shear_near(at_vertices, normals, bound.lo), at(areas, np.s_[contact, None])
-    found = enclosing(-pressure[contact][..., None]) * across + tangential(across, enclosing(shear))
-    pulls.lo[contact], pulls.hi[contact] = found.lo, found.hi
+    traction = enclosing(-pressure[contact][..., None]) * across + tangential(across, enclosing(shear))
+    pulls.lo[contact], pulls.hi[contact] = traction.lo, traction.hi
     touching, other = discrete.pairs
-    pulls.lo[other], pulls.hi[other] = -found.hi[touching], -found.lo[touching]
+    pulls.lo[other], pulls.hi[other] = -traction.hi[touching], -traction.lo[touching]
     pressure[other] = pressure[contact][touching]
     return pulls, pressure, shear
 
 
 def _pressures(discrete: ElasticDiscrete, outer: Array) -> Array:
     """Numbers near −σ_nn at the vertices of all facets, from |e|n, shape (cells, d + 1, d)."""
-    found = np.einsum("nij,niajk,nik->nia", outer, discrete.stresses[:, :, : discrete.dim], outer)
-    return -found / (outer**2).sum(axis=2)[..., None]
+    pressures = np.einsum("nij,niajk,nik->nia", outer, discrete.stresses[:, :, : discrete.dim], outer)
+    return -pressures / (outer**2).sum(axis=2)[..., None]
 
 
 def _sticking(discrete: ElasticDiscrete, bound: Interval, shear: Array) -> Mask:
@@ -301,8 +303,8 @@ def _holds(discrete: ElasticDiscrete, areas: Interval, pressure: Array, sticks: 
     On Γ_C it is 0 where the pressure is not large.
     """
     pressed = pressure.min(axis=2) > LARGE * pressure.max(initial=0.0)
-    given = np.where((discrete.displacement != NONE)[..., None], np.eye(discrete.dim), 0.0)
-    return reactions(areas, sticks).where(pressed[..., None, None], enclosing(given))
+    held = np.where((discrete.displacement != NONE)[..., None], np.eye(discrete.dim), 0.0)
+    return reactions(areas, sticks).where(pressed[..., None, None], enclosing(held))
 
 
 def _difference(before: Interval, after: Interval) -> Interval:
@@ -334,9 +336,9 @@ def _entries(matrices: Interval) -> Interval:
     dim = matrices.lo.shape[-1]
     twice = root(enclosing(2.0))
     columns = [at(matrices, np.s_[..., i, j]) * (1.0 if i == j else twice) for i, j in pairs(dim)]
-    found = stacked(columns)
+    entries = stacked(columns)
     shape = -1, dim + 1, len(columns)
-    return Interval(found.lo.reshape(shape), found.hi.reshape(shape))
+    return Interval(entries.lo.reshape(shape), entries.hi.reshape(shape))
 
 
 def _strains(subcells: Simplices, values: Interval) -> Interval:

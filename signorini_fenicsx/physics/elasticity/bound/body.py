@@ -78,8 +78,8 @@ def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask, len
         loaded: Mask of the facets with r, opposite to the vertices of each cell, shape (cells, d + 1).
         length: l.
     """
-    known = compliance.tobytes() + loaded.tobytes() + str(length).encode()
-    comm, key = spaces.mesh.comm, hashlib.sha256(known).digest()
+    digested = compliance.tobytes() + loaded.tobytes() + str(length).encode()
+    comm, key = spaces.mesh.comm, hashlib.sha256(digested).digest()
     if not comm.allreduce(key in spaces.constants_of_body, MPI.LAND):
         spaces.constants_of_body[key] = _by_factorisations(spaces, compliance, loaded, length)
     return spaces.constants_of_body[key]

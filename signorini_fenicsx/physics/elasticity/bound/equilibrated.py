@@ -94,9 +94,9 @@ def _energy_of_residuals(solution: ElasticSolution) -> float:
 def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -> AdmissibleStress:
     """The stress with its tractions on Γ_C, exactly what the sets give; far away if these are others (collective)."""
     spaces, data = solution.spaces, solution.data
-    found = data.reactions(spaces, stresses)
-    _, reactions = solution.outcome.conditions.clean(p, found, 0.0)  # on springs as it is
-    sizes = np.array([np.abs(each).max(initial=0.0) for each in (reactions - found, stresses)])
+    balancing = data.reactions(spaces, stresses)
+    _, reactions = solution.outcome.conditions.clean(p, balancing, 0.0)  # on springs as it is
+    sizes = np.array([np.abs(each).max(initial=0.0) for each in (reactions - balancing, stresses)])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
     distance = np.inf if sizes[0] > OTHERS * sizes[1] else distance
     pressure, shear = np.split(reactions, [len(spaces.sites)])

@@ -60,14 +60,14 @@ SMALLEST = 1e-100
 
 def is_enclosed(datum: VectorDatum | PressureDatum) -> bool:
     """Whether a load is known as texts, some of which are no polynomials that quadrature integrates exactly."""
-    known = all(scalar.pieces is not None for scalar in datum.scalars)
-    return known and (datum.polynomial is None or datum.polynomial > LARGEST_DEGREE // 2)
+    is_text = all(scalar.pieces is not None for scalar in datum.scalars)
+    return is_text and (datum.polynomial is None or datum.polynomial > LARGEST_DEGREE // 2)
 
 
 def loads_of(spaces: ElasticSpaces, data: ElasticData) -> list[tuple[BoundaryFacets, VectorDatum | PressureDatum]]:
     """All tractions, each with its facets."""
-    given = [(spaces.part(name) if name else spaces.neumann, datum) for name, datum in data.g_N.items()]
-    return [*given, *((pull.facets, pull.datum) for pull in data.pulls)]
+    loads = [(spaces.part(name) if name else spaces.neumann, datum) for name, datum in data.g_N.items()]
+    return [*loads, *((pull.facets, pull.datum) for pull in data.pulls)]
 
 
 def fit(basis: Array, weights: Array) -> Array:

@@ -58,18 +58,18 @@ type _Given = tuple[str, BoundaryFacets, list[tuple[Datum, Array]]]
 
 def lifts(spaces: ElasticSpaces, data: ElasticData) -> tuple[str, ...]:
     """The data for which there is a d: texts of which one at least is not quadratic."""
-    found = []
+    names = []
     for name, datum in (("u_D", data.u_D), ("gap", data.gap)):
-        known = all(
+        is_text = all(
             part.pieces is not None
             for each, facets, scalars in _given(spaces, data)
             for scalar, _ in scalars
             for _, part in scalar.by_facets(facets.facets)
             if each == name
         )
-        if spaces.dim == 2 and known and (datum.polynomial is None or datum.polynomial > QUADRATIC):
-            found.append(name)
-    return tuple(found)
+        if spaces.dim == 2 and is_text and (datum.polynomial is None or datum.polynomial > QUADRATIC):
+            names.append(name)
+    return tuple(names)
 
 
 def lifted(resolution: Resolution, counted: Array) -> tuple[Array, tuple[str, ...]]:

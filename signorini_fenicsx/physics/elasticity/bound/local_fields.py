@@ -67,14 +67,14 @@ class LocalStresses:
         pulled = scale[:, :, None, None] * np.linalg.solve(F, on_facets[..., None])[..., 0]
         loads = -cells.determinant[:, None, None, None] * np.linalg.solve(F, inside[..., None])[..., 0]
         values = np.concatenate([loads.reshape(len(F), -1), pulled.reshape(len(F), -1)], axis=1)
-        given = np.einsum("sqijb,nb->nsqij", self.balancing, values, optimize=True)[..., None]
-        z = self._weighted(cells, given, compliance)[:, :, 0]
+        balancing = np.einsum("sqijb,nb->nsqij", self.balancing, values, optimize=True)[..., None]
+        z = self._weighted(cells, balancing, compliance)[:, :, 0]
         free = self._weighted(cells, np.broadcast_to(self.free, (len(F), *self.free.shape)), compliance)
         products = free.swapaxes(1, 2) @ free
         products += SINGULAR * np.einsum("nbb->n", products)[:, None, None] * np.eye(free.shape[2])
         shares = np.linalg.solve(products, free.swapaxes(1, 2) @ z[:, :, None])
-        found: Array = np.linalg.norm(z - (free @ shares)[:, :, 0], axis=1)
-        return found
+        norms: Array = np.linalg.norm(z - (free @ shares)[:, :, 0], axis=1)
+        return norms
 
     def _weighted(self, cells: Cells, stresses: Array, compliance: Array) -> Array:
         """𝔸^½ times stresses times the square root of the weights, one row per number: (cells, rows, basis)."""

@@ -47,8 +47,8 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
         squares: What the gap of each cell adds to the square of the bound besides.
     """
     spaces, data = resolution.spaces, resolution.data
-    dim, found = spaces.dim, np.zeros(len(spaces.order))
-    cells_of, local, traction = _tractions(spaces, data, found)
+    dim, of_cells = spaces.dim, np.zeros(len(spaces.order))
+    cells_of, local, traction = _tractions(spaces, data, of_cells)
     everywhere = compliances_above(spaces, data)
     for numbers in blocks_of_cells(spaces):
         cells, compliance = Cells(spaces.vertices[numbers]), everywhere[numbers]
@@ -56,22 +56,22 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
         rows = np.flatnonzero(np.isin(cells_of, numbers))
         on_facets = np.zeros((len(numbers), dim + 1, *traction.shape[1:]))
         np.add.at(on_facets, (cells_of[rows] - numbers[:1], local[rows]), traction[rows])
-        found[numbers] += korn_constants(cells.derivative) * rest
-        found[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
+        of_cells[numbers] += korn_constants(cells.derivative) * rest
+        of_cells[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
-            found[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
-    more, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + found)
-    return found + more, together
+            of_cells[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
+    more, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + of_cells)
+    return of_cells + more, together
 
 
 def compliances_above(spaces: ElasticSpaces, data: ElasticData) -> Array:
     """On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries) (collective)."""
     number = spaces.dim * (spaces.dim + 1) // 2
-    found = np.empty((len(spaces.order), number, number))
+    matrices = np.empty((len(spaces.order), number, number))
     for cells in blocks_of_cells(spaces):
-        found[cells] = above(data.compliances(spaces, cells))
-        found[cells] += beyond(spaces, data, cells)[:, None, None] * np.eye(number)
-    return found
+        matrices[cells] = above(data.compliances(spaces, cells))
+        matrices[cells] += beyond(spaces, data, cells)[:, None, None] * np.eye(number)
+    return matrices
 
 
 def above(compliance: Array) -> Array:
@@ -99,14 +99,14 @@ def _force(
     cell, subcell, vertex = spaces.as_dolfinx(numbers)
     there = np.zeros((*vertex.shape[:2], len(places), dim + 1), dtype=np.int64)  # the lattice in DOLFINx's order
     np.put_along_axis(there, vertex[:, :, None], np.broadcast_to(places, there.shape), axis=3)
-    found = near[cell, subcell, numbers_in(there, INSIDE)] - balanced[:, :, None]
-    return found, np.sqrt(rest.sum(axis=(1, 2)) * volume)
+    quadratic = near[cell, subcell, numbers_in(there, INSIDE)] - balanced[:, :, None]
+    return quadratic, np.sqrt(rest.sum(axis=(1, 2)) * volume)
 
 
-def _tractions(spaces: ElasticSpaces, data: ElasticData, found: Array) -> tuple[Indices, Indices, Array]:
+def _tractions(spaces: ElasticSpaces, data: ElasticData, of_cells: Array) -> tuple[Indices, Indices, Array]:
     """g_N − Π₁g_N on facets, in the directions in which u is not given (collective).
 
-    What is left after its cubic parts is added to those of the cells in `found`.
+    What is left after its cubic parts is added to those of the cells in `of_cells`.
 
     Returns:
         The cells, the facets by their numbers in these, and the cubic parts in the lattices of the facets, of shape
@@ -125,7 +125,7 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData, found: Array) -> tuple[
         linear, fitted = (np.einsum("aq,nqi->nai", fit(each, weights), values) for each in (hats, basis))
         rest = np.sqrt(part.measure * np.einsum("q,nqi->n", weights, (values - basis @ fitted) ** 2))
         constants = trace_constants(Cells(spaces.vertices[part.cells]).derivative, part.measure)
-        np.add.at(found, part.cells, constants * rest)
+        np.add.at(of_cells, part.cells, constants * rest)
         fitted -= lattice(dim, ON_FACETS) / ON_FACETS @ linear
         there = np.zeros((len(part.facets), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
         np.put_along_axis(there, part.ranking[:, None], np.broadcast_to(places, there.shape), axis=2)

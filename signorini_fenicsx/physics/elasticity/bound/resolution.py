@@ -64,8 +64,8 @@ def is_enclosed(material: Material) -> bool:
 
 def is_own_enclosed(material: Material) -> bool:
     """Whether a material has numbers for its elastic constants, and texts or numbers for what it has of its own."""
-    known = [datum.pieces is not None for strain in material.own for datum in (strain.datum, strain.beyond)]
-    return material.uniform and all(known)
+    are_texts = [datum.pieces is not None for strain in material.own for datum in (strain.datum, strain.beyond)]
+    return material.uniform and all(are_texts)
 
 
 def unresolved_by_quadrature(strain: Strain) -> bool:
@@ -117,12 +117,12 @@ def _distances(
     for young, with_young in material.young[0].pieces or ():
         for poisson, with_poisson in material.poisson[0].pieces or ():
             masks = [mask[cells] for mask in (with_young, with_poisson) if mask is not None]
-            here = np.flatnonzero(np.all(masks, axis=0)) if masks else np.arange(len(cells))
+            chosen = np.flatnonzero(np.all(masks, axis=0)) if masks else np.arange(len(cells))
             assert isinstance(young, TREES)
             assert isinstance(poisson, TREES)
             for k, tree in enumerate(_coefficients(material, young, poisson)):
-                sizes[k, here] = np.abs(np.broadcast_to(values(tree, middle), len(cells)))[here]
-                rho[k, here] = distances(tree, vertices[here], spaces.frame, share * sizes[k, here], degree)
+                sizes[k, chosen] = np.abs(np.broadcast_to(values(tree, middle), len(cells)))[chosen]
+                rho[k, chosen] = distances(tree, vertices[chosen], spaces.frame, share * sizes[k, chosen], degree)
     return rho, sizes
 
 
@@ -183,9 +183,9 @@ class Resolution:
     def __post_init__(self) -> None:
         self.coarse = np.zeros(len(self.spaces.order), dtype=bool)
         if self._stiffness is not None:
-            here = np.zeros(len(self.coarse), dtype=bool)
-            here[np.flatnonzero(~self._stiffness.resolved) // (self.spaces.dim + 1)] = True
-            self.note("young or poisson", here)
+            varies = np.zeros(len(self.coarse), dtype=bool)
+            varies[np.flatnonzero(~self._stiffness.resolved) // (self.spaces.dim + 1)] = True
+            self.note("young or poisson", varies)
 
     @cached_property
     def _stiffness(self) -> _Stiffness | None:
@@ -202,14 +202,14 @@ class Resolution:
         spaces, material = self.spaces, self.data.material
         if not is_own_enclosed(material) or not any(map(unresolved_by_quadrature, material.own)):
             return None
-        size, found = spaces.dim + 1, np.zeros(len(spaces.order) * (spaces.dim + 1))
+        size, squares = spaces.dim + 1, np.zeros(len(spaces.order) * (spaces.dim + 1))
         for strain in material.own:
             rho, largest = _of_strain(spaces, strain)
             largest = spaces.mesh.comm.allreduce(float(largest.max(initial=0.0)), MPI.MAX)
             coarse = ~(rho <= RESOLVED * largest)
             self.note(strain.name, coarse.reshape(-1, size).any(axis=1))
-            found += np.where(coarse, 0.0, rho) * np.repeat(self._energy_of(strain.name), size)
-        return found * np.sqrt(np.repeat(spaces.cell_measures, size) / size)
+            squares += np.where(coarse, 0.0, rho) * np.repeat(self._energy_of(strain.name), size)
+        return squares * np.sqrt(np.repeat(spaces.cell_measures, size) / size)
 
     def _energy_of(self, name: str) -> Array:
         """The root of the largest eigenvalue of ℂ or 𝔸 in space on the owned cells (collective)."""
@@ -253,14 +253,14 @@ class Resolution:
         if self._stiffness is None:
             return squares
         split, y = problem.split, problem.sigma
-        known = self._stiffness.on(split.subcells)
+        stiffness = self._stiffness.on(split.subcells)
         weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
         forms = (
             weight * form * ufl.dx for form in (ufl.inner(ufl.dev(y), ufl.dev(y)), ufl.tr(y) ** 2 / problem.spaces.dim)
         )
         sizes = np.stack([fem.assemble_vector(fenicsx.form(form)).array[: len(squares)] for form in forms])
-        resolved = known.resolved
-        rho, least, most = (np.where(resolved, each, 1.0) for each in (known.rho, known.least, known.most))
+        resolved = stiffness.resolved
+        rho, least, most = (np.where(resolved, each, 1.0) for each in (stiffness.rho, stiffness.least, stiffness.most))
         s = np.sqrt((most[:2] * rho[2:] ** 2 * sizes).sum(axis=0))
         eta = (rho[:2] / least[:2]).max(axis=0)
         root = (np.sqrt(np.maximum(squares, 0.0)) + s) / np.sqrt(np.where(resolved, 1 - 2 * eta, 1.0)) + s
@@ -291,5 +291,5 @@ def beyond(spaces: ElasticSpaces, data: ElasticData, cells: npt.NDArray[np.int32
     if not is_varying(data.material):
         return np.zeros(len(cells))
     change, _ = _distances(spaces, data.material, cells, spaces.vertices[cells], 0, ROUGHLY)
-    found = 2 * change[2:].max(axis=0)
-    return np.where(np.isfinite(found), found, 0.0)
+    larger = 2 * change[2:].max(axis=0)
+    return np.where(np.isfinite(larger), larger, 0.0)
