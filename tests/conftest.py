@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from mpi4py import MPI
-from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell_parent
+from under_mpirun import IS_CHILD, Launches, OneProcessForLaunches, number_of_ranks, share_folder, tell_parent
 
 import signorini_fenicsx.api  # noqa: F401 - with DOLFINx, before a test loads adios2, which brings the same libraries
 from signorini_fenicsx.base.parallel import collect_garbage
@@ -47,10 +47,17 @@ def usual_ranks(numbers: Sequence[int]) -> int:
     return 1 if 1 in numbers else max(number for number in numbers if number <= USUAL_RANKS)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Plan one launch for each number of ranks, and freeze modules, so that the collector skips them between tests."""
+    OneProcessForLaunches.note(session.items)
     session.stash[LAUNCHES] = Launches(session.items)
     gc.freeze()
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> OneProcessForLaunches:
+    """Spread tests over processes by files, but for parallel ones."""
+    return OneProcessForLaunches(config, log)
 
 
 @pytest.hookimpl(trylast=True)

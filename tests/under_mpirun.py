@@ -9,11 +9,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 
 import pytest
 from mpi4py import MPI
 from pytest_mpi.plugin import CHILD_PROCESS_FLAG
+from xdist.scheduler import LoadFileScheduling
 
 from signorini_fenicsx.base.parallel import FORWARDING
 
@@ -27,6 +29,24 @@ IS_CHILD = CHILD_PROCESS_FLAG in os.environ
 def number_of_ranks(item: pytest.Item) -> int:
     """The number of ranks of a test, by the marker `parallel[N]` that mpi-pytest gives to each."""
     return next(int(marker.name[9:-1]) for marker in item.iter_markers() if marker.name.startswith("parallel["))
+
+
+class OneProcessForLaunches(LoadFileScheduling):
+    """Gives one process of pytest-xdist all parallel tests, so that the others need not wait for launches."""
+
+    @staticmethod
+    def note(items: list[pytest.Item]) -> None:
+        """Note the parallel tests where the first process finds them; each process has the same ones."""
+        if "PYTEST_XDIST_WORKER" in os.environ:
+            parallel = [item.nodeid for item in items if number_of_ranks(item) > 1]
+            Path(os.environ[SHARED], "parallel.json").write_text(json.dumps(parallel), encoding="utf-8")
+
+    @cached_property
+    def _parallel(self) -> set[str]:
+        return set(json.loads(Path(os.environ[SHARED], "parallel.json").read_text(encoding="utf-8")))
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "mpirun" if nodeid in self._parallel else super()._split_scope(nodeid)
 
 
 class Launches:

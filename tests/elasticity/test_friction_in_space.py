@@ -270,7 +270,7 @@ BLOCKS = {
 }
 
 
-@pytest.mark.parametrize("mu", [4.0, 7.0, 12.0])
+@pytest.mark.parametrize("mu", BLOCKS)
 def test_much_friction(mu: float):
     """Blocks that are twisted, pushed and tilted; Newton's method alone goes round and round."""
     a, b, c, d, e = BLOCKS[mu]

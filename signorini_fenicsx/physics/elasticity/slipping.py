@@ -27,6 +27,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.backend import Pairs
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
@@ -53,7 +54,7 @@ ROUGH = 0.1
 
 
 def slipped(
-    backend: ElasticBackend, contact: Callable[[Callable[[Pairs], bool]], Outcome], changes: list[float]
+    backend: ElasticBackend, contact: Callable[[Callable[[Pairs], bool]], Outcome], changes: list[float], most: int
 ) -> Outcome:
     """Find contact, where the vertices slip and along which directions, and Coulomb's bounds (collective).
 
@@ -64,6 +65,7 @@ def slipped(
             bounds at the begin.
         contact: Runs the loop from the last sets, and calls with each solution what it is given.
         changes: Gets, for each solve, how far σ_t is off Coulomb's law, as a share of the largest bound.
+        most: After so many solves it is given up where sets repeat and the bound does not.
 
     Returns:
         The outcome of the last loop.
@@ -74,6 +76,7 @@ def slipped(
         delay.time = DELAYED
     backend.leave(share)
 
+    @np.errstate(over="ignore", invalid="ignore")  # where nothing holds a tool; the next matrix is singular then
     def follow(iterate: Pairs) -> bool:
         nonlocal share, last, known, base
         friction, normal = backend.friction, len(backend.spaces.sites)
@@ -102,7 +105,10 @@ def slipped(
         while True:
             outcome = contact(follow)
             if outcome.converged and not known and backend.friction.by_pressure:
-                continue  # a delayed bound may leave the sets as they are
+                if len(changes) < most:
+                    continue  # a delayed bound may leave the sets as they are
+                outcome = outcome.ended(f"Coulomb's bound still changes after {counted(most, 'iteration')}")
+                break
             if share == 0 or (outcome.converged and backend.to_the_end):
                 break
             share = 0.0

@@ -348,7 +348,7 @@ def _with_friction(
         outcome = balanced(backend, loop, changes)
         found = not changes or changes[-1] <= CHANGE
         return outcome if found or not outcome.converged else by_path(backend, loop, changes)
-    return slipped(backend, lambda follow: loop(None, follow), changes)
+    return slipped(backend, lambda follow: loop(None, follow), changes, parameters.max_iterations)
 
 
 def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_contact: bool) -> SiteConditions | None:
