@@ -12,6 +12,7 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.expressions import read, values
+from signorini_fenicsx.physics.elasticity.bound.hidden import off_linear
 from signorini_fenicsx.physics.elasticity.bound.lifted import lifted
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
@@ -156,6 +157,30 @@ def test_friction_of_bodies_that_nothing_holds():
     laws = [Friction(["y0"], "1 + x^2")]
     certificate = bounded(COMM, 2, {"boundary": boundary, "g_N": {"y1": ["0.1", "-1"]}, "laws": laws})[1]
     assert certificate.by_quadrature == ("law.0.g",)
+
+
+def test_gap_that_jumps_at_a_node():
+    """Where a punch ends at a node the gap is resolved: on both sides it is compared with its limits there."""
+    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
+    data = {"u_D": {"y1": ["0", "-0.1"]}, "gap": "0.01*sin(3*x) + (0.02 if x < 0.5 else 0)"}
+    with_jump = bounded(COMM, 4, {"boundary": boundary, **data})[1]
+    assert with_jump.guaranteed
+    assert with_jump.bound < 0.015
+
+
+@pytest.mark.parametrize("text", ["0.1 + x^2", "1 - x^2/2", "0.1 + (x - 0.3)^4", "x^6", "exp(x)"])
+def test_distances_to_linear_bounds_of_friction(text: str):
+    """They are those by the midpoints of many parts, or a bit more, also for polynomials of low degree."""
+    boundary, problem = ElasticBoundary(["y0"]), ElasticProblem(1.0, 0.25, laws=[Friction(["y0"], text)])
+    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
+    friction, facets = solution.data.friction, solution.spaces.rough
+    ((_, datum, rows),) = friction.texts
+    bound, tau = friction.bound[rows], (np.arange(20_000) + 0.5) / 20_000
+    x = facets.vertices[rows][:, :1, 0] + tau * np.diff(facets.vertices[rows][..., 0], axis=1)
+    squares = (values(read(text, "xy"), {"x": x}) - bound[:, :1] * (1 - tau) - bound[:, 1:] * tau) ** 2
+    ratio = off_linear(solution.spaces, datum, facets.take(rows), bound) / np.sqrt(squares.mean(axis=1) / 2)
+    assert (ratio > 1 - 1e-7).all()
+    assert (ratio < 1.2).all()
 
 
 @pytest.mark.parametrize(

@@ -299,7 +299,7 @@ def friction_missed(resolution: Resolution, compliance: Array) -> tuple[Array, f
     sides.append((spaces.across.take(across), np.searchsorted(spaces.rough_rows, spaces.inner.rows[across])))
     off = np.zeros(len(spaces.rough.facets))
     for _, datum, rows in data.friction.texts:
-        off[rows] += _off_linear(spaces, datum, spaces.rough.take(rows), data.friction.bound[rows])
+        off[rows] += off_linear(spaces, datum, spaces.rough.take(rows), data.friction.bound[rows])
     beyond, linear = np.zeros((2, len(spaces.order)))
     loaded = np.zeros((len(spaces.order), spaces.dim + 1), dtype=bool)
     for facets, rows in sides:
@@ -312,10 +312,10 @@ def friction_missed(resolution: Resolution, compliance: Array) -> tuple[Array, f
     return beyond, of_body * math.sqrt(spaces.mesh.comm.allreduce(float(linear.sum())) / length)
 
 
-def _off_linear(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Array:
+def off_linear(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Array:
     """‖g − ĝ‖ on facets from the values of ĝ at their vertices, at most (collective)."""
     vector = VectorDatum("g", (datum,))
-    points, weights = facet_rule(spaces.dim, DEGREE if datum.polynomial is None else datum.polynomial)
+    points, weights = facet_rule(spaces.dim, DEGREE)  # exact for the square of what has degree 4, see `trees`
     at = in_facets(spaces.mesh, facets.facets, points)
     slopes, centre = barycentric_gradients(facets.vertices), facets.vertices.mean(axis=1, keepdims=True)
     hats = 1 / spaces.dim + np.einsum("nqi,nai->nqa", at.x - centre, slopes)

@@ -32,6 +32,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.points import beside
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, values
 from signorini_fenicsx.expressions.enclosures import slopes
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
@@ -137,7 +138,8 @@ def _of_tree(spaces: ElasticSpaces, tree: Tree, ends: Array, degree: int) -> Arr
     """Bounds of ‖r‖ between ends, with parts that are halved where ρ is too large."""
     points, weights = basix.make_quadrature(basix.CellType.interval, 2 * DEGREE)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    rising, off = _derivatives(tree, ends, np.broadcast_to(points[:, 0], (len(ends), len(points))), degree)
+    p = _slopes_of_interpolant(tree, ends, degree, beside(spaces.mesh))
+    rising, off = _derivatives(tree, ends, np.broadcast_to(points[:, 0], (len(ends), len(points))), p)
     enough = np.maximum(SHARE * np.sqrt(off**2 @ weights), ROUNDING * np.sqrt(rising**2 @ weights)) / (2 * length)
     squares, rows, begin = np.zeros(len(ends)), np.arange(len(ends)), np.zeros(len(ends))
     for level in range(HALVINGS + 1):
@@ -146,7 +148,7 @@ def _of_tree(spaces: ElasticSpaces, tree: Tree, ends: Array, degree: int) -> Arr
         parts = _between(ends[rows], np.stack([begin, begin + share], axis=1))
         rho = slopes(tree, parts, spaces.frame, enough[rows])[1]
         done = ~(rho > enough[rows]) | (level == HALVINGS)
-        seen = np.sqrt(_derivatives(tree, ends[rows[done]], at[done], degree)[1] ** 2 @ weights)
+        seen = np.sqrt(_derivatives(tree, ends[rows[done]], at[done], p[rows[done]])[1] ** 2 @ weights)
         of_parts = share * (seen + 2 * length[rows[done]] * rho[done]) ** 2
         squares += np.bincount(rows[done], np.nan_to_num(of_parts, nan=np.inf, posinf=np.inf), len(ends))
         rows, begin = np.repeat(rows[~done], 2), np.repeat(begin[~done], 2)
@@ -164,14 +166,29 @@ def _pieces(datum: Datum, facets: BoundaryFacets) -> Iterator[tuple[Tree, Indice
                 yield tree, np.flatnonzero(mask if inside is None else mask & inside[facets.cells])
 
 
-def _derivatives(tree: Tree, ends: Array, at: Array, degree: int) -> tuple[Array, Array]:
-    """The derivatives of t and of t − p by τ in points between the ends of facets, shape (facets, points) each."""
+def _slopes_of_interpolant(tree: Tree, ends: Array, degree: int, step: float) -> Array:
+    """The coefficients of p' by the powers of τ, from values inside the facets as in `from_within`."""
     nodes, powers = np.linspace(0.0, 1.0, degree + 1), np.arange(1, degree + 1)
     coefficients = np.linalg.inv(np.vander(nodes, increasing=True))[1:] * powers[:, None]
+    near, far = (
+        values(tree, _named(_between(ends, np.broadcast_to(nodes + share * (0.5 - nodes), (len(ends), degree + 1)))))
+        for share in (step, 2 * step)
+    )
+    return np.asarray((2 * near - far) @ coefficients.T)
+
+
+def _derivatives(tree: Tree, ends: Array, at: Array, p: Array) -> tuple[Array, Array]:
+    """The derivatives of t and of t − p by τ in points between the ends of facets, shape (facets, points) each.
+
+    Args:
+        tree: t.
+        ends: Of the facets, shape (facets, 2, d).
+        at: τ.
+        p: The coefficients of p' by the powers of τ.
+    """
     _, gradients = values_and_gradient(tree, _named(_between(ends, at)))
     rising = np.einsum("nqi,ni->nq", gradients, ends[:, 1] - ends[:, 0])
-    in_nodes = values(tree, _named(_between(ends, np.broadcast_to(nodes, (len(ends), degree + 1)))))
-    return rising, rising - np.einsum("nqk,kj,nj->nq", at[..., None] ** (powers - 1), coefficients, in_nodes)
+    return rising, rising - np.einsum("nqk,nk->nq", at[..., None] ** np.arange(p.shape[1]), p)
 
 
 def _between(ends: Array, at: Array) -> Array:
