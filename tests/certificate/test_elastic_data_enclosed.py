@@ -168,6 +168,25 @@ def test_gap_that_jumps_at_a_node():
     assert with_jump.bound < 0.015
 
 
+@pytest.mark.parametrize(
+    ("text", "guaranteed"),
+    [
+        ("0.05 - 0.06*exp(-1e5*(x - 0.2034)^2)", False),
+        ("(x - 0.3)^2 - 1e-4", False),
+        ("(x - 0.3)^2", True),
+        ("0.1*abs(x - 0.417)", True),
+        ("sqrt(x)", True),
+    ],
+)
+def test_friction_that_is_negative_between_points(text: str, guaranteed: bool):
+    """Then there is no solution, and the bound is none: it is said where; where g is 0 somewhere it is one."""
+    boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
+    data = {"u_D": ["0.02", "-0.1"], "laws": [Friction(["y0"], text)]}
+    certificate = bounded(COMM, 4, {"boundary": boundary, **data})[1]
+    assert certificate.guaranteed == guaranteed
+    assert [name for name, _ in certificate.unresolved] == ([] if guaranteed else ["law.0.g"])
+
+
 @pytest.mark.parametrize("text", ["0.1 + x^2", "1 - x^2/2", "0.1 + (x - 0.3)^4", "x^6", "exp(x)"])
 def test_distances_to_linear_bounds_of_friction(text: str):
     """They are those by the midpoints of many parts, or a bit more, also for polynomials of low degree."""

@@ -27,12 +27,13 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
-from signorini_fenicsx.expressions.enclosures import distances, moments
+from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, length_of_facets
@@ -287,7 +288,7 @@ def _of_traction(
 def friction_missed(resolution: Resolution, compliance: Array) -> tuple[Array, float]:
     """What texts for g of friction add to the oscillation of the owned cells, and to the bound (collective).
 
-    It is infinite if nothing is known of it.
+    It is infinite if nothing is known of it. Where g may be negative it is recorded that g is not resolved.
 
     Args:
         resolution: Of the data.
@@ -298,7 +299,8 @@ def friction_missed(resolution: Resolution, compliance: Array) -> tuple[Array, f
     across = np.flatnonzero(np.isin(spaces.inner.rows, spaces.rough_rows))
     sides.append((spaces.across.take(across), np.searchsorted(spaces.rough_rows, spaces.inner.rows[across])))
     off = np.zeros(len(spaces.rough.facets))
-    for _, datum, rows in data.friction.texts:
+    for name, datum, rows in data.friction.texts:
+        resolution.note(name, _maybe_negative(spaces, datum, spaces.rough.take(rows), data.friction.bound[rows]))
         off[rows] += off_linear(spaces, datum, spaces.rough.take(rows), data.friction.bound[rows])
     beyond, linear = np.zeros((2, len(spaces.order)))
     loaded = np.zeros((len(spaces.order), spaces.dim + 1), dtype=bool)
@@ -310,6 +312,18 @@ def friction_missed(resolution: Resolution, compliance: Array) -> tuple[Array, f
     beyond *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
     of_body = constant_of_body(spaces, compliance, loaded, length)
     return beyond, of_body * math.sqrt(spaces.mesh.comm.allreduce(float(linear.sum())) / length)
+
+
+def _maybe_negative(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Mask:
+    """The owned cells on whose facets a text is not proved to be ≥ 0, but for rounding (collective)."""
+    found = np.zeros(len(spaces.order), dtype=bool)
+    low = -ROUNDING * spaces.mesh.comm.allreduce(float(bound.max(initial=0.0)), MPI.MAX)
+    for tree, inside in datum.pieces or ():
+        assert isinstance(tree, TREES)
+        rows = np.arange(len(bound)) if inside is None else np.flatnonzero(inside[facets.cells])
+        least = ranges(tree, facets.vertices[rows], None, spaces.frame, low, np.inf).lo
+        found[facets.cells[rows[~(least >= low)]]] = True
+    return found
 
 
 def off_linear(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Array:
