@@ -196,10 +196,10 @@ def _shares(backend: ElasticBackend) -> Array:
     """A number from 1 to 2 for each site, not the same for two, on any number of ranks (collective)."""
     comm, places = backend.comm, backend.places()
     order = np.lexsort(in_digits(np.concatenate(comm.allgather(places))).T)
-    found = np.empty(len(order))
-    found[order] = 1 + (GOLDEN * np.arange(1, len(order) + 1)) % 1
+    shares = np.empty(len(order))
+    shares[order] = 1 + (GOLDEN * np.arange(1, len(order) + 1)) % 1
     first = comm.exscan(backend.sites) or 0
-    return found[first : first + backend.sites]
+    return shares[first : first + backend.sites]
 
 
 def _step(

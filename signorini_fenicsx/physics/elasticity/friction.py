@@ -123,15 +123,15 @@ class FrictionBounds:
         slips = s.any(axis=2)
         slope[slips] = (self.bound / self.slipping.size)[slips]
         turning = np.broadcast_to(self.slipping.turning, slope.shape)[:, :, None, None]
-        found: Array = slope[:, :, None, None] * (np.eye(2) - turning * s[:, :, :, None] * s[:, :, None])
-        return found
+        stiffness: Array = slope[:, :, None, None] * (np.eye(2) - turning * s[:, :, :, None] * s[:, :, None])
+        return stiffness
 
     def resisted(self, slip: Array) -> Array:
         """What the linear law in space adds to −σ_t, of u_t at the sites."""
         if self.slipping is None:
             return np.zeros_like(slip)
-        found: Array = np.einsum("nakl,nal->nak", self.stiffness, slip.reshape(-1, 3, 2))
-        return found.ravel()
+        shear: Array = np.einsum("nakl,nal->nak", self.stiffness, slip.reshape(-1, 3, 2))
+        return shear.ravel()
 
     def pressed(self, pressure: Array) -> Array:
         """What the linear law in space adds to σ_t at the sites, of the pressure at their vertices."""
@@ -146,8 +146,8 @@ class FrictionBounds:
             (s.any(axis=2) & (self.bound > 0))[:, :, None, None], moves.reshape(*s.shape, moves.shape[1]), 0.0
         )
         turning = np.broadcast_to(self.slipping.turning, self.bound.shape)[:, :, None, None]
-        found: Array = at - turning * s[:, :, :, None] * np.einsum("nak,nakm->nam", s, at)[:, :, None]
-        return found.reshape(moves.shape)
+        resisted: Array = at - turning * s[:, :, :, None] * np.einsum("nak,nakm->nam", s, at)[:, :, None]
+        return resisted.reshape(moves.shape)
 
     def directions(self, segments: Indices) -> Array:
         """σ_t at the sites for each unit of the bound, 0 where nothing slips.
@@ -264,8 +264,8 @@ def shortened(vectors: Array, longest: Array) -> Array:
     """The vectors, those that are too long cut to the length allowed; shapes (…, k) and (…)."""
     size = np.linalg.norm(vectors, axis=-1)
     share = np.divide(longest, size, out=np.ones_like(size), where=size > longest)
-    found: Array = share[..., None] * vectors
-    return found
+    shorter: Array = share[..., None] * vectors
+    return shorter
 
 
 def law_of_sites(spaces: ElasticSpaces, normal: Chains, friction: FrictionBounds) -> Chains:
@@ -289,7 +289,7 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
     coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
     none = np.zeros((number, dim))
     slipping = Slipping.nowhere(number) if dim == 3 and rubbing else None
-    found = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), slipping)
+    bounds = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), slipping)
     texts = []
     for index, law in rubbing:
         key = "mu" if isinstance(law, CoulombLaw) else "g"
@@ -299,11 +299,11 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
             rows = order[np.searchsorted(rough.facets, facets.facets, sorter=order)]
             values, datum = _lower_values(spaces, name, given, facets)
             if isinstance(law, CoulombLaw):
-                found.mu[rows], found.bound[rows], found.coulomb[rows] = values, STICKS, True
+                bounds.mu[rows], bounds.bound[rows], bounds.coulomb[rows] = values, STICKS, True
             else:
-                found.bound[rows] = values
+                bounds.bound[rows] = values
                 texts += [] if is_linear(datum) else [(name, datum, rows)]
-    return replace(found, texts=tuple(texts))
+    return replace(bounds, texts=tuple(texts))
 
 
 def is_linear(datum: Datum) -> bool:

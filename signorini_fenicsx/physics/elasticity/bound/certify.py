@@ -221,13 +221,13 @@ def _on_contact(
     """
     contact = problem.contact
     apart = np.einsum("n,ak,nk->na", contact.facets.measure, problem.moments, problem.openings_of(v))
-    found = np.einsum("na,na->n", y.pressure[contact.rows], apart)
+    gap = np.einsum("na,na->n", y.pressure[contact.rows], apart)
     for law in problem.laws:
         pressure = y.pressure[contact.rows[law.rows]]
-        found[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure, half=half)
+        gap[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure, half=half)
     on_contact, on_rough = problem.rough
-    found[on_contact] += problem.rubbed(v) + np.einsum("nam,nam->n", y.shear[on_rough], problem.slips(v))
-    return found
+    gap[on_contact] += problem.rubbed(v) + np.einsum("nam,nam->n", y.shear[on_rough], problem.slips(v))
+    return gap
 
 
 def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Sequence[str] = ()) -> tuple[str, ...]:
@@ -241,12 +241,12 @@ def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Se
     data = resolution.data
     loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
     loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and not resolution.no_constant)]
-    found = [(each.name, each.polynomial, LARGEST_DEGREE // 2) for each in loads]
-    found += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
-    names = [name for name, degree, most in found if degree is None or degree > most]
+    degrees = [(each.name, each.polynomial, LARGEST_DEGREE // 2) for each in loads]
+    degrees += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
+    names = [name for name, degree, most in degrees if degree is None or degree > most]
     names += sorted({name for name, *_ in data.friction.texts if name not in also})
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     if not (enclosed and is_own_enclosed(data.material)):
         names += [each.name for each in data.material.own if unresolved_by_quadrature(each)]
-    known = data.material.uniform or (enclosed and is_enclosed(data.material))
-    return tuple(names) if known else (*names, NAME)
+    is_known = data.material.uniform or (enclosed and is_enclosed(data.material))
+    return tuple(names) if is_known else (*names, NAME)

@@ -136,7 +136,7 @@ def condensed(
     dim, size = split.mesh.geometry.dim, nodes.numbers.size_local
     load, softened, energy = la.vector(nodes.numbers, dim), la.vector(nodes.numbers, dim), 0.0
     load.array.reshape(-1, dim)[:size] = forces[nodes.of_space[:size]]
-    cells, found = split.cells[split.cells[:, 0] >= 0], list[tuple[Any, ...]]()
+    cells, parts = split.cells[split.cells[:, 0] >= 0], list[tuple[Any, ...]]()
     for block in np.array_split(cells, -(-len(cells) // BLOCK[dim])) if len(cells) > 0 else []:
         around, inside, where = _numbered(space.dofmap.list[block], nodes)
         strains, stresses = _on_cells(split, space, material, block, frames, where)
@@ -154,12 +154,12 @@ def condensed(
         ):
             np.add.at(sums.array.reshape(-1, dim), around, values.reshape(*around.shape, dim))
         energy -= float((pull[:, :, 0] * own).sum()) / 2
-        found.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, own))
+        parts.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, own))
     for sums in (load, softened):
         sums.scatter_reverse(la.InsertMode.add)
     none = np.empty((0, 0), dtype=np.int32)
     without_cells = [(np.empty((0, 0, 0)), none, none, np.empty((0, 0, 0)), np.empty((0, 0)))]
-    matrices, *others = (np.concatenate(each) for each in zip(*(found or without_cells), strict=True))
+    matrices, *others = (np.concatenate(each) for each in zip(*(parts or without_cells), strict=True))
     of_nodes = (each.array[: dim * size].copy() for each in (load, softened))
     return Condensed(nodes, matrices, next(of_nodes), energy, next(of_nodes), *others)
 
@@ -201,12 +201,12 @@ def _on_cells(
     strains[some] = np.einsum("nacqe,naci->naiqe", strains[some], frames[nodes[some]])
     weighted = stiffness * (np.abs(np.linalg.det(edges))[:, None] * weights)[:, :, None, None]
     stresses = np.einsum("nacqe,nqef->nacqf", strains, weighted, optimize=True)
-    found = np.zeros((2, count, where.max() + 1, dim, subcells, len(points) * len(pairs)))
+    strains_and_stresses = np.zeros((2, count, where.max() + 1, dim, subcells, len(points) * len(pairs)))
     rows, columns = np.arange(count)[:, None, None], np.arange(subcells)[None, :, None]
-    for one, values in zip(found, (strains, stresses), strict=True):
+    for one, values in zip(strains_and_stresses, (strains, stresses), strict=True):
         one[rows, where, :, columns] = values.reshape(*where.shape, dim, -1)
     shape = count, -1, subcells * len(points) * len(pairs)
-    return found[0].reshape(shape), found[1].reshape(shape)
+    return strains_and_stresses[0].reshape(shape), strains_and_stresses[1].reshape(shape)
 
 
 def displacement_solver(

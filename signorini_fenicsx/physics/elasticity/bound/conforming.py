@@ -107,16 +107,16 @@ class BestDisplacement:
     @cached_property
     def rough(self) -> tuple[Indices, Indices]:
         """The facets with friction: where they are in `contact`, and in `ElasticSpaces.rough`."""
-        here, everywhere = self.contact.rows, self.spaces.rough_rows
-        return np.flatnonzero(np.isin(here, everywhere)), np.flatnonzero(np.isin(everywhere, here))
+        in_contact, everywhere = self.contact.rows, self.spaces.rough_rows
+        return np.flatnonzero(np.isin(in_contact, everywhere)), np.flatnonzero(np.isin(everywhere, in_contact))
 
     def _continued(self, v: fem.Function) -> fem.Function:
         """The displacement on the whole split mesh as one of this space."""
-        found = fem.Function(self.space)
+        continued = fem.Function(self.space)
         cells = np.arange(len(self.split.subcells), dtype=np.int32)
-        found.interpolate(v, self.spaces.split.cells.ravel()[self.split.subcells].astype(np.int32), cells)
-        found.x.scatter_forward()
-        return found
+        continued.interpolate(v, self.spaces.split.cells.ravel()[self.split.subcells].astype(np.int32), cells)
+        continued.x.scatter_forward()
+        return continued
 
     @property
     def _without_v(self) -> Expr:
@@ -128,7 +128,7 @@ class BestDisplacement:
 
         Bounds of the friction that are rounding are left out, as no interior point can hold them apart from 0.
         """
-        contact, (rough, here), dim = self.contact, self.rough, self.spaces.dim
+        contact, (rough, in_rough), dim = self.contact, self.rough, self.spaces.dim
         tangents = self._rubbing_frames()
         weights = np.repeat(self._rubbing_weights()[:, :, None], dim - 1, axis=2)
         rubs = weights > ROUNDING * self.comm.allreduce(weights.max(initial=0.0), MPI.MAX)
@@ -148,7 +148,7 @@ class BestDisplacement:
         self.low, self.high = low[free], high[free]
         forces, apart = self._pressing()
         measure = contact.facets.measure[rough]
-        shear = np.einsum("nak,nki->nai", self._y.shear[here], self.spaces.tangents[here])
+        shear = np.einsum("nak,nki->nai", self._y.shear[in_rough], self.spaces.tangents[in_rough])
         rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self.moments)
         self._forces = np.append(sides * forces[on, at], np.einsum("nki,nkmi->nkm", rubbing, tangents)[rubs])[free]
 
@@ -175,14 +175,14 @@ class BestDisplacement:
         number = self.openings.shape[1]
         plain = np.setdiff1d(np.arange(len(self.openings)), np.concatenate([[], *(law.rows for law in self.laws)]))
         ones = np.ones(len(plain))
-        found = [(plain.astype(np.int64), ones, 0 * ones, np.full((len(plain), number), np.inf))]
+        kinks = [(plain.astype(np.int64), ones, 0 * ones, np.full((len(plain), number), np.inf))]
         for law in self.laws:
             share = np.einsum("fq,fqk->fk", law.weights, law.basis)
             for corner, jump, side in law.kinks():
                 some = np.flatnonzero(jump > 0)
-                found.append((law.rows[some], side[some], corner[some], jump[some, None] * share[some]))
-        rows, sides, corners = (np.repeat(np.concatenate([each[k] for each in found]), number) for k in range(3))
-        most = np.concatenate([each[3] for each in found]).ravel()
+                kinks.append((law.rows[some], side[some], corner[some], jump[some, None] * share[some]))
+        rows, sides, corners = (np.repeat(np.concatenate([each[k] for each in kinks]), number) for k in range(3))
+        most = np.concatenate([each[3] for each in kinks]).ravel()
         return rows, np.tile(np.arange(number), len(rows) // max(number, 1)), sides, corners, most
 
     def _pressing(self) -> tuple[Array, float]:
@@ -400,13 +400,13 @@ class BestDisplacement:
 
     def _in_coefficients(self, values: Array, measure: Array) -> Array:
         """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
-        found: Array = measure[:, None] * (values @ self.moments)
-        return found
+        integrals: Array = measure[:, None] * (values @ self.moments)
+        return integrals
 
     def _rubbing_weights(self) -> Array:
         """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
-        rough, here = self.rough
-        return self._in_coefficients(self.data.friction.bound[here], self.contact.facets.measure[rough])
+        rough, in_rough = self.rough
+        return self._in_coefficients(self.data.friction.bound[in_rough], self.contact.facets.measure[rough])
 
     def _slipped(self) -> Array:
         """The slip of the last step in time and of tools on the facets with friction, by its coefficients.
@@ -422,11 +422,11 @@ class BestDisplacement:
         In space the first one is along y_t there, along its mean where it is 0: |v_t| is at most the sum of both
         components, and this is sharp where v_t has the direction of u_t.
         """
-        _, here = self.rough
-        tangents = np.repeat(self.spaces.tangents[here][:, None], self.openings.shape[1], axis=1)
+        _, in_rough = self.rough
+        tangents = np.repeat(self.spaces.tangents[in_rough][:, None], self.openings.shape[1], axis=1)
         if self.spaces.dim == 2:
             return tangents
-        shear, mean = self.contact.hats @ self._y.shear[here], self._y.shear[here].mean(axis=1, keepdims=True)
+        shear, mean = self.contact.hats @ self._y.shear[in_rough], self._y.shear[in_rough].mean(axis=1, keepdims=True)
         shear = np.where(shear.any(axis=2, keepdims=True), shear, mean)
         size = np.linalg.norm(shear, axis=2, keepdims=True)
         along = np.where(size > 0, shear / np.where(size > 0, size, 1.0), [1.0, 0.0])
@@ -440,11 +440,11 @@ class BestDisplacement:
 
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t − w| over the facets with friction, see `FacetCoefficients.lengths`."""
-        rough, here = self.rough
-        means = self.contact.lengths(self._slips(v), self.data.friction.bound[here], self.moments)
+        rough, in_rough = self.rough
+        means = self.contact.lengths(self._slips(v), self.data.friction.bound[in_rough], self.moments)
         return np.asarray(self.contact.facets.measure[rough] * means)
 
     def _slips(self, v: fem.Function) -> Array:
         """The coefficients of v_t − w on the facets with friction, shape (facets, nodes, d − 1)."""
-        (rough, here), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
-        return np.einsum("nki,nmi->nkm", slips[rough] - self._slipped(), self.spaces.tangents[here])
+        (rough, in_rough), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))
+        return np.einsum("nki,nmi->nkm", slips[rough] - self._slipped(), self.spaces.tangents[in_rough])

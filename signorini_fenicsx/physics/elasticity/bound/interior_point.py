@@ -109,8 +109,8 @@ class _Path:
         springs = terms.unit * np.where(self._two, RUBS, np.where(touching, 1.0, LOOSE))
         room = np.where(self._two, terms.high - terms.low, 0.0)
         inner = terms.low + INSIDE * room, terms.low + (1 - INSIDE) * room
-        known = np.where(self._two, np.clip(forces, *inner), 0.0)
-        pulled = terms.spread(np.where(touching, springs * terms.bound, 0.0) - known)
+        start = np.where(self._two, np.clip(forces, *inner), 0.0)
+        pulled = terms.spread(np.where(touching, springs * terms.bound, 0.0) - start)
         terms.factorise(springs)
         self.x = terms.solve(terms.load + pulled)
         off = terms.along(self.x) - terms.bound
@@ -118,7 +118,7 @@ class _Path:
         force = self._mean(forces, touching) or self._mean(terms.unit, one) * far
         self._below = np.maximum(-off, 0.0) + far
         self._above = np.where(self._two, np.maximum(off, 0.0) + far, 0.0)
-        self._force = np.where(self._two, known, np.maximum(forces, 0.0) + force)
+        self._force = np.where(self._two, start, np.maximum(forces, 0.0) + force)
         self._pairs = terms.comm.allreduce(int(len(off) + np.count_nonzero(self._two)))
 
     def _largest(self, values: Array) -> float:

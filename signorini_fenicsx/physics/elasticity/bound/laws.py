@@ -120,7 +120,7 @@ class LawOnFacets:
 
         The jump is infinite where the opening is bounded, and 0 where there is none.
         """
-        found = []
+        kinks_of_segments = []
         for segment in range(self.chains.corners + 1):
             upright = np.isinf(self.chains.slope[:, segment])
             corner = min(segment, self.chains.corners - 1)
@@ -130,8 +130,8 @@ class LawOnFacets:
                 jump = np.full(len(upright), np.inf)
             smaller = (self.segment > segment) | ((self.segment == segment) & (segment < self.chains.corners))
             side = np.where(smaller, 1.0, -1.0)
-            found.append((self.chains.p[:, corner], np.where(upright, jump, 0.0), side))
-        return found
+            kinks_of_segments.append((self.chains.p[:, corner], np.where(upright, jump, 0.0), side))
+        return kinks_of_segments
 
     def integrals(self, p: Array, pressure: Array, *, half: bool = False) -> Array:
         """The integral of φ(p) + φ*(−λ) + λp over each facet, or a bit more, measured from the references.
@@ -171,14 +171,14 @@ class LawOnFacets:
 
     def _on_one_slope(self, p: Array, pressure: Array) -> Array:
         """Mask of the facets on which all of p and λ are on one sloped segment."""
-        chains, found = self.chains, np.zeros(len(p), dtype=bool)
+        chains, on_one = self.chains, np.zeros(len(p), dtype=bool)
         ends, fluxes = chains.ends
         for segment in range(chains.corners + 1):
             slope, (begin, end) = chains.slope[:, segment], (ends[:, [segment + k]] for k in (0, 1))
             high, low = (fluxes[:, [segment + k]] for k in (0, 1))
             inside = ((begin <= p) & (p <= end)).all(axis=1) & ((low <= pressure) & (pressure <= high)).all(axis=1)
-            found |= inside & (slope > 0) & np.isfinite(slope)
-        return found
+            on_one |= inside & (slope > 0) & np.isfinite(slope)
+        return on_one
 
 
 def _exchanged(chains: Chains) -> Chains:
@@ -215,7 +215,7 @@ def _least_above(chains: Chains, coefficients: Array, share: Array, inside: Arra
 
 def _steeper(chains: Chains, segment: int, slope: Array, t: Array) -> Array:
     """φ̂ of a segment with these slopes at t, shape (facets, coefficients)."""
-    found = np.zeros_like(t)
+    conjugate = np.zeros_like(t)
     with np.errstate(invalid="ignore"):
         for other in range(chains.corners + 1):
             side = 1.0 if other > segment else -1.0
@@ -227,8 +227,8 @@ def _steeper(chains: Chains, segment: int, slope: Array, t: Array) -> Array:
             upright = np.isinf(chains.slope[:, [other]])
             excess = np.where(upright, 0.0, np.maximum(chains.slope[:, [other]] - slope[:, None], 0.0))
             past, beyond = (np.maximum(side * (t - each), 0.0) for each in (begin, far))
-            found += excess / 2 * (past**2 - beyond**2)
+            conjugate += excess / 2 * (past**2 - beyond**2)
             if not ends:
                 corners = chains.flux[:, [other - 1]] - chains.flux[:, [other]]
-                found += np.where(upright, corners * past, 0.0)
-    return found
+                conjugate += np.where(upright, corners * past, 0.0)
+    return conjugate
