@@ -191,15 +191,19 @@ class Chains:
             distance to the graph, as a flux, but for what these two say. One unit of p is so many of σ·n.
         """
         low_p, high_p, low, high = self.extent()
-        inner_p, inner = np.clip(p, low_p, high_p), np.clip(flux, low, high)
-        return p - inner_p, flux - inner, self.off_segments(inner_p, inner, unit).min(axis=1)
+        inner = np.clip(p, low_p, high_p), np.clip(flux, low, high)
+        return p - inner[0], flux - inner[1], self.off_segments((p, flux), inner, unit).min(axis=1)
 
-    def off_segments(self, p: Array, flux: Array, unit: Array) -> Array:
-        """How far p and σ·n are off each segment between its ends, as `residuals`, shape (sites, corners + 1)."""
-        off = np.abs(self.residuals(p, flux, unit))
+    def off_segments(self, pair: tuple[Array, Array], inner: tuple[Array, Array], unit: Array) -> Array:
+        """How far pairs (p, σ·n) are off each segment, shape (sites, corners + 1).
+
+        It is as `residuals` says off its line, or as far as `inner`, which may be another pair, is beyond its ends.
+        """
+        p, flux = (each[:, None] for each in inner)
+        off = np.abs(self.residuals(*pair, unit))
         with np.errstate(invalid="ignore"):
-            past = np.maximum(unit[:, None] * (p[:, None] - self.p), self.flux - flux[:, None])
-            short = np.maximum(unit[:, None] * (self.p - p[:, None]), flux[:, None] - self.flux)
+            past = np.maximum(unit[:, None] * (p - self.p), self.flux - flux)
+            short = np.maximum(unit[:, None] * (self.p - p), flux - self.flux)
         off[:, :-1] = np.maximum(off[:, :-1], past)
         off[:, 1:] = np.maximum(off[:, 1:], short)
         return off

@@ -138,7 +138,8 @@ def conditions_of_cells(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.
         return None
     above, force, unit = _pairs_of_cells(spaces, data, data.inside, CellFlux.of(spaces, sigma), u)
     chains = data.inside.chains
-    return chains.conditions(np.argmin(chains.off_segments(above, force, unit), axis=1))
+    pair = above, force
+    return chains.conditions(np.argmin(chains.off_segments(pair, pair, unit), axis=1))
 
 
 def _pairs_of_cells(
