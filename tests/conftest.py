@@ -13,7 +13,6 @@ import signorini_fenicsx.api  # noqa: F401 - with DOLFINx, before a test loads a
 from signorini_fenicsx.base.parallel import collect_garbage
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("MPIR_CVAR_ENABLE_HEAVY_YIELD", "1")  # MPICH's ranks that wait give up their core at once
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes compiles the package: half a second
 
 USUAL_RANKS = 3

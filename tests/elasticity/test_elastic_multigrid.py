@@ -47,7 +47,7 @@ def test_iterations_do_not_grow(dim: int, nu: float, most: int):
     assert found[-1] <= 1.25 * found[0] + 2
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize(("dim", "nu"), [(2, 0.4), (3, 0.4999)])
 def test_same_as_factorisation(dim: int, nu: float):
     """Sets and norms are those of a factorisation by one process."""

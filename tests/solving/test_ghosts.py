@@ -93,7 +93,7 @@ def numbers(domain: Domain, solution: Solution) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([2, 4])
 def test_scalar():
     """Data in UFL and by region, laws in Ω; both backends, a penalty, P1; a quantity; an error in UFL on the mesh."""
 
@@ -123,7 +123,7 @@ def test_scalar():
     same(results, 6)
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([2, 4])
 def test_derivatives():
     """Gradients and derivatives of both physics by constants and functions."""
 
@@ -151,7 +151,7 @@ def test_derivatives():
     same(results, 4)
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([2, 4])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_elastic(dim: int):
     """A body, in the plane with friction and a bound, and in space."""
@@ -168,7 +168,7 @@ def test_elastic(dim: int):
     same(results, {2: 3, 3: 2}[dim], dim)
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel([2, 4])
 def test_files_refinement_and_time(folder: Path):
     """Solutions are read again, meshes refined, and steps in time bounded."""
 
