@@ -50,6 +50,9 @@ class ElasticBackend(PlainBackend):
     `NormalLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the
     flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips. In space a vertex with
     friction has two of them, for the components of both, and `FrictionBounds.stiffness` is added where it slips.
+
+    Attributes:
+        stiffness: The diagonal entry of each site over its measure.
     """
 
     name = "elastic"
@@ -105,7 +108,8 @@ class ElasticBackend(PlainBackend):
         self._applied: SiteConditions | None = None
         self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
         self._sprung = False
-        self._weak = SPRING * self.system.matrix.getDiagonal().array_r[self._unknowns]
+        diagonal = self.system.matrix.getDiagonal().array_r[self._unknowns]
+        self._weak, self.stiffness = SPRING * diagonal, diagonal / self._measure
 
     @property
     def chains(self) -> Chains:

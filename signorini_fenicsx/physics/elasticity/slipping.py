@@ -141,22 +141,21 @@ def _following(
     share: float = 1.0,
 ) -> FrictionBounds:
     """The linear law at u_t and σ_t with these bounds, of which a share is that by the pressure; by default all."""
-    wanted = _stiffness(backend)[:, :, None] * slip - shear
+    stiffness = _stiffness(backend)
+    wanted = stiffness[:, :, None] * slip - shear
     pull, pulled = (np.linalg.norm(each, axis=2) for each in (wanted, shear))
     slips = (pull > friction.bound) & (pull > 0)
     direction = np.where(slips[:, :, None], wanted / np.where(slips, pull, 1.0)[:, :, None], 0.0)
     along = -np.einsum("nak,nak->na", direction, shear) / np.maximum(np.maximum(friction.bound, pulled), TINY)
-    size = np.where(slips, (pull - friction.bound) / _stiffness(backend), 1.0)
+    size = np.where(slips, (pull - friction.bound) / stiffness, 1.0)
     follows = np.where(slips & friction.coulomb[:, None], share, 0.0)
     slope, part = follows * friction.mu, follows * (pressed or friction).bound
     return replace(friction, slipping=Slipping(direction, size, np.maximum(along, 0.0), slope, part))
 
 
 def _stiffness(backend: ElasticBackend) -> Array:
-    """The diagonal entries of the vertices with friction over their measure, shape (facets, 3)."""
-    spaces = backend.spaces
-    diagonal = backend.system.matrix.getDiagonal().array_r[spaces.slip_sites] / spaces.slip_measure
-    return np.asarray(diagonal.reshape(-1, 3, 2).mean(axis=2))
+    """The stiffness of the vertices with friction alone, the mean over both components, shape (facets, 3)."""
+    return np.asarray(backend.stiffness[len(backend.spaces.sites) :].reshape(-1, 3, 2).mean(axis=2))
 
 
 def _off(backend: ElasticBackend, friction: FrictionBounds, iterate: Pairs) -> tuple[list[float], float]:
@@ -166,7 +165,7 @@ def _off(backend: ElasticBackend, friction: FrictionBounds, iterate: Pairs) -> t
     """
     sites = len(backend.spaces.sites)
     slip, shear = (each[sites:].reshape(-1, 3, 2) for each in (iterate.p, iterate.flux))
-    unit = backend.system.matrix.getDiagonal().array_r[backend.spaces.sites] / backend.spaces.site_measure
+    unit = backend.stiffness[:sites]
     law = backend.chains.take(slice(sites))
     outside, beyond, beside = law.distances(iterate.p[:sites], iterate.flux[:sites], unit)
     contact = np.concatenate([unit * np.abs(outside), np.abs(beyond), beside])

@@ -55,6 +55,7 @@ from signorini_fenicsx.physics.elasticity.data import LARGEST_DEGREE
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum
 
 LACKING = "not in the discrete spaces"
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
@@ -120,11 +121,15 @@ def with_surface(solution: ElasticSolution, of: str) -> str:
     return f"{of or 'the exact solution'}, {SURFACE}" if solution.problem.surface else of
 
 
+def _loads(resolution: Resolution) -> list[VectorDatum | PressureDatum]:
+    """The load and all tractions and pressures."""
+    return [resolution.data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, resolution.data))]
+
+
 def _lacking(resolution: Resolution, names: Sequence[str]) -> str:
     """What is missing for these data: a constant of the body, if they are loads and bounds of friction by texts."""
     data = resolution.data
-    loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
-    by_constant = {each.name for each in loads if hidden.is_enclosed(each)}
+    by_constant = {each.name for each in _loads(resolution) if hidden.is_enclosed(each)}
     by_constant |= {name for name, datum, _ in data.friction.texts if datum.pieces is not None}
     reason = resolution.no_constant
     return f"by quadrature, {reason}" if reason and by_constant >= set(names) else LACKING
@@ -239,8 +244,8 @@ def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Se
         also: Data of which the bound contains the rest besides: what v lacks, and what friction does.
     """
     data = resolution.data
-    loads = [data.f, *(datum for _, datum in hidden.loads_of(resolution.spaces, data))]
-    loads = [each for each in loads if not (enclosed and hidden.is_enclosed(each) and not resolution.no_constant)]
+    by_constant = enclosed and not resolution.no_constant
+    loads = [each for each in _loads(resolution) if not (by_constant and hidden.is_enclosed(each))]
     degrees = [(each.name, each.polynomial, LARGEST_DEGREE // 2) for each in loads]
     degrees += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
     names = [name for name, degree, most in degrees if degree is None or degree > most]
