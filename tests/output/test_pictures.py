@@ -147,6 +147,8 @@ def test_segments_keep_their_colours():
     colours, later = ({group.name: group.colour for group in each.groups} for each in (whole, some))
     assert len(set(colours.values())) == 3
     assert later == {name: colours[name] for name in ("slip-", "stick")}
+    two_laws = replace(whole, segments=("contact", "open", "lower"))
+    assert len({group.colour for group in two_laws.groups}) == 3
 
 
 def test_dam_has_its_water():

@@ -96,8 +96,11 @@ class Scene:
         """
         groups = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
         if self.segments:
-            names, others = np.array(self.segments)[self.facets.segment], itertools.cycle(style.SEGMENTS)
-            colours = {each: style.OF_SEGMENT.get(each) or next(others) for each in sorted(set(self.segments))}
+            names, colours = np.array(self.segments)[self.facets.segment], dict[str, str]()
+            others = itertools.cycle(style.SEGMENTS)
+            for each in sorted(set(self.segments)):
+                own = style.OF_SEGMENT.get(each)  # "contact" and "lower" have one colour, but not in one picture
+                colours[each] = next(others) if own is None or own in colours.values() else own
             groups = [Group(each, colour, names == each) for each, colour in colours.items()]
         return [group for group in groups if group.facets.any()]
 
