@@ -7,6 +7,7 @@ import pytest
 from elastic import box
 from mpi4py import MPI
 
+from signorini_fenicsx import Contact, Dirichlet, Elasticity, Neumann, Wall
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
@@ -32,6 +33,15 @@ def test_uniform_pressure():
     assert [bottom["area"], bottom["pressure_force"]] == pytest.approx([6, 0.6])
     np.testing.assert_allclose(bottom["center_of_pressure"], [1, 1.5, 0], atol=1e-12)
     assert found["balance"] < 1e-12
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9])
+def test_part_without_pressure(unit: float):
+    """Springs that nothing reaches have no pressure: what the solver leaves there has no place, width nor center."""
+    conditions = [Contact("y0", gap=0.005), Wall("x1", beta=unit, level=-1), Neumann("x0", [f"{0.01 * unit} * y", "0"])]
+    problem = Elasticity(unit, 0.3, conditions=[*conditions, Dirichlet("y1", ["0", "-0.01"])])
+    free = solve(box(MPI.COMM_SELF, 3, [0.0, 0.0], [2.0, 1.0]), problem).quantities()["contact"]["x1"]
+    assert free == {"peak_pressure": {"largest": 0.0, "at": [2.0, 0.0]}, "area": 0.0, "pressure_force": 0.0, "width": 0.0}
 
 
 def cylinder(comm: MPI.Comm, n: int) -> ElasticSolution:

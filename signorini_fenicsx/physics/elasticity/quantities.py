@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.parallel import gather_rows, on_root
+from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.discrete.site_table import along_parts
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.residuals import balance
@@ -35,11 +36,13 @@ def quantities(solution: ElasticSolution) -> dict[str, Any]:
     comm, dim = spaces.mesh.comm, spaces.dim
     stress = von_mises(in_space(spaces, data, solution.stresses)).ravel()
     size = np.linalg.norm(spaces.displacement_values(solution.u), axis=2).ravel()
+    rounding = TIE * comm.allreduce(float(np.abs(solution.stresses).max(initial=0.0)), MPI.MAX)
+    pressure = np.where(np.abs(solution.pressure) > rounding, solution.pressure, 0.0)
     return {
         "von_mises": _largest(comm, stress, split_vertices(spaces.vertices).reshape(-1, dim)),
         "displacement": _largest(comm, size, spaces.vertices.reshape(-1, dim)),
         "balance": balance(spaces, data, solution.stresses)[1],
-        "contact": {name: _of_part(solution, index) for index, name in enumerate(spaces.part_names)},
+        "contact": {name: _of_part(solution, index, pressure) for index, name in enumerate(spaces.part_names)},
     } | ({"tools": {tool.part: tool.motion() for tool in data.tools}} if data.tools else {})
 
 
@@ -51,12 +54,12 @@ def _largest(comm: MPI.Comm, values: Array, places: Array) -> dict[str, Any]:
     return {} if first is None else {"largest": largest, "at": list(first)}
 
 
-def _of_part(solution: ElasticSolution, part: int) -> dict[str, Any]:
-    """Pressure and area of a part of Γ_C (collective)."""
+def _of_part(solution: ElasticSolution, part: int, pressures: Array) -> dict[str, Any]:
+    """Pressure and area of a part of Γ_C, from the pressures at the vertices of all facets (collective)."""
     spaces = solution.spaces
     comm, dim = spaces.mesh.comm, spaces.dim
     rows = np.flatnonzero(spaces.part_of_facet == part)
-    contact, pressure = spaces.contact.take(rows), solution.pressure[rows]
+    contact, pressure = spaces.contact.take(rows), pressures[rows]
     mass = (1 + np.eye(dim)) / (dim * (dim + 1))
     weights = contact.measure[:, None] * (pressure @ mass)  # ∫ pφ_a
     moments = np.einsum("na,nai->i", weights, contact.vertices)
