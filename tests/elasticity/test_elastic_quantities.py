@@ -41,7 +41,8 @@ def test_part_without_pressure(unit: float):
     conditions = [Contact("y0", gap=0.005), Wall("x1", beta=unit, level=-1), Neumann("x0", [f"{0.01 * unit} * y", "0"])]
     problem = Elasticity(unit, 0.3, conditions=[*conditions, Dirichlet("y1", ["0", "-0.01"])])
     free = solve(box(MPI.COMM_SELF, 3, [0.0, 0.0], [2.0, 1.0]), problem).quantities()["contact"]["x1"]
-    assert free == {"peak_pressure": {"largest": 0.0, "at": [2.0, 0.0]}, "area": 0.0, "pressure_force": 0.0, "width": 0.0}
+    assert free.pop("peak_pressure") == {"largest": 0.0, "at": [2.0, 0.0]}
+    assert free == {"area": 0.0, "pressure_force": 0.0, "width": 0.0}
 
 
 def cylinder(comm: MPI.Comm, n: int) -> ElasticSolution:
