@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 from scipy.optimize import linprog
 
-from signorini_fenicsx.physics.elasticity.rigid_motions import Limits
+from signorini_fenicsx.physics.elasticity.rigid_motions import Limits, _in_words
 
 COMM = MPI.COMM_WORLD
 
@@ -43,3 +43,10 @@ def test_cutting_planes_find_what_one_programme_finds():
             assert (into @ motion).max() < 1e-8
             assert shears @ np.abs(slips @ motion) <= work @ motion + 1e-8
     assert 4 < held < 20
+
+
+def test_motions_are_told_without_rounding():
+    """What is rounding beside the motion, or beside the size of the body, is told as 0."""
+    assert _in_words(np.array([0, 7e-17, 1, 0, 0, 3e-16]), np.zeros(3), 1.0)[0] == "along (0, 0, 1)"
+    turn = _in_words(np.array([1e-15, 0.5, 0, -2e-17, 3e-15, 1]), np.array([0.5, 0, 0]), 1.0)[0]
+    assert turn == "about an axis along (0, 0, 1) through (0, 0, 0)"

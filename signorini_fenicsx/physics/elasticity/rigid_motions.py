@@ -36,6 +36,8 @@ HELD = 1e-12
 """Sites hold a motion of size 1 if the squares of its means add up to more."""
 SMALL = 1e-6
 """What the size of a motion costs, so that of several a short one is told."""
+TURNS = 1e-6
+"""A motion that turns the body by less than this share of what it shifts it is told as a shift, and less of it as 0."""
 MOST_CUTS = 200
 """For each direction; far more than were ever seen."""
 
@@ -335,19 +337,24 @@ def _farthest(objective: Array, cuts: Array, still: Array) -> Array | None:
     return np.subtract(*np.split(optimum.x, 2)) if optimum.success else None
 
 
+def _without_rounding(vector: Array, size: float) -> str:
+    """A vector in words, with 0 for what is rounding beside a size."""
+    return ", ".join(f"{x:.3g}" for x in np.where(np.abs(vector) > TURNS * size, vector, 0.0))
+
+
 def _in_words(motion: Array, middle: Array, size: float) -> tuple[str, float]:
     """A motion as a translation or a rotation, and its length or its angle."""
     dim = len(middle)
     shift, turn = motion[:dim], motion[dim:] / size
-    along = ", ".join(f"{x:.3g}" for x in shift / max(np.abs(shift).max(), 1e-300))
-    if np.abs(turn).max() * size < 1e-6 * np.abs(shift).max():
+    along = _without_rounding(shift / max(np.abs(shift).max(), 1e-300), 1.0)
+    if np.abs(turn).max() * size < TURNS * np.abs(shift).max():
         return f"along ({along})", float(np.linalg.norm(shift))
     if dim == 2:
         center = middle + np.array([-shift[1], shift[0]]) / turn[0]
     else:
         center = middle + np.cross(turn, shift) / (turn @ turn)
-    place = ", ".join(f"{x:.3g}" for x in center)
+    place = _without_rounding(center, size)
     if dim == 2:
         return f"about the point ({place})", float(np.abs(turn[0]))
-    axis = ", ".join(f"{x:.3g}" for x in turn / np.abs(turn).max())
+    axis = _without_rounding(turn / np.abs(turn).max(), 1.0)
     return f"about an axis along ({axis}) through ({place})", float(np.linalg.norm(turn))
