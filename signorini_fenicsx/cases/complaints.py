@@ -37,6 +37,10 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "", 
             message = str(first["ctx"]["error"])
             where = f"{place}:" if owner else f"[{last}]"
             return f"{where} {message}" if last else message
+        case "dict_type":
+            return f"{place}: must be a table, {{name = value}}, not {shown(first['input'])}"
+        case "string_type":
+            return f"{place}: must be a text, not {shown(first['input'])}"
         case "too_short":
             return f"{place}: must not be empty"
     message = first["msg"][0].lower() + first["msg"][1:]

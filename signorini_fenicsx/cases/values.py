@@ -153,7 +153,7 @@ def _text_by_part(value: object) -> object:
     """A table with a number or text per part."""
     if not isinstance(value, dict):
         raise ValueError('must be a table with one expression per part, such as {top = "0.1"}')
-    return text_by_region(value) if value else value
+    return {part: _expression(entry) for part, entry in value.items()}
 
 
 def _stiffness_by_part(value: object) -> object:

@@ -135,6 +135,8 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         ("u_D", "g_N = {right = 1}\nu_D", "[problem] g_N: must be a list with an expression for each component"),
         ('gap = "', 'gap = true # "', "[problem] gap: must be an expression, not True"),
         ("[0, -0.1]", '[0, "z"]', "[problem] f: "),
+        ("u_D", "pressure = {right = [0, 1]}\nu_D", "[problem] pressure: must be an expression, not [0, 1]"),
+        ('gap = "', 'gap = "log(x - 2)" # "', "[problem] gap: not finite everywhere on part 'bottom'"),
         ('fixed = {left = "n"}', 'fixed = {left = "q"}', "fixed: part 'left' has 'q'"),
         ('fixed = {left = "n"}', 'fixed = {right = "n"}', "'right' is listed twice"),
         ('fixed = {left = "n"}', 'fixed = {left = "z"}', "part 'left' is fixed in z, which there is only in space"),

@@ -154,8 +154,9 @@ def test_case_file(tmp_path: Path):
     assert again.quantities()["tools"]["top"]["rotation"] == pytest.approx(moved["rotation"])
     assert certify(again).bound == pytest.approx(summary["certificate"]["bound"], rel=1e-6)
     wrong = {
-        "unknown axis; there are x, y": ("y = -0.1", "z = -0.1"),
-        "law.force.y: must be a number": ("y = -0.1", 'y = "x"'),
+        "[[law]] force on part 'top', z: unknown axis; there are x, y": ("y = -0.1", "z = -0.1"),
+        "[[law]] force on part 'top', y: must be a number": ("y = -0.1", 'y = "x"'),
+        "force: must be a table, {name = value}, not 3": ("force = {y = -0.1, x = 0.02}", "force = 3"),
         "force: a tool is on one part": ('parts = ["top"]', 'parts = ["top", "bottom"]'),
         "of the law 'wall'; known are kind, parts, gap, beta, level; a law with it is contact or friction": (
             'kind = "friction"\nparts = ["top"]\nmu = 0.5',

@@ -392,7 +392,8 @@ def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Fu
         places = spaces.unknowns(facets, k)
         lift.x.array[places] = along
         unknowns.append(places.ravel())
-    check_nodes(spaces, "gap", gap, spaces.contact.facets, "on Γ_C")
+    for index, part in enumerate(spaces.part_names):
+        check_nodes(spaces, "gap", gap, spaces.contact.facets[spaces.part_of_facet == index], f"on part '{part}'")
     moments = facet_moments(spaces, "gap", gap, spaces.contact, "on Γ_C")
     lift.x.array[spaces.sites] = moments.ravel() / spaces.site_measure
     return np.concatenate(unknowns)

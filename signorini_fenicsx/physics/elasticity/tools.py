@@ -90,7 +90,7 @@ def _tool(spaces: ElasticSpaces, problem: ElasticProblem, part: str) -> Tool:
     load = []
     for key, given in (("force", forces), ("moment", moments)):
         for axis, value in given.items():
-            name = f"law.{key}.{axis}"
+            name = f"[[law]] {key} on part '{part}', {axis}"
             if len(axis) != 1 or axis not in allowed[key]:
                 raise InputError(f"{name}: unknown axis; there are {', '.join(allowed[key])}")
             load.append(number_of(name, parsed(value, AXES[:dim], name)))
