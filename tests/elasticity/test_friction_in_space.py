@@ -63,6 +63,11 @@ def test_oblique_slip_is_exact(law: ElasticLaw):
     np.testing.assert_allclose(
         solution.slip_vectors, np.broadcast_to(0.1 * way, solution.slip_vectors.shape), atol=1e-10
     )
+    in_files = {field.name: field for field in solution.fields()["contact"]}
+    for name, size in (("shear", -0.03), ("slip", 0.1)):  # for arrows in ParaView
+        np.testing.assert_allclose(
+            in_files[name].means().values, np.tile(size * way, (len(solution.slip), 1)), atol=1e-10
+        )
     assert solution.friction_states()["slip"]["measure"] == pytest.approx(1.0)
     assert certify(solution).relative < 1e-6
 

@@ -50,7 +50,11 @@ def fields(solution: ElasticSolution) -> Fields:
         on_facets.append(Field("segment", segment, names=_segment_names(solution)))
     if data.friction:
         shear, slip, state = solution.on_all_contact()
-        on_facets += [Field("shear", shear), Field("slip", slip), Field("friction", state, names=STATES)]
+        order = spaces.dim - 2  # in space they are vectors
+        if order:
+            shear, slip = _friction_vectors(solution)
+        on_facets += [Field("shear", shear, order=order), Field("slip", slip, order=order)]
+        on_facets.append(Field("friction", state, names=STATES))
     return {IN_CELLS: on_cells, "contact": on_facets}
 
 
@@ -114,6 +118,7 @@ def table(solution: ElasticSolution) -> ContactTable:
     part, places = np.repeat(spaces.part_of_facet, dim).astype(np.int64), x.reshape(-1, 3)
     along = along_parts(spaces, part, places)
     shear, slip, state = (values.ravel() for values in solution.on_all_contact())
+    shear_vector, slip_vector = _friction_vectors(solution)
     return ContactTable(
         part=part,
         along=along,
@@ -125,18 +130,21 @@ def table(solution: ElasticSolution) -> ContactTable:
         segment=_labels(solution),
         shear=shear,
         slip=slip,
-        shear_vector=_vectors(spaces, solution.shear_vectors),
-        slip_vector=_vectors(spaces, linear_from_means(solution.slip_vectors)),
+        shear_vector=shear_vector.reshape(-1, 3),
+        slip_vector=slip_vector.reshape(-1, 3),
         state=np.nan_to_num(state, nan=-1.0).astype(np.int64),
         forward=np.repeat(_forward(contact, along), dim),
     )
 
 
-def _vectors(spaces: ElasticSpaces, rough: Array) -> Array:
-    """Vectors at the vertices of all facets of Γ_C, from those on the facets with friction."""
-    vectors = np.full((len(spaces.contact.facets), spaces.dim, 3), np.nan)
-    vectors[spaces.rough_rows] = np.pad(rough, ((0, 0), (0, 0), (0, 3 - spaces.dim)))
-    return vectors.reshape(-1, 3)
+def _friction_vectors(solution: ElasticSolution) -> Array:
+    """σ_t and linear u_t as vectors in space at the vertices on Γ_C, shape (2, facets, d, 3); NaN without friction."""
+    spaces = solution.spaces
+    vectors = np.full((2, len(spaces.contact.facets), spaces.dim, 3), np.nan)
+    rough = np.stack([solution.shear_vectors, linear_from_means(solution.slip_vectors)])
+    vectors[:, spaces.rough_rows, :, : spaces.dim] = rough
+    vectors[:, spaces.rough_rows, :, spaces.dim :] = 0.0
+    return vectors
 
 
 def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
