@@ -19,6 +19,11 @@ from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Regulat
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.output.gather import gather
+from signorini_fenicsx.output.pictures import scene_of
+from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.output.pictures.space import Space
+from signorini_fenicsx.output.pictures.space_files import draw_files_of_body
 from signorini_fenicsx.physics.elasticity import friction
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.friction import Slipping
@@ -31,6 +36,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     ElasticLaw,
     ElasticProblem,
 )
+from signorini_fenicsx.physics.elasticity.shown import BodyFacets
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
@@ -295,3 +301,28 @@ def test_a_tool_that_nothing_holds_is_told():
     ]
     with pytest.raises(NumericalFailure, match=r"slides away, that is the tool on 'y0': .* friction under the last"):
         solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))
+
+
+@pytest.mark.parallel([1])
+def test_picture_of_shear_and_slip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Shear and slip have panels with arrows, though there is another part without friction."""
+    drawn = []
+    monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
+    top = Dirichlet("z1", ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"])
+    conditions = [Contact("z0", friction=Coulomb(1.0)), Contact("y0", gap=0.2), Neumann(["x0", "x1", "y1"]), top]
+    solution = solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))
+    fields = gather(solution, None)
+    assert fields is not None
+    body = scene_of(solution, fields)
+    draw_files_of_body(tmp_path, body)
+    (sheet,) = drawn
+    views = {axes.get_title()[4:]: axes.images[0].get_array() for axes in sheet.axes if axes.get_title()}
+    assert [title.split()[0] for title in views] == ["pressure", "gap", "contact", "shear", "slip"]
+    assert isinstance(body.facets, BodyFacets)
+    lengths = replace(body.facets, p=np.linalg.norm(body.facets.shear, axis=1))
+    axes = sheet.view(0, 0)
+    Space(replace(body, facets=lengths)).draw_trace(sheet, axes, "p", "", Space(body).views[0])
+    white = [
+        np.mean(np.min(image, axis=2) == 255) for image in (axes.images[-1].get_array(), views[r"shear $|\sigma_t|$"])
+    ]
+    assert 0.001 < white[1] - white[0] < 0.1  # arrows

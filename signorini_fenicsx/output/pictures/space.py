@@ -28,6 +28,10 @@ WITHIN = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [3, 0, 3], [0, 3,
 STREAMLINES = 70
 EDGES_UP_TO = 6_000
 """Edges of Γ_S are drawn up to this number of triangles; more cannot be distinguished."""
+ARROWS = 200
+"""Arrows on Γ_S are drawn on about this many facets."""
+STILL = 1e-6
+"""Vectors that are less than this share of the largest have no arrow."""
 HULL = "#c8c8c8"
 """The colour of the boundary that is not in Γ_S."""
 SAME = 0.92
@@ -203,14 +207,19 @@ class Space:
         _bar(sheet, axes, norm, style.ERROR_MAP, r"$\eta_T$")
 
     def draw_trace(self, sheet: Sheet, axes: Axes, column: str, label: str, view: Array) -> None:
-        """A column of the table of facets, as colours on Γ_S."""
+        """A column of the table of facets, as colours on Γ_S; of vectors their lengths, with arrows along them."""
         facets = self.scene.facets
-        values = getattr(facets, column)
-        low, high, extend = style.limits(values - values.min(), facets.measure)
-        low, high = low + values.min(), high + values.min()
+        column_values = getattr(facets, column)
+        vectors = column_values if column_values.ndim == 2 else np.zeros((len(column_values), 3))
+        values = np.linalg.norm(vectors, axis=1) if column_values.ndim == 2 else column_values
+        there = np.isfinite(values)
+        least = values[there].min()
+        low, high, extend = style.limits(values[there] - least, facets.measure[there])
+        low, high = low + least, high + least
 
         def build(plotter: pyvista.Plotter) -> None:
-            _add_colours(plotter, self.gamma, values, style.U_MAP, (low, high), **self._edges())
+            _add_colours(plotter, self.gamma, values, style.U_MAP, (low, high), nan_color=HULL, **self._edges())
+            self._add_arrows(plotter, vectors, view)
             self._add_hull(plotter)
 
         self._show(axes, label, column, build, view)
@@ -292,6 +301,25 @@ class Space:
     def _add_hull(self, plotter: pyvista.Plotter) -> None:
         if self.hull.n_cells:
             plotter.add_mesh(self.hull, color="grey", opacity=0.12, lighting=False)
+
+    def _add_arrows(self, plotter: pyvista.Plotter, vectors: Array, view: Array) -> None:
+        """Arrows along vectors on facets of Γ_S, all of one length, on some of the facets if there are many."""
+        size = np.linalg.norm(np.nan_to_num(vectors), axis=1)
+        rows = np.flatnonzero(size > STILL * size.max(initial=0.0))
+        rows = rows[:: 1 + len(rows) // ARROWS]
+        if not len(rows):
+            return
+        length = 0.5 * np.sqrt(self.scene.facets.measure.sum() / len(rows))
+        ways = vectors[rows] / size[rows, None]
+        begins = self.scene.facets.x[rows] - length / 2 * ways + 0.004 * self.extent * view
+        points = pyvista.PolyData(begins)
+        points["ways"] = ways
+        plotter.add_mesh(
+            points.glyph(orient="ways", scale=False, factor=length),
+            color="white",
+            lighting=False,
+            silhouette={"color": "black", "line_width": 2},
+        )
 
     def _add_lines(
         self, plotter: pyvista.Plotter, lines: pyvista.PolyData, view: Array, color: str, width: float

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array
@@ -11,6 +12,7 @@ from signorini_fenicsx.output.pictures.curves import draw_iterations, draw_steps
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.space import Space
+from signorini_fenicsx.physics.elasticity.shown import BodyFacets
 
 SIDE, WIDE_SIDE = 2.5, 3.4
 """Inches of a view in a sheet of three columns and of fewer."""
@@ -43,6 +45,7 @@ def overview(scene: Scene) -> Sheet:
 
 TRACES = {"p": r"$p_h$ on $\Gamma_S$", "flux": r"$\sigma_h\cdot n$ on $\Gamma_S$"}
 OF_BODY = {"flux": r"pressure $-\sigma_{nn}$", "p": "gap $g - u_n$"}
+OF_FRICTION = {"shear": r"shear $|\sigma_t|$", "slip": "slip $|u_t|$"}
 
 
 def deformed(moved: Scene, foundation: Array, title: str) -> Sheet:
@@ -60,7 +63,10 @@ def draw_files_of_body(folder: Path, scene: Scene) -> None:
     """Draw `pressure.png` and, with a certificate, `certificate.png` of an elastic body."""
     space = Space(scene)
     _draw_certificate_file(folder, space)
-    _draw_traces(folder / "pressure.png", space, OF_BODY)
+    facets = scene.facets
+    assert isinstance(facets, BodyFacets)
+    rubs = np.isfinite(facets.shear).any()
+    _draw_traces(folder / "pressure.png", space, OF_BODY | (OF_FRICTION if rubs else {}))
 
 
 def _draw_certificate_file(folder: Path, space: Space) -> None:
@@ -81,14 +87,21 @@ def _draw_half(path: Path, space: Space, title: str) -> None:
 
 
 def _draw_traces(path: Path, space: Space, columns: Mapping[str, str]) -> None:
-    """Two columns of the table of facets and the contact set, from all sides that show them."""
-    sheet = Sheet(3 * [SIDE], len(space.views) * [SIDE])
-    for row, view in enumerate(space.views):
-        letters = [style.letter(3 * row + column) for column in range(3)]
-        for column, (values, label) in enumerate(columns.items()):
-            axes = sheet.view(row, column)
-            space.draw_trace(sheet, axes, values, f"{letters[column]} {label}", view)
-        space.draw_contact(sheet.view(row, 2), f"{letters[2]} contact set", view)
+    """Columns of the table of facets and, after two of them, the contact set, from all sides that show them."""
+    panels: list[tuple[str, str]] = [*columns.items()]
+    panels.insert(2, ("", "contact set"))
+    rows = -(-len(panels) // 3)
+    sheet = Sheet(3 * [SIDE], rows * len(space.views) * [SIDE])
+    for number, view in enumerate(space.views):
+        for place, (column, label) in enumerate(panels):
+            axes, title = (
+                sheet.view(rows * number + place // 3, place % 3),
+                f"{style.letter(len(panels) * number + place)} {label}",
+            )
+            if column:
+                space.draw_trace(sheet, axes, column, title, view)
+            else:
+                space.draw_contact(axes, title, view)
     _finish(sheet, space, path)
 
 

@@ -201,11 +201,15 @@ class BodyFacets(FacetTable):
         normals: The outer unit normals, shape (facets, d).
         gaps: The gap at the vertices of each facet, linear on it, shape (facets, d).
         apart: The gap before any displacement there, 0 but for parts inside the domain.
+        shear: The mean of σ_t as a vector, shape (facets, 3); NaN without friction.
+        slip: That of u_t.
     """
 
     normals: Array
     gaps: Array
     apart: Array
+    shear: Array
+    slip: Array
 
 
 def drawn(solution: ElasticSolution) -> Drawn:
@@ -239,6 +243,7 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
     numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)
     ascending = np.argsort(numbers, axis=1)
+    shear, slip = _friction_vectors(solution).mean(axis=2)
     return BodyFacets(
         part=part,
         along=along_parts(spaces, part, middle),
@@ -255,6 +260,8 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
         normals=contact.normals,
         gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
         apart=np.take_along_axis(apart, ascending, axis=1),
+        shear=shear,
+        slip=slip,
     )
 
 
