@@ -77,8 +77,6 @@ class ConstrainedMatrix:
         self.matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
         for unknowns, values in blocks:
             places = (unknowns + self.matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
-            rows, columns = (np.broadcast_to(each, values.shape) for each in (places[:, :, None], places[:, None]))
-            triples = (np.ascontiguousarray(each).reshape(-1, 1) for each in (rows, columns, values))
-            self.matrix.setValuesRCV(*triples, addv=True)
+            self.matrix.setValuesRCV(places, places, np.ascontiguousarray(values), addv=True)
             self.matrix.assemble()
         self.matrix.zeroRowsColumns(essential + self.matrix.getOwnershipRange()[0])

@@ -14,7 +14,7 @@ from dolfinx import la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.discrete.matrices import identity_with
+from signorini_fenicsx.discrete.matrices import identity_with, of_cells
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
     Cells,
@@ -192,26 +192,9 @@ class ElasticSystem:
         return of_jumps
 
     def _assembled(self) -> PETSc.Mat:
-        space = self.spaces.traces
-        index_map, size = space.dofmap.index_map, space.dofmap.index_map_bs
-        matrix = PETSc.Mat().create(self.spaces.mesh.comm)
-        sizes = (size * index_map.size_local, size * index_map.size_global)
-        matrix.setSizes((sizes, sizes), bsize=size)
-        matrix.setType("aij")
-        number = index_map.size_local + index_map.num_ghosts
-        of_blocks = index_map.local_to_global(np.arange(number, dtype=np.int32)).astype(PETSc.IntType)
-        to_global = (of_blocks[:, None] * size + np.arange(size, dtype=PETSc.IntType)).ravel()
-        rows, columns, values = [], [], []
-        for block in self._blocks:
-            unknowns = to_global[self._unknowns(block.cells)]
-            shape = block.matrix.shape
-            rows.append(np.broadcast_to(unknowns[:, :, None], shape).ravel())
-            columns.append(np.broadcast_to(unknowns[:, None, :], shape).ravel())
-            values.append(block.matrix.ravel())
-        none = np.empty(0, dtype=PETSc.IntType)
-        matrix.setPreallocationCOO(np.concatenate([none, *rows]), np.concatenate([none, *columns]))
-        matrix.setValuesCOO(np.concatenate([np.empty(0), *values]), PETSc.InsertMode.ADD_VALUES)
-        return matrix
+        dofs, dofmap = self.spaces.dofs, self.spaces.traces.dofmap
+        parts = ((dofs[block.cells], block.matrix) for block in self._blocks)
+        return of_cells(dofmap.index_map, dofmap.index_map_bs, *parts)
 
     def recover(
         self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None

@@ -34,7 +34,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.discrete.matrices import of_entries
+from signorini_fenicsx.discrete.matrices import OfCells, of_cells
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, LinearSolver, set_direct
 from signorini_fenicsx.physics.elasticity.bound.korn import MOMENTS, korn_constants
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
@@ -107,9 +107,7 @@ def length_of_facets(spaces: ElasticSpaces) -> float:
 def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, theta: float) -> bool:
     """Whether K_θ with these θl is proved to be positive definite, but for rounding (collective)."""
     comm, index_map, size = spaces.mesh.comm, spaces.traces.dofmap.index_map, spaces.dim**2
-    rows, columns, values = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0)]
-    local = index_map.local_to_global(np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32))
-    inside = True
+    inside, parts = True, list[OfCells]()
     for numbers in blocks_of_cells(spaces):
         cells = Cells(spaces.vertices[numbers])
         matrices, positive = _on_cells(cells, compliance[numbers], of_facets[numbers], theta)
@@ -118,17 +116,10 @@ def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, the
             mine = np.flatnonzero(np.isin(facets.cells, numbers))
             for each in (matrices, matrices.swapaxes(1, 2)):
                 transform(each, facets.cells[mine] - numbers[:1], facets.local[mine], frames[mine])
-        blocks = local[spaces.dofs[numbers]]
-        unknowns = (blocks[:, :, None] * size + np.arange(size)).reshape(len(numbers), -1)
-        rows.append(np.broadcast_to(unknowns[:, :, None], matrices.shape).ravel())
-        columns.append(np.broadcast_to(unknowns[:, None], matrices.shape).ravel())
-        values.append(matrices.ravel())
+        parts.append((spaces.dofs[numbers], matrices))
     if not comm.allreduce(inside, MPI.LAND):
         return False
-    number = size * index_map.size_local
-    entries = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
-    matrix = of_entries(comm, number, *entries, block=size)
-    jumps = jumps_to_sides(spaces)
+    matrix, jumps = of_cells(index_map, size, *parts), jumps_to_sides(spaces)
     matrix = matrix if jumps is None else matrix.ptap(jumps)
     fixed = np.concatenate([spaces.unknowns(facets, k).ravel() for facets, k, _ in spaces.fixed])
     matrix.zeroRowsColumns(fixed + size * index_map.local_range[0])

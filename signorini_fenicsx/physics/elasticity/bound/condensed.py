@@ -20,7 +20,6 @@ from petsc4py import PETSc
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
-from signorini_fenicsx.discrete.matrices import of_entries
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity.data import BLOCK, OnSplit
@@ -33,9 +32,6 @@ TOLERANCE = 1e-5
 """Relative residual of a solve by CG; each step of the interior point also removes what the last one left."""
 MOST = 200
 """If CG needs more iterations, it gives way to a factorisation."""
-
-type Triples = tuple[npt.NDArray, npt.NDArray, Array]
-"""Rows and columns over all ranks, and values that are added there."""
 
 
 @dataclass(frozen=True)
@@ -65,23 +61,6 @@ class Nodes:
         number_of[of_space] = np.arange(len(of_space), dtype=np.int32)
         return cls(split.mesh.geometry.dim, numbers, of_space, number_of)
 
-    def unknowns(self, nodes: Indices) -> Indices:
-        """The unknowns of nodes that are left, shape (…, d), numbered over all ranks."""
-        first = self.numbers.local_to_global(nodes.ravel().astype(np.int32)).reshape(nodes.shape)
-        numbers: Indices = self.dim * first[..., None] + np.arange(self.dim)
-        return numbers
-
-    def triples(self, nodes: Indices, matrices: Array) -> Triples:
-        """The entries of matrices of shape (n, d m, d m) that belong to some nodes, shape (n, m)."""
-        places = self.unknowns(nodes).reshape(matrices.shape[:2]).astype(PETSc.IntType)
-        rows, columns = (np.broadcast_to(each, matrices.shape) for each in (places[:, :, None], places[:, None]))
-        return rows.ravel(), columns.ravel(), matrices.ravel()
-
-    def matrix(self, *parts: Triples) -> PETSc.Mat:
-        """The matrix with the sums of these entries (collective)."""
-        rows, columns, values = (np.concatenate([each[k] for each in parts]) for k in range(3))
-        return of_entries(self.numbers.comm, self.dim * self.numbers.size_local, rows, columns, values, self.dim)
-
 
 @dataclass(frozen=True)
 class Condensed:
@@ -104,7 +83,7 @@ class Condensed:
     load: Array
     energy: float
     softened: Array
-    around: Indices
+    around: npt.NDArray[np.int32]
     inside: Indices
     share: Array
     own: Array
@@ -114,10 +93,6 @@ class Condensed:
         around = x.reshape(-1, self.nodes.dim)[self.around].reshape(self.share.shape[::2])
         inner = self.own - np.einsum("nio,no->ni", self.share, around)
         return inner.reshape(*self.inside.shape, self.nodes.dim)
-
-    def triples(self) -> Triples:
-        """The entries of the stiffness."""
-        return self.nodes.triples(self.around, self.matrices)
 
 
 def condensed(
@@ -138,15 +113,16 @@ def condensed(
     load.array.reshape(-1, dim)[:size] = forces[nodes.of_space[:size]]
     cells, parts = split.cells[split.cells[:, 0] >= 0], list[tuple[Any, ...]]()
     for block in np.array_split(cells, -(-len(cells) // BLOCK[dim])) if len(cells) > 0 else []:
-        around, inside, where = _numbered(space.dofmap.list[block], nodes)
-        strains, stresses = _on_cells(split, space, material, block, frames, where)
-        stiffness, first = strains @ stresses.swapaxes(1, 2), dim * around.shape[1]
+        which, places, number = _layout(space.dofmap.list[block[0]], nodes)
+        of_cells, first = space.dofmap.list[block].reshape(len(block), -1)[:, places], dim * number
+        stiffness = _stiffness(split, space, material, block, which, frames[of_cells])
+        outer, inside = np.split(of_cells, [number], axis=1)
         pull = forces[inside].reshape(len(block), -1, 1)
         eliminated = np.linalg.solve(
             stiffness[:, first:, first:], np.concatenate([stiffness[:, first:, :first], pull], axis=2)
         )
         share, own = eliminated[:, :, :-1], eliminated[:, :, -1]
-        coupling, around = stiffness[:, :first, first:], nodes.number_of[around].astype(np.int64)
+        coupling, around = stiffness[:, :first, first:], nodes.number_of[outer]
         left = stiffness[:, :first, :first] - coupling @ share
         for sums, values in (
             (load, -np.einsum("noi,ni->no", coupling, own)),
@@ -164,49 +140,51 @@ def condensed(
     return Condensed(nodes, matrices, next(of_nodes), energy, next(of_nodes), *others)
 
 
-def _numbered(of_subcells: Indices, nodes: Nodes) -> tuple[Indices, Indices, Indices]:
-    """The nodes around and inside each cell, shapes (cells, …), and which of both those of its subcells are."""
-    count, many = len(of_subcells), len(nodes.number_of)
-    key = (of_subcells + many * (nodes.number_of[of_subcells] < 0)).reshape(count, -1)
-    order = np.argsort(key, axis=1)
-    ascending = np.take_along_axis(key, order, axis=1)
-    new = np.column_stack([np.ones(count, dtype=bool), ascending[:, 1:] != ascending[:, :-1]])
-    where = np.empty_like(order)
-    np.put_along_axis(where, order, np.cumsum(new, axis=1) - 1, axis=1)
-    distinct = ascending[new].reshape(count, -1)
-    first = int(np.count_nonzero(distinct[0] < many))
-    return distinct[:, :first], distinct[:, first:] - many, where.reshape(of_subcells.shape)
+def _layout(of_subcells: Indices, nodes: Nodes) -> tuple[Indices, Indices, int]:
+    """Which node of a cell each node of its subcells is, those around it first; where each is; how many are around.
 
-
-def _on_cells(
-    split: SplitMesh, space: fem.FunctionSpace, material: OnSplit, block: Indices, frames: Array, where: Indices
-) -> tuple[Array, Array]:
-    """The strains of the basis of cells in points of their subcells, and their stresses times the weights.
-
-    Both have a row for each unknown: shape (cells, unknowns, subcells × points × entries).
+    All cells have that of one cell, as their vertices are in the same order.
     """
-    (count, subcells), dim, mesh = block.shape, split.mesh.geometry.dim, split.mesh
-    element, numbers, pairs = space.element.basix_element, block.ravel(), entries(dim)
+    inside = nodes.number_of[of_subcells] < 0
+    key = of_subcells + len(nodes.number_of) * inside
+    _, first, which = np.unique(key, return_index=True, return_inverse=True)
+    return which.reshape(key.shape), first, len(first) - int(np.count_nonzero(inside.ravel()[first]))
+
+
+def _stiffness(
+    split: SplitMesh, space: fem.FunctionSpace, material: OnSplit, block: Indices, which: Indices, frames: Array
+) -> Array:
+    """The stiffness of cells whose nodes have these frames, shape (cells, unknowns, unknowns).
+
+    ∫ ∂_kφ ∂_lφ' over the subcells of the reference cell, for all pairs of nodes, is the same for all cells.
+    """
+    dim, mesh, numbers, pairs = split.mesh.geometry.dim, split.mesh, block.ravel(), entries(split.mesh.geometry.dim)
+    element = space.element.basix_element
     stiffness, degree = material.in_points(numbers, 2 * element.degree - 2)
     points, weights = basix.make_quadrature(element.cell_type, degree)
+    gradients = element.tabulate(1, points)[1:, :, :, 0]
+    products = np.einsum("q,kqa,lqb->qklab", weights, gradients, gradients)
+    if stiffness.shape[1] == 1:
+        products = products.sum(axis=0, keepdims=True)
+    of_reference = np.zeros((len(which), *products.shape[:3], which.max() + 1, which.max() + 1))
+    for each, places in zip(of_reference, which, strict=True):
+        each[..., places[:, None], places] = products
     x = mesh.geometry.x[cell_nodes(mesh)[numbers], :dim]
     edges = x[:, 1:] - x[:, :1]
-    gradients = np.tensordot(np.linalg.inv(edges), element.tabulate(1, points)[1:, :, :, 0], (2, 0))
-    nodes = space.dofmap.list[numbers]
-    strains = np.zeros((*nodes.shape, dim, len(points), len(pairs)))
-    for k, (i, j) in enumerate(pairs):
+    inverse, strains = np.linalg.inv(edges), np.zeros((len(numbers), 1, dim, dim, len(pairs)))
+    for entry, (i, j) in enumerate(pairs):  # of the strain, by component and derivative on the reference cell
         for component, along in {(i, j), (j, i)}:
-            strains[:, :, component, :, k] = gradients[:, along].swapaxes(1, 2) * (1 if i == j else np.sqrt(0.5))
-    some = np.flatnonzero((frames != np.eye(dim)).any(axis=(1, 2))[nodes].any(axis=1))
-    strains[some] = np.einsum("nacqe,naci->naiqe", strains[some], frames[nodes[some]])
-    weighted = stiffness * (np.abs(np.linalg.det(edges))[:, None] * weights)[:, :, None, None]
-    stresses = np.einsum("nacqe,nqef->nacqf", strains, weighted, optimize=True)
-    strains_and_stresses = np.zeros((2, count, where.max() + 1, dim, subcells, len(points) * len(pairs)))
-    rows, columns = np.arange(count)[:, None, None], np.arange(subcells)[None, :, None]
-    for one, values in zip(strains_and_stresses, (strains, stresses), strict=True):
-        one[rows, where, :, columns] = values.reshape(*where.shape, dim, -1)
-    shape = count, -1, subcells * len(points) * len(pairs)
-    return strains_and_stresses[0].reshape(shape), strains_and_stresses[1].reshape(shape)
+            strains[:, 0, component, :, entry] = inverse[:, along] * (1 if i == j else np.sqrt(0.5))
+    strains = strains.reshape(len(numbers), 1, dim * dim, -1)
+    on_subcells = strains @ (np.abs(np.linalg.det(edges))[:, None, None, None] * stiffness) @ strains.swapaxes(2, 3)
+    on_subcells = on_subcells.reshape(*block.shape, len(products), dim, dim, dim, dim)
+    by_components = on_subcells.transpose(0, 3, 5, 1, 2, 4, 6).reshape(len(block), dim, dim, -1)
+    matrices = np.tensordot(by_components, of_reference.reshape(-1, *of_reference.shape[4:]), 1)
+    matrices = matrices.transpose(0, 3, 1, 4, 2).copy()
+    some = np.flatnonzero((frames != np.eye(dim)).any(axis=(1, 2, 3)))
+    turned = np.einsum("nacbd,naci,nbdj->naibj", matrices[some], frames[some], frames[some], optimize=True)
+    matrices[some] = turned
+    return matrices.reshape(len(block), matrices.shape[1] * dim, -1)
 
 
 def displacement_solver(

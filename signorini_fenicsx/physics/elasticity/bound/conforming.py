@@ -22,11 +22,11 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
+from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
 from signorini_fenicsx.physics.elasticity.bound.condensed import (
     Nodes,
-    Triples,
     condensed,
     displacement_solver,
     means_at_nodes,
@@ -204,9 +204,9 @@ class BestDisplacement:
                 apart -= float((law.weights * np.where(held, rest, 0.0) * corner[:, None]).sum())
         return forces, apart + float((forces * self.openings).sum())
 
-    def _springs(self) -> Iterator[Triples]:
-        """The entries of ∫ β v_n w_n under the laws, β that of the line of v, and of the supports."""
-        yield self.supports.triples(self._left, self._given.frames)
+    def _springs(self) -> Iterator[OfCells]:
+        """∫ β v_n w_n on each facet under the laws, β that of the line of v, and what supports add."""
+        yield self.supports.matrices(self._left, self._given.frames)
         for law in self.laws:
             nodes, signs = self.contact.of_jumps(law.rows)
             basis = np.repeat(law.basis, 2, axis=2) * signs[:, None]
@@ -214,17 +214,15 @@ class BestDisplacement:
             normals = np.einsum("fkij,fi->fkj", self._given.frames[nodes], self.contact.facets.normals[law.rows])
             values = np.einsum("fkl,fki,flj->fkilj", mass, normals, normals)
             size = nodes.shape[1] * self.spaces.dim
-            yield self._left.triples(
-                self._left.number_of[nodes].astype(np.int64), values.reshape(len(nodes), size, size)
-            )
+            yield self._left.number_of[nodes], values.reshape(len(nodes), size, size)
 
     def _assemble(self) -> None:
         """K, b and the constant in the frames of the nodes, about what is given of v (collective)."""
         dim, size, material, left = self.spaces.dim, self._numbers.size_local, self.material, self._left
         forces = np.einsum("nij,ni->nj", self._given.frames, self._pull.array.reshape(-1, dim))
         inside = self._condensed = condensed(self.split, self.space, left, material, self._given.frames, forces)
-        coupling = left.triples(self._nodes, np.zeros((len(self._nodes), 2 * dim, 2 * dim)))
-        self._natural = left.matrix(inside.triples(), *self._springs(), coupling)
+        coupling = self._nodes, np.zeros((len(self._nodes), 2 * dim, 2 * dim))
+        self._natural = of_cells(self._numbers, dim, (inside.around, inside.matrices), *self._springs(), coupling)
         own = left.of_space[:size]
         self._lift, load = self._given.values[own].ravel(), inside.load
         image = self.times(self._lift)
@@ -299,8 +297,7 @@ class BestDisplacement:
         values = stiffness[:, None, None] * axes[:, :, None] * axes[:, None]
         self._natural.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._matrix.setDiagonal(self._shift)
-        triples = self._left.triples(self._nodes, values)
-        self._matrix.setValuesRCV(*(each.reshape(-1, 1) for each in triples), addv=True)
+        add_of_cells(self._matrix, self._numbers, self._nodes, values)
         self._matrix.assemble()
         if self._solver.levels is not None:
             with self._solver.options():

@@ -8,7 +8,8 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, Triples
+from signorini_fenicsx.discrete.matrices import OfCells
+from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes
 from signorini_fenicsx.physics.elasticity.boundary_nodes import FacetCoefficients, facet_coefficients
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
@@ -55,10 +56,10 @@ class SupportsOfDisplacement:
         off = -self.rest if v is None else v.x.array.reshape(-1, self.rest.shape[2])[self.on.nodes] - self.rest
         return np.asarray(np.einsum("nij,kl,nki,nlj->n", self.stiffness, self.mass, off, off) / 2)
 
-    def triples(self, left: Nodes, frames: Array) -> Triples:
-        """The entries of ∫ Kv·v' at the nodes that are left, in the frames of all nodes."""
+    def matrices(self, left: Nodes, frames: Array) -> OfCells:
+        """∫ Kv·v' on each facet for the nodes that are left, in the frames of all nodes."""
         nodes = self.on.nodes
         own = frames[nodes]
         values = np.einsum("nij,kl,nkia,nljb->nkalb", self.stiffness, self.mass, own, own, optimize=True)
         size = nodes.shape[1] * frames.shape[1]
-        return left.triples(left.number_of[nodes].astype(np.int64), values.reshape(len(nodes), size, size))
+        return left.number_of[nodes], values.reshape(len(nodes), size, size)
