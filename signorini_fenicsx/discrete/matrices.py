@@ -56,7 +56,8 @@ def of_cells(numbers: common.IndexMap, block: int, *parts: OfCells) -> PETSc.Mat
     comm, own = numbers.comm, numbers.size_local
     count, sizes = own + numbers.num_ghosts, (block * own, block * numbers.size_global)
     keys = [(nodes[:, :, None].astype(np.int64) * count + nodes[:, None]).ravel() for nodes, _ in parts]
-    rows, columns = np.divmod(np.unique(np.concatenate(keys)), count)
+    ascending = np.sort(np.concatenate(keys))
+    rows, columns = np.divmod(ascending[np.diff(ascending, prepend=-1) > 0], count)
     owners = np.append(np.full(own, comm.rank), numbers.owners)
     entries = la.vector(numbers, 2)  # at most so many blocks of a row are with its owner, and with other ranks
     entries.array[:] = np.bincount(2 * rows + (owners[rows] != owners[columns]), minlength=2 * count)

@@ -94,7 +94,7 @@ class ElasticBackend(PlainBackend):
         large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
         make = partial(of_facets, spaces, matrix, data.stiffness_of_volume(spaces) >= STIFF) if large else None
         prefix = "certificate_" if direct else "facet_"
-        self._solver = FacetSolver(matrix, prefix, DEFAULTS, make, MOST_ITERATIONS)
+        self._solver = FacetSolver(matrix, prefix, DEFAULTS[spaces.dim], make, MOST_ITERATIONS)
         self._factors = KeptFactors(self._solver, self._operator, data.fixed, self._unknowns, spaces.dim)
         (self._x, self._b), self._held = matrix.createVecs(), matrix.createVecRight()
         for vector in (self._x, self._held):

@@ -19,7 +19,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, node_ranks
 from signorini_fenicsx.physics.elasticity.system import jumps_to_sides
 
-DEFAULTS = {
+OF_ALL = {
     "mg_levels_ksp_max_it": "4",
     "mg_levels_ksp_chebyshev_esteig": "0,0.05,0,1.1",
     "mg_coarse_pc_mg_cycle_type": "w",
@@ -28,6 +28,8 @@ DEFAULTS = {
     "mg_coarse_mat_mumps_icntl_14": MUMPS_WORKSPACE["mat_mumps_icntl_14"],
 }
 """The coarse problem has a tenth of the entries, so a good solution by GAMG costs little."""
+DEFAULTS = {2: OF_ALL | {"mat_mumps_icntl_7": "2"}, 3: OF_ALL}
+"""For each dimension. In the plane MUMPS orders by minimum fill; nested dissection is slower and fills in as much."""
 STIFF = 8.0
 """From this λ/μ on, that is ν = 0.444, the normals save more than the factorisation costs."""
 SHIFT = 1e-10

@@ -217,7 +217,7 @@ def displacement_solver(
         interpolation = _from_linear(spaces, split, space, linear, nodes, frames)
         return ElasticCoarse(matrix, spaces.dim, linear, interpolation, pc)
 
-    solver = FacetSolver(matrix, "facet_", DEFAULTS, levels if iterate else None, MOST, tolerance=TOLERANCE)
+    solver = FacetSolver(matrix, "facet_", DEFAULTS[spaces.dim], levels if iterate else None, MOST, tolerance=TOLERANCE)
     if solver.iterates:
         solver.ksp.setNormType(PETSc.KSP.NormType.NATURAL)  # the energy norm of the error, nearly
     return solver

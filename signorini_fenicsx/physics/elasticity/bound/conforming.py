@@ -51,8 +51,8 @@ FREE = 1e-12
 """A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""
 SHIFT = 1e-13
 """Share of the diagonal that is added in factorisations: no motion is free, and nothing else is changed."""
-MANY = 20_000
-"""With more unknowns the solves are by CG."""
+MANY = {2: 300_000, 3: 20_000}
+"""For each dimension, with more unknowns the solves are by CG."""
 PUSHES = 20
 """Rounds in which nodes are pushed off foundations by what rounding leaves."""
 
@@ -256,7 +256,7 @@ class BestDisplacement:
     @property
     def _iterates(self) -> bool:
         """Whether CG with multigrid is faster than factorisations: for many unknowns, unless they lock (collective)."""
-        many = self.split is self.spaces.split and self.spaces.dim * self._numbers.size_global > MANY
+        many = self.split is self.spaces.split and self.spaces.dim * self._numbers.size_global > MANY[self.spaces.dim]
         return many and self.data.stiffness_of_volume(self.spaces) < STIFF
 
     @property
