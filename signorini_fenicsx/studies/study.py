@@ -101,13 +101,14 @@ class Run:
         return {"case": self.case.name} | flattened(self.case.model_dump(mode="json", exclude={"title"}))
 
 
-def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Turn nested dictionaries, and lists of them, into one with dotted keys."""
+def flattened(tree: Mapping[str, Any], prefix: str = "", *, into_lists: bool = True) -> dict[str, Any]:
+    """Turn nested dictionaries, and unless `into_lists` is false lists of them, into one with dotted keys."""
     flat: dict[str, Any] = {}
     for key, value in tree.items():
-        if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
+        if into_lists and isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
             value = {str(i): entry for i, entry in enumerate(value)}
-        flat |= flattened(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        below = flattened(value, f"{prefix}{key}.", into_lists=into_lists) if isinstance(value, dict) else None
+        flat |= {prefix + key: value} if below is None else below
     return flat
 
 
@@ -163,7 +164,7 @@ def expanded(study: Study, folder: Path) -> list[Run]:
 def _values(section: str, tree: Mapping[str, Any]) -> dict[str, Any]:
     """A section with dotted keys; `solve.` is added where it was left out."""
     values: dict[str, Any] = {}
-    for short, value in flattened(tree).items():
+    for short, value in flattened(tree, into_lists=section == "set").items():  # what varies may be tables
         key = f"solve.{short}" if short in SHORT else short
         if key in values:
             raise InputError(f"[{section}] {key}: is given twice")

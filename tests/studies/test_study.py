@@ -61,6 +61,16 @@ def test_expansion(tmp_path: Path):
     assert not {run.name for run in same[4:]} & {run.name for run in runs}
 
 
+def test_tables_vary(tmp_path: Path):
+    """Tables by part or region are values as others are; they were taken for the keys of each other."""
+    loads = '[{washer = ["0", "-50"]}, {washer = ["0", "-25"]}]'
+    _, runs = load_study(
+        write(tmp_path, f'case = "clamp"\nvary = {{"problem.g_N" = {loads}, "law.0.mu" = [0.1, 0.3]}}')
+    )
+    found = [(run.parameters["problem.g_N.washer"][1], run.parameters["law.0.mu"]) for run in runs]
+    assert found == [("-50", "0.1"), ("-50", "0.3"), ("-25", "0.1"), ("-25", "0.3")]
+
+
 def test_cases_beside_the_study(tmp_path: Path):
     case = '[geometry]\nshape = "square"\n[boundary]\nsignorini = ["top"]\n[problem]\nf = "{}"\n'
     (tmp_path / "mine.toml").write_text(case.format("x"))
