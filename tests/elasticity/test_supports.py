@@ -188,6 +188,7 @@ def test_case_file(tmp_path: Path):
         ({"x0": [0, 0]}, "must not be negative, and not 0 in all directions"),
         ({"x0": "x"}, "support.x0: must be a number"),
         ({"x0": [[1, 2], [2, 1]]}, "must be symmetric and not 0, with no negative eigenvalue"),
+        ({"x0": [[2, 1], [0, 2]]}, "must be symmetric and not 0, with no negative eigenvalue"),
         ({"x0": [1, 2, 3]}, "a number, two along n and across it, or a matrix of 2 rows"),
         ({"x0": [0, 1]}, "the body can move rigidly"),
     ],
@@ -198,6 +199,14 @@ def test_refusals(given: dict[str, Any], message: str):
     posed = ElasticBoundary(["y0"], ["x0", "x1", "y1"]), ElasticProblem(1.0, 0.3, g_N=load, support=given)
     with pytest.raises(InputError, match=message):
         solve(box(COMM, 1, [0.0, 0.0], [1.0, 1.0]), posed)
+
+
+def test_symmetric_up_to_rounding():
+    """The stiffness and the strain of a body that was turned are symmetric up to rounding alone."""
+    turned, load = float(np.nextafter(0.1, 1)), {"x1": [0.1, 0.0], "y1": [0.0, -0.1]}
+    both: dict[str, Any] = {"support": {"x0": [[2, 0.1], [turned, 2]]}, "eigenstrain": [[0.2, turned], [0.1, 0]]}
+    posed = ElasticBoundary(["y0"], ["x0", "x1", "y1"]), ElasticProblem(1.0, 0.3, g_N=load, **both)
+    assert solve(box(COMM, 1, [0.0, 0.0], [1.0, 1.0]), posed).kkt.equilibrium < 1e-12
 
 
 def test_no_interval_on_springs():

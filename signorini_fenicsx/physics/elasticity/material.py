@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.data_values import check_means, extent
 from signorini_fenicsx.discrete.datum import Datum, largest_degree, regional_datum
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -366,7 +367,8 @@ def check_material(spaces: MeshSpaces, material: Material, blocks: Iterable[Cell
     check_means("young", "in the domain", np.array(ends["young"]), spaces)
     for strain in material.own:
         check_means(strain.name, "in the domain", np.array(ends[strain.name]), spaces)
-        if ends[f"{strain.name}, skew"] != (0.0, 0.0):
+        skew, size = (np.abs(ends[name]).max() for name in (f"{strain.name}, skew", strain.name))
+        if skew > ROUNDING * size:
             raise InputError(f"[problem] {strain.name}: must be a number or a symmetric matrix")
 
 

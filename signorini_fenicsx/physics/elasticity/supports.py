@@ -22,6 +22,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.physics.elasticity.problem import GivenStiffness
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces, linear_values
@@ -112,9 +113,10 @@ def _stiffness(name: str, given: Any, normals: Array) -> Array:
             raise InputError(f"{name}: must be a number, two along n and across it, or a matrix of {dim} rows of {dim}")
         matrix = np.array(rows)
         least, *_, largest = np.linalg.eigvalsh(matrix)
-        if not np.array_equal(matrix, matrix.T) or least < -HELD * largest or largest <= 0:
+        skew = np.abs(matrix - matrix.T).max()
+        if skew > ROUNDING * np.abs(matrix).max() or least < -HELD * largest or largest <= 0:
             raise InputError(f"{name}: must be symmetric and not 0, with no negative eigenvalue")
-        return np.broadcast_to(matrix, (len(normals), dim, dim))
+        return np.broadcast_to((matrix + matrix.T) / 2, (len(normals), dim, dim))
     if min(along, beside) < 0 or max(along, beside) == 0:
         raise InputError(f"{name}: must not be negative, and not 0 in all directions")
     return np.asarray((along - beside) * across + beside * np.eye(dim))
