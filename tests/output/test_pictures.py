@@ -326,6 +326,7 @@ def test_entries_of_the_legend(name: str, bounds: bool):
 def test_titles_are_broken_where_they_are_too_wide():
     title = r"one, two three four $\|a b\| \leq 3$, five"
     assert _wrapped(title, 100.0) == [title]
+    assert _wrapped("at most 3 %", 0.1) == ["at", "most", "3 %"]
     assert _wrapped(title, 1.0) == ["one,", "two three", "four", r"$\|a b\| \leq 3$,", "five"]
 
 

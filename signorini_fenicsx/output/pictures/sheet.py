@@ -24,8 +24,8 @@ WORDS = 1.85
 """Width of an entry of the legend."""
 LETTER = 0.082
 """Mean width of a letter of the title."""
-SPACE = r" (?=(?:[^$]*\$[^$]*\$)*[^$]*$)"
-"""A space outside of mathematics."""
+SPACE = r" (?!%)(?=(?:[^$]*\$[^$]*\$)*[^$]*$)"
+"""A space outside of mathematics and not before "%"."""
 NOTEBOOK_DPI = 75
 """A figure that is as wide as a page is as wide as the column of a notebook then."""
 
