@@ -119,7 +119,10 @@ def test_in_steps():
     domain, moved = box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), []
     for instant in evolve(domain, body, Evolution(end=3.0, steps=3)):
         moved.append(instant.solution.quantities()["tools"]["y1"]["displacement"]["x"])
-        force = instant.solution.resultants()["y1"]
+        row, force = instant.solution.of_step(), instant.solution.resultants()["y1"]
+        assert [row["y1_tool_x"], row["y1_tool_y"] < -0.05] == [moved[-1], True]
+        assert 0.1 < row["y1_peak_pressure"] == instant.solution.pressure.max()
+        assert row["von_mises"] > row["y1_peak_pressure"] / 2
         assert force[:2] == pytest.approx([0.01 * instant.t * (instant.t < 2.5), -0.1], abs=1e-12)
     assert moved[1] > 2 * moved[0]  # edges slip
     assert moved[2] > 0.02 * moved[1]  # and do not slip back all the way

@@ -337,9 +337,15 @@ class ElasticSolution(Solved):
         return FacetSet(spaces, np.take_along_axis(chains.slope, behind[:, None], axis=1)[:, 0] > 0)
 
     def of_step(self) -> dict[str, float]:
-        """The contact force, and of each part the force on it and the mean of u, for `steps.csv` (collective)."""
-        spaces, axes = self.spaces, AXES[: self.spaces.dim]
-        numbers = {"contact_force": self.norms()["contact_force"]}
+        """The row of `steps.csv`: peak stresses, motions of tools, force and mean u of each part (collective)."""
+        spaces, axes, about = self.spaces, AXES[: self.spaces.dim], self.quantities()
+        numbers = {"contact_force": self.norms()["contact_force"], "von_mises": about["von_mises"]["largest"]}
+        numbers |= {
+            f"{name}_peak_pressure": part["peak_pressure"]["largest"] for name, part in about["contact"].items()
+        }
+        for name, motion in about.get("tools", {}).items():
+            numbers |= {f"{name}_tool_{axis}": length for axis, length in motion["displacement"].items()}
+            numbers |= {f"{name}_tool_about_{axis}": angle for axis, angle in motion.get("rotation", {}).items()}
         forces, u = self.resultants(), spaces.displacement_values(self.u)
         for name in spaces.domain.parts:
             part = spaces.part(name)
