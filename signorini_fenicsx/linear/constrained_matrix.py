@@ -1,7 +1,5 @@
 """An assembled matrix with unknowns that are fixed in one step and free in another; its sparsity pattern stays."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -57,26 +55,22 @@ class ConstrainedMatrix:
     def impose(
         self,
         essential: npt.NDArray[np.int32],
-        robin: npt.NDArray[np.int32],
+        rows: npt.NDArray[np.int32],
         added: npt.ArrayLike,
-        blocks: Sequence[tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]] = (),
+        columns: npt.NDArray[np.int32] | None = None,
     ) -> None:
-        """Start again from `natural`, add to its diagonal and fix unknowns (collective).
+        """Start again from `natural`, add to entries that there are, and fix unknowns (collective).
 
         Args:
             essential: Owned unknowns that get an identity row and column.
-            robin: Owned unknowns whose diagonal entries grow.
-            added: What is added to these entries; one value, or one for each.
-            blocks: Pairs of owned unknowns, some together in a row, and a matrix for each row that is added to their
-                entries; on all ranks as many.
+            rows: Owned unknowns in whose rows something is added.
+            added: What is added; one value, or one for each.
+            columns: Owned unknowns in whose columns it is added; None for the diagonal.
         """
         self.natural.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        diagonal = self.matrix.createVecLeft()
-        diagonal.set(0.0)
-        diagonal.array_w[robin] = added
-        self.matrix.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
-        for unknowns, values in blocks:
-            places = (unknowns + self.matrix.getOwnershipRange()[0]).astype(PETSc.IntType)
-            self.matrix.setValuesRCV(places, places, np.ascontiguousarray(values), addv=True)
-            self.matrix.assemble()
-        self.matrix.zeroRowsColumns(essential + self.matrix.getOwnershipRange()[0])
+        first = self.matrix.getOwnershipRange()[0]
+        pairs = rows, rows if columns is None else columns
+        places = ((each + first).astype(PETSc.IntType)[:, None] for each in pairs)
+        self.matrix.setValuesRCV(*places, np.broadcast_to(added, rows.shape)[:, None].copy(), addv=True)
+        self.matrix.assemble()
+        self.matrix.zeroRowsColumns(essential + first)

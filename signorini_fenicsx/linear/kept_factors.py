@@ -6,16 +6,18 @@ under another set is w + Σ c_j d_j with one d_j for each site j that changes:
 - j is free now: d_j is 1 there, 0 where else the factorised set fixes, and without force elsewhere; c_j is such that
   the force at j is the load's.
 - j is fixed now: d_j is what a force at j alone does; c_j is such that the whole is 0 at j. Another load at j, or
-  another spring, is another c_j, too.
+  other springs, is another c_j, too, and so is a share of the force at another site.
 
 Of w and of the d_j only p and the forces at the sites are kept. So these need no solve under a set whose sites have all
 changed before, and the solution needs one, by the factors. The d_j of sites that change for the first time are solved
 for together, which costs a third of a solve for each, or less.
 """
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -25,15 +27,46 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.facet_solver import TO_THE_END, FacetSolver
-from signorini_fenicsx.linear.gmres import Added, coupled
+from signorini_fenicsx.linear.gmres import DIRECTIONS, gmres
 
-type Springs = Array | float
-"""The stiffness of a spring at each site, or of all; 0 for none."""
-
-MOST = {2: 40, 3: 64}
+MOST = {2: 40, 3: 200}
 """For each dimension, where more sites change for the first time a factorisation costs less; in space it costs more."""
-MOST_KEPT = 300
+WORTH = 20
+"""So many steps of GMRES by the factors of another set cost less than a factorisation."""
+RESTART = 50
+"""Steps after which GMRES begins anew, for the sake of memory."""
+MOST_KEPT = 1000
 """So many sites at most have changed; their equations are on every rank."""
+
+
+@dataclass(frozen=True)
+class Imposed:
+    """What is imposed at the sites: 0, or the load, with springs.
+
+    Attributes:
+        held: Mask of the sites with 0.
+        springs: Stiffness between each other site and those near it, shape (sites, near).
+        shares: What share of the force at another site each one has added to its own, shape (sites,).
+    """
+
+    held: Mask
+    springs: Array
+    shares: Array
+
+    @classmethod
+    def alone(cls, held: Mask, springs: Array) -> Self:
+        """A spring per site and no shares."""
+        return cls(held, springs[:, None], np.zeros(len(held)))
+
+    @property
+    def symmetric(self) -> Self:
+        """What is imposed without the shares."""
+        return replace(self, shares=np.zeros_like(self.shares))
+
+    def differ(self, other: Imposed) -> Mask:
+        """The sites at which another thing is imposed; springs at sites that are held do nothing."""
+        free = (self.springs != other.springs).any(axis=1) | (self.shares != other.shares)
+        return np.asarray((self.held != other.held) | (~self.held & free))
 
 
 class KeptFactors:
@@ -51,6 +84,8 @@ class KeptFactors:
         fixed: npt.NDArray[np.int32],
         sites: npt.NDArray[np.int32],
         dim: int,
+        near: Indices | None = None,
+        pressing: Indices | None = None,
     ):
         """Keep nothing yet (collective).
 
@@ -60,73 +95,87 @@ class KeptFactors:
             fixed: Owned unknowns that are fixed under all sets.
             sites: Owned unknown of each site.
             dim: Dimension of the mesh.
+            near: The sites to which springs of each site may go, shape (sites, near); None for itself alone.
+            pressing: The site of which each one may have a share of the force; None for itself.
         """
         self._solver, self._operator, self._natural = solver, operator, operator.natural
         self._fixed, self._unknowns = fixed, sites
+        own = np.arange(len(sites))
+        self._near, self._pressing = own[:, None] if near is None else near, own if pressing is None else pressing
         self._comm: MPI.Comm = self._natural.getComm().tompi4py()
         self._x, self._b = self._natural.createVecs()
         self._w = self._x.duplicate()
         self._most = self._more = MOST[dim]
-        self._held: Mask | None = None
-        self._plainly: tuple[Mask, Springs] | None = None  # sites held, and springs, of a matrix without blocks
+        self._kept: Imposed | None = None
+        self._present: Imposed | None = None  # with the matrix of the solver
 
     def essential(self, held: Mask) -> npt.NDArray[np.int32]:
         """The unknowns that are fixed if these sites are held."""
         return np.concatenate([self._fixed, self._unknowns[held]])
 
-    def solve_anew(
-        self,
-        load: Array,
-        x: PETSc.Vec,
-        held: Mask,
-        springs: Springs,
-        blocks: Sequence[tuple[npt.NDArray[np.int32], Array]],
-    ) -> None:
-        """Set the solver up and solve with 0 at the sites that are held (collective).
+    def solve_anew(self, load: Array, x: PETSc.Vec, imposed: Imposed) -> tuple[int, bool]:
+        """Set the solver up and solve (collective).
 
         Args:
             load: Right side without conditions, of the owned unknowns.
             x: Gets the solution; an iteration starts from it.
-            held: Mask of these sites.
-            springs: The stiffness of a spring at each site, 0 for none.
-            blocks: What else is added to the matrix, see `ConstrainedMatrix.impose`.
+            imposed: What is imposed at the sites.
+
+        Returns:
+            The number of iterations, and whether they went to the end.
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        essential, plain = self.impose(held, springs, blocks)
-        self._b.array_w[:] = load
-        for vector in (self._b, x):
-            vector.array_w[essential] = 0.0
-        self._solver.solve(self._b, x)
-        if plain and self._solver.factorises:
-            self.keep(held, springs)
+        if self._is_near(imposed):
+            ended = self.coupled(load, x, imposed, self._solver.share, WORTH)
+            if ended[0] < WORTH:
+                return ended
+        essential = self._impose(imposed)
+        if self._comm.allreduce(bool(imposed.shares.any()), MPI.LOR):
+            ended = self.coupled(load, x, imposed, self._solver.share)
+        else:
+            self._b.array_w[:] = load
+            for vector in (self._b, x):
+                vector.array_w[essential] = 0.0
+            self._solver.solve(self._b, x)
+            ended = self._solver.ksp.getIterationNumber(), self._solver.converged or self._solver.factorises
+        if self._solver.factorises:
+            self.keep(imposed.symmetric)
+        return ended
 
-    def impose(
-        self, held: Mask, springs: Springs, blocks: Sequence[tuple[npt.NDArray[np.int32], Array]]
-    ) -> tuple[npt.NDArray[np.int32], bool]:
-        """Give the solver its matrix; return the unknowns that are fixed, and whether nothing is added (collective)."""
-        essential, plain = self.essential(held), not self._comm.allreduce(bool(blocks), MPI.LOR)
-        same = plain and self._plainly is not None and not self._differ(held, springs, *self._plainly).any()
+    def _is_near(self, imposed: Imposed) -> bool:
+        """Whether GMRES may come to the end sooner by factors that are kept than by new ones (collective)."""
+        if self._kept is None:
+            return False
+        moved = self._comm.allreduce(int(np.count_nonzero(imposed.held != self._kept.held)))  # one step for each
+        return bool(moved < WORTH / 2)
+
+    def _impose(self, imposed: Imposed) -> npt.NDArray[np.int32]:
+        """Give the solver its matrix, but for the shares; return the unknowns that are fixed (collective)."""
+        essential, imposed = self.essential(imposed.held), imposed.symmetric
+        same = self._present is not None and not imposed.differ(self._present).any()
         if not self._comm.allreduce(same, MPI.LAND):
-            self._plainly = (held, springs) if plain else None
-            self._operator.impose(essential, self._unknowns, springs, blocks)
+            self._present = imposed
+            rows, column = np.nonzero(imposed.springs)
+            others = self._unknowns[self._near[rows, column]]
+            self._operator.impose(essential, self._unknowns[rows], imposed.springs[rows, column], others)
             if self._solver.levels is not None:
                 with self._solver.options():
                     self._solver.levels.update(self._fixed, essential)
-        return essential, plain
+        return essential
 
-    def coupled(self, load: Array, x: PETSc.Vec, held: Mask, added: Added, share: float) -> tuple[int, bool]:
-        """Solve by GMRES with the present preconditioner, where rows have shares of others added, see `coupled`.
-
-        Collective.
+    def coupled(
+        self, load: Array, x: PETSc.Vec, imposed: Imposed, share: float, most: int = DIRECTIONS
+    ) -> tuple[int, bool]:
+        """Solve by GMRES with the present preconditioner, which may be that of another matrix (collective).
 
         Args:
             load: Right side without conditions, of the owned unknowns.
             x: Where GMRES starts; gets the solution.
-            held: Mask of the sites that are held.
-            added: What is added.
+            imposed: What is imposed at the sites.
             share: GMRES leaves this share of what there is at its start, or what solves to the end leave.
+            most: Steps at most.
 
         Returns:
             The number of steps, and whether they went to the end.
@@ -134,9 +183,41 @@ class KeptFactors:
         Raises:
             LinearSolveFailure: If PETSc gives up.
         """
-        essential, matrices = self.essential(held), (self._operator.matrix, self._natural)
-        x.array_w[essential] = 0.0
-        return coupled(*matrices, self._solver.preconditioner(), load, essential, added, x, share, TO_THE_END)
+        essential, preconditioner = self.essential(imposed.held), self._solver.preconditioner()
+        assert self._present is not None
+        freed = self._present.held & ~imposed.held
+
+        def product(values: Array) -> Array:
+            self._x.array_w[:] = values
+            self._natural.mult(self._x, self._b)
+            image = np.array(self._b.array_r)
+            image[self._unknowns] += self._pulls(imposed, values[self._unknowns], image[self._unknowns])
+            image[essential] = 0.0
+            return image
+
+        def precondition(values: Array) -> Array:
+            self._b.array_w[:] = values
+            preconditioner.apply(self._b, self._x)
+            step = np.array(self._x.array_r)
+            step[self._unknowns[freed]] /= self._diagonal[freed]
+            step[essential] = 0.0
+            return step
+
+        load = load.copy()
+        load[essential] = x.array_w[essential] = 0.0
+        left = load - product(x.array_r)
+        size, at_start = np.sqrt(self._comm.allreduce(np.array([load @ load, left @ left]))).tolist()
+        if at_start <= TO_THE_END * size:
+            return 0, True
+        enough = TO_THE_END * size / at_start
+        step, steps = gmres(self._comm, product, left, precondition, RESTART, max(share, enough), most)
+        x.array_w[:] = x.array_r + step
+        return steps, share <= enough and steps < most
+
+    def _pulls(self, imposed: Imposed, p: Array, forces: Array, at: Indices | slice = slice(None)) -> Array:
+        """What springs, and shares of other forces, add to the forces at sites; shapes (…, sites)."""
+        pulls = np.einsum("sn,...sn->...s", imposed.springs[at], p[..., self._near[at]])
+        return np.asarray(pulls + imposed.shares[at] * forces[..., self._pressing[at]])
 
     @cached_property
     def _rows(self) -> PETSc.Mat:
@@ -151,7 +232,7 @@ class KeptFactors:
     @property
     def present(self) -> bool:
         """Whether a factorisation is kept."""
-        return self._held is not None
+        return self._kept is not None
 
     def serve_more(self) -> None:
         """Another problem has the same K: as much again is worth it for factors that serve all sets."""
@@ -159,29 +240,23 @@ class KeptFactors:
 
     def forget(self) -> None:
         """The matrix of the solver is another one."""
-        self._held = None
+        self._kept = None
 
-    def keep(self, held: Mask, springs: Springs) -> None:
-        """Keep the factorisation that the solver has just made, with these sites held and these springs."""
-        self._essential, self._held, self._springs = self.essential(held), held, springs
+    def keep(self, imposed: Imposed) -> None:
+        """Keep the factorisation that the solver has just made, with this imposed, which has no shares."""
+        self._essential, self._kept = self.essential(imposed.held), imposed
         self._changed: Indices = np.empty(0, dtype=np.int64)  # own sites with a d_j, and the j of each
         self._number: Indices = np.empty(0, dtype=np.int64)
-        self._of_moves: Array = np.empty((0, 2, len(held)))  # p and the forces at the sites for each j
+        self._of_moves: Array = np.empty((0, 2, len(imposed.held)))  # p and the forces at the sites for each j
         self._load: Array | None = None
-        self._last, self.repeated = (held, springs), 0
+        self._last, self.repeated = imposed, 0
 
-    @staticmethod
-    def _differ(held: Mask, springs: Springs, held_before: Mask, springs_before: Springs) -> Mask:
-        """The sites that change from one set to another one; springs at sites that are held do nothing."""
-        return np.asarray((held != held_before) | (~held & (springs != springs_before)))
-
-    def at_sites(self, load: Array, held: Mask, springs: Springs = 0.0) -> tuple[Array, Array] | None:
-        """The solution with 0 at the sites that are held, and K times it, at the sites alone (collective).
+    def at_sites(self, load: Array, imposed: Imposed) -> tuple[Array, Array] | None:
+        """The solution and K times it, at the sites alone (collective).
 
         Args:
             load: Right side without conditions, of the owned unknowns.
-            held: Mask of these sites.
-            springs: The stiffness of a spring at each site, 0 for none.
+            imposed: What is imposed at the sites.
 
         Returns:
             None if a factorisation costs less.
@@ -189,20 +264,19 @@ class KeptFactors:
         Raises:
             LinearSolveFailure: If PETSc gives up.
         """
-        if not self._serves(held, springs):
+        if not self._serves(imposed):
             return None
-        self._take(load, held)
-        p, forces = self._of_load + np.tensordot(self._shares(load, held, springs), self._of_moves, 1)
-        return np.where(held, 0.0, p), forces
+        self._take(load, imposed.held)
+        p, forces = self._of_load + np.tensordot(self._coefficients(load, imposed), self._of_moves, 1)
+        return np.where(imposed.held, 0.0, p), forces
 
-    def solve(self, load: Array, x: PETSc.Vec, held: Mask, springs: Springs = 0.0) -> bool:
-        """Solve with 0 at the sites that are held, if that costs less than a factorisation (collective).
+    def solve(self, load: Array, x: PETSc.Vec, imposed: Imposed) -> bool:
+        """Solve by a factorisation that is kept, if that costs less than another one (collective).
 
         Args:
             load: Right side without conditions, of the owned unknowns.
             x: Gets the solution.
-            held: Mask of these sites.
-            springs: The stiffness of a spring at each site, 0 for none.
+            imposed: What is imposed at the sites.
 
         Returns:
             Whether it was solved.
@@ -210,32 +284,32 @@ class KeptFactors:
         Raises:
             LinearSolveFailure: If PETSc gives up.
         """
-        if not self._serves(held, springs):
+        if not self._serves(imposed):
             return False
-        assert self._held is not None
-        shares = np.zeros(len(held))
-        others = [self._differ(held, springs, *each).any() for each in ((self._held, self._springs), self._last)]
+        assert self._kept is not None
+        changes = np.zeros(len(imposed.held))
+        others = [imposed.differ(each).any() for each in (self._kept, self._last)]
         kept = self._load is not None and np.delete(load == self._load, self._essential).all()
         flags = np.array([*others, not kept], dtype=bool)
         self._comm.Allreduce(MPI.IN_PLACE, flags, MPI.LOR)
         changed, is_new, is_other = flags.tolist()
-        self._last, self.repeated = (held, springs), 0 if is_new or not changed else self.repeated + 1
+        self._last, self.repeated = imposed, 0 if is_new or not changed else self.repeated + 1
         if not changed and not is_other:
             self._w.copy(x)
             return True
         if changed:
-            self._take(load, held)
+            self._take(load, imposed.held)
             assert self._load is not None
-            shares[self._changed] = self._shares(load, held, springs)[self._number]
+            changes[self._changed] = self._coefficients(load, imposed)[self._number]
             load = self._load
-        moved, pulled = np.where(self._held, shares, 0.0), np.where(self._held, 0.0, shares)
+        moved, pulled = np.where(self._kept.held, changes, 0.0), np.where(self._kept.held, 0.0, changes)
         right = load - self._of_moved(moved)
         right[self._essential] = 0.0
         right[self._unknowns] += pulled * self._diagonal
         self._b.array_w[:] = right
         self._solver.solve(self._b, x)
         x.array_w[self._unknowns] += moved
-        x.array_w[self._unknowns[held]] = 0.0
+        x.array_w[self._unknowns[imposed.held]] = 0.0
         return True
 
     @cached_property
@@ -243,11 +317,11 @@ class KeptFactors:
         """The entries of K that are the size of forces at the sites."""
         return np.array(self._natural.getDiagonal().array_r[self._unknowns])
 
-    def _serves(self, held: Mask, springs: Springs) -> bool:
+    def _serves(self, imposed: Imposed) -> bool:
         """Whether the last factorisation serves; then there is a d_j for each changed site (collective)."""
-        if self._held is None:
+        if self._kept is None:
             return False
-        changed = self._differ(held, springs, self._held, self._springs)
+        changed = imposed.differ(self._kept)
         new = np.setdiff1d(np.flatnonzero(changed), self._changed)
         counts = np.array(self._comm.allgather(len(new)))
         if counts.sum() > self._most or len(self._of_moves) + counts.sum() > MOST_KEPT:
@@ -280,10 +354,13 @@ class KeptFactors:
         return np.array(self._forces.array_r)
 
     def _of_moved(self, moved: Array) -> Array:
-        """K times what is this at the sites and 0 elsewhere, for the owned unknowns (collective)."""
+        """The forces of what is this at the sites and 0 elsewhere, for the owned unknowns (collective)."""
+        assert self._kept is not None
         self._forces.array_w[:] = moved
         self._rows.multTranspose(self._forces, self._b)
-        return np.array(self._b.array_r)
+        forces = np.array(self._b.array_r)
+        forces[self._unknowns] += np.einsum("sn,sn->s", self._kept.springs, moved[self._near])
+        return forces
 
     def _add(self, sites: Indices, before: int, count: int) -> None:
         """Find d_j for new sites (collective).
@@ -293,17 +370,18 @@ class KeptFactors:
             before: How many there are on the ranks before.
             count: How many there are on all ranks.
         """
-        assert self._held is not None
-        own = np.zeros((count, len(self._held)))
+        assert self._kept is not None
+        held = self._kept.held
+        own = np.zeros((count, len(held)))
         own[before + np.arange(len(sites)), sites] = 1.0
         columns = np.zeros((self._natural.getLocalSize()[0], count), order="F")
-        for column, moved in enumerate(np.where(self._held, own, 0.0)):
+        for column, moved in enumerate(np.where(held, own, 0.0)):
             columns[:, column] = -self._of_moved(moved)
         columns[self._essential] = 0.0
-        columns[self._unknowns] += (np.where(self._held, 0.0, own) * self._diagonal).T
+        columns[self._unknowns] += (np.where(held, 0.0, own) * self._diagonal).T
         solutions = self._solver.solve_all(columns)
         traces = []
-        for column, moved in enumerate(np.where(self._held, own, 0.0)):
+        for column, moved in enumerate(np.where(held, own, 0.0)):
             self._x.array_w[:] = solutions[:, column]
             self._x.array_w[self._unknowns] += moved
             traces.append(self._traces(self._x))
@@ -312,21 +390,25 @@ class KeptFactors:
         self._number = np.append(self._number, first + before + np.arange(len(sites)))
         self._of_moves = np.concatenate([self._of_moves, traces])
 
-    def _shares(self, load: Array, held: Mask, springs: Springs) -> Array:
+    def _coefficients(self, load: Array, imposed: Imposed) -> Array:
         """The coefficients c_j of all sites (collective)."""
-        assert self._held is not None
+        assert self._kept is not None
         assert self._load is not None
-        mine, released = self._changed, self._held[self._changed]
-        free, spring = ~held[mine], np.broadcast_to(springs, held.shape)[mine]
-        (p, forces), (own_p, own_forces) = np.swapaxes(self._of_moves[:, :, mine], 0, 1), self._of_load[:, mine]
-        rows = np.where(free, forces + spring * p, p).T
-        wanted = np.where(free, load[self._unknowns[mine]] - own_forces - spring * own_p, -own_p)
-        as_before = ~self._differ(held, springs, self._held, self._springs)[mine]
+        mine = self._changed
+        released, free = self._kept.held[mine], ~imposed.held[mine]
+
+        def given(traces: Array) -> Array:
+            p, forces = traces[..., 0, :], traces[..., 1, :]
+            return np.where(free, forces[..., mine] + self._pulls(imposed, p, forces, mine), p[..., mine])
+
+        rows = given(self._of_moves).T
+        wanted = np.where(free, load[self._unknowns[mine]], 0.0) - given(self._of_load)
+        as_before = ~imposed.differ(self._kept)[mine]
         more = (load - self._load)[self._unknowns[mine]] / self._diagonal[mine]
         rows[as_before] = np.eye(len(self._of_moves))[self._number[as_before]]
         wanted[as_before] = np.where(released, 0.0, more)[as_before]
         size = np.abs(rows).max(axis=1, initial=0.0)
         gathered = self._comm.allgather(np.column_stack([self._number, rows / size[:, None], wanted / size]))
         system = np.concatenate(gathered)
-        shares: Array = np.linalg.solve(system[:, 1:-1], system[:, -1])  # the order of equations does not matter
-        return shares
+        coefficients: Array = np.linalg.solve(system[:, 1:-1], system[:, -1])  # the order of equations does not matter
+        return coefficients

@@ -18,7 +18,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.forms.elasticity import strain
-from signorini_fenicsx.linear import gmres
+from signorini_fenicsx.linear import gmres, kept_factors
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -283,7 +283,7 @@ def test_few_linear_iterations(monkeypatch: pytest.MonkeyPatch):
         return gmres_by(comm, counting, right, *others)
 
     monkeypatch.setattr(FacetSolver, "solve", counted)
-    monkeypatch.setattr(gmres, "gmres", product_counted)
+    monkeypatch.setattr(kept_factors, "gmres", product_counted)
     problem = Elasticity(
         1.0,
         0.3,

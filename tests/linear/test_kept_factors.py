@@ -44,6 +44,7 @@ def test_old_factors_solve_for_new_sets(young: float, laws: list[CoulombLaw], mo
     found = solved(COMM, young, laws)
     kept = len(factorised)
     monkeypatch.setattr(kept_factors, "MOST", {2: -1})  # never
+    monkeypatch.setattr(kept_factors, "WORTH", 0)
     fresh = solved(MPI.COMM_SELF, young, laws)
     assert kept <= (len(factorised) - kept) * (0.25 if laws else 0.7)
     sets = [[(step.no_flux, step.zero_trace) for step in one.outcome.history] for one in (found, fresh)]

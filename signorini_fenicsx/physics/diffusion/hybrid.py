@@ -15,7 +15,7 @@ from signorini_fenicsx.contact.backend import Inexact, Iterate
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import FacetSolver
-from signorini_fenicsx.linear.kept_factors import KeptFactors
+from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
 from signorini_fenicsx.methods.prediction import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.physics.diffusion.data import Data
@@ -144,11 +144,14 @@ class HybridBackend(FacetBackend):
 
     def _solve_for(self, plain: SiteConditions, b: PETSc.Vec, x: PETSc.Vec) -> None:
         """Solve with another right side, under conditions without values (collective)."""
-        held, springs = self._system.held_and_springs(plain)
-        if self._factors.solve(b.array_r.copy(), x, held, springs):
+        imposed = self._imposed(plain)
+        if self._factors.solve(b.array_r.copy(), x, imposed):
             return
         self._impose_plain(plain)
-        self._solve_imposed(b, x, held, springs)
+        self._solve_imposed(b, x, imposed)
+
+    def _imposed(self, conditions: SiteConditions) -> Imposed:
+        return Imposed.alone(*self._system.held_and_springs(conditions))
 
     def _impose_plain(self, plain: SiteConditions) -> None:
         """Apply conditions without values, unless they are those of the last solve (collective)."""
@@ -156,11 +159,11 @@ class HybridBackend(FacetBackend):
             self._applied = None
             self._impose(plain)
 
-    def _solve_imposed(self, b: PETSc.Vec, x: PETSc.Vec, held: Mask, springs: Array) -> None:
+    def _solve_imposed(self, b: PETSc.Vec, x: PETSc.Vec, imposed: Imposed) -> None:
         """Solve with the matrix under the conditions that were imposed, and keep a factorisation (collective)."""
         self._solver.solve(b, x)
         if self._solver.factorises and self._can_keep:
-            self._factors.keep(held, springs)
+            self._factors.keep(imposed)
 
     @property
     def _can_keep(self) -> bool:
@@ -177,9 +180,9 @@ class HybridBackend(FacetBackend):
         """
         system = self._system
         if self._factors.present and not conditions.same(self._applied, self.comm):
-            (load, given), (held, springs) = system.posed(conditions), system.held_and_springs(conditions)
-            if (traces := self._factors.at_sites(load, held, springs)) is not None:
-                sites, left = system.trace_dofs, np.where(held, 0.0, conditions.value)
+            (load, given), imposed = system.posed(conditions), self._imposed(conditions)
+            if (traces := self._factors.at_sites(load, imposed)) is not None:
+                sites, left = system.trace_dofs, np.where(imposed.held, 0.0, conditions.value)
                 flux = (traces[1] - load[sites]) / self.spaces.facet_measure + left
                 return conditions.clean(traces[0] + given[sites], flux, self.data.conductance)
         with self._solver.stopping(lambda x: enough(*system.traces(x, conditions))):
@@ -218,12 +221,12 @@ class HybridBackend(FacetBackend):
         system, new = self._system, not conditions.same(self._applied, self.comm)
         if not new and (self._solver.converged or not self._solver.iterates):
             return
-        held, springs = system.held_and_springs(conditions)
+        imposed = self._imposed(conditions)
         self._applied = None  # a solve that fails leaves no solution
         if new:
             if self._factors.present and self._factors.repeated <= FACTORISATION:
                 load, given = system.posed(conditions)
-                if self._factors.solve(load, system.x, held, springs):
+                if self._factors.solve(load, system.x, imposed):
                     system.x.array_w[:] += given
                     self._applied, self._iterations = conditions, 1
                     return
@@ -231,7 +234,7 @@ class HybridBackend(FacetBackend):
             if self._renewed:
                 self._earlier.combine(system.matrix, system.b, system.x, essential)
                 self._renewed = False
-        self._solve_imposed(system.b, system.x, held, springs)
+        self._solve_imposed(system.b, system.x, imposed)
         self._applied = conditions
         self._iterations += self._solver.ksp.getIterationNumber()
 

@@ -7,14 +7,14 @@ under the load they give way so far that the next set is larger. No result has s
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Inexact, Iterate, PlainBackend
@@ -23,7 +23,7 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.facet_solver import FacetSolver
-from signorini_fenicsx.linear.kept_factors import KeptFactors
+from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, law_of_sites
 from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
@@ -95,7 +95,10 @@ class ElasticBackend(PlainBackend):
         make = partial(of_facets, spaces, matrix, data.stiffness_of_volume(spaces) >= STIFF) if large else None
         prefix = "certificate_" if direct else "facet_"
         self._solver = FacetSolver(matrix, prefix, DEFAULTS[spaces.dim], make, MOST_ITERATIONS)
-        self._factors = KeptFactors(self._solver, self._operator, data.fixed, self._unknowns, spaces.dim)
+        self._near, self._pressing = _neighbours(spaces)
+        self._factors = KeptFactors(
+            self._solver, self._operator, data.fixed, self._unknowns, spaces.dim, self._near, self._pressing
+        )
         (self._x, self._b), self._held = matrix.createVecs(), matrix.createVecRight()
         for vector in (self._x, self._held):
             vector.set(0.0)
@@ -106,7 +109,8 @@ class ElasticBackend(PlainBackend):
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
         self._iterations, self.to_the_end = 0, False  # of the last solve; did the iteration go to its end?
         self._applied: SiteConditions | None = None
-        self._imposed: SiteConditions | None = None  # with springs: those of the present matrix
+        self._imposed: SiteConditions | None = None  # of the last solve, by which
+        self._law: Imposed
         self._sprung = False
         diagonal = self.system.matrix.getDiagonal().array_r[self._unknowns]
         self._weak, self.stiffness = SPRING * diagonal, diagonal / self._measure
@@ -155,8 +159,8 @@ class ElasticBackend(PlainBackend):
             self.leave(0.0)
             return self._pairs(self._x, conditions)
         if not self._has_solved(conditions):
-            load, given, contact, _ = self._posed(conditions)
-            if (traces := self._factors.at_sites(load, contact)) is not None:
+            load, given, _ = self._posed(conditions)
+            if (traces := self._factors.at_sites(load, self._at_sites(conditions))) is not None:
                 p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
                 return self._cleaned(conditions, self._signs * p, self._signs * forces / self._measure)
 
@@ -198,27 +202,19 @@ class ElasticBackend(PlainBackend):
         flux[normal:] += self.friction.pressed(self.spaces.pressure_of(flux)) - self.friction.resisted(p[normal:])
         return p, flux
 
-    @property
-    def _follows(self) -> bool:
-        """Whether the shear of the linear law in space follows the pressure (collective)."""
-        return self._turns and self.comm.allreduce(bool(self.friction.slopes.any()), MPI.LOR)
-
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
         if self._has_solved(conditions):
             return
         self._applied = None
         self._x.array_w[:], self._moved = self._x.array_r - self._moved, 0.0
-        load, _, contact, loose = self._posed(conditions)
+        load, _, loose = self._posed(conditions)
         springs = np.where(sprung := loose & (conditions.kind == Condition.NO_FLUX), self._weak, 0.0)
-        if self._follows:
-            self._factors.impose(contact, springs, self._blocks())
-            law = self.system.load - self._operator.image(self._held), self.friction.slopes.ravel()
-            self._iterations, self.to_the_end = self._couple(load, self._x, contact, law, self._solver.share)
+        self._law = self._at_sites(conditions, springs)
+        if self._factors.solve(load, self._x, self._law):
+            self._iterations, self.to_the_end = 1, True
         else:
-            if not self._factors.solve(load, self._x, contact):
-                self._factors.solve_anew(load, self._x, contact, springs, self._blocks())
-            self._iterations, self.to_the_end = self._solver.ksp.getIterationNumber(), self._solver.converged
+            self._iterations, self.to_the_end = self._factors.solve_anew(load, self._x, self._law)
         self._imposed = conditions
         self._x.axpy(1.0, self._held)
         self._sprung = loose
@@ -234,27 +230,27 @@ class ElasticBackend(PlainBackend):
         """Whether the last solve was under these conditions, and converged (collective)."""
         return conditions.same(self._applied, self.comm) and self.to_the_end
 
-    def _posed(self, conditions: SiteConditions) -> tuple[Array, Array, Mask, bool]:
+    def _posed(self, conditions: SiteConditions) -> tuple[Array, Array, bool]:
         """The problem under these conditions, of which `_held` is the part of the solution that is given (collective).
 
         Returns:
-            The right side for the rest, its part by laws at the sites, the sites that are held, and whether a motion of
-            the body is free.
+            The right side for the rest, its part by laws at the sites, and whether a motion of the body is free.
         """
         contact, free = (conditions.kind == kind for kind in (Condition.ZERO_TRACE, Condition.NO_FLUX))
         self._take_springs(conditions)
         load, given = self.system.load.copy(), self._given_forces(conditions)
-        load[self._unknowns] += given
         if conditions.has_values:
             self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
             load -= self._operator.image(self._held)
+        given += self._pulls(load)
+        load[self._unknowns] += given
         means = np.where(free[:, None], 0.0, self._motions)
         means[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
         loose = is_free(self.comm, means)
         if loose or self._sprung:
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
             self._factors.forget()
-        return load, given, contact, loose
+        return load, given, loose
 
     def _respond(self, conditions: SiteConditions, sprung: Mask) -> None:
         """Find how the body follows the tools under the conditions of the present matrix (collective)."""
@@ -269,11 +265,9 @@ class ElasticBackend(PlainBackend):
         self.tools.respond(response, self._factors.forces)
 
     def _take_springs(self, conditions: SiteConditions) -> None:
-        """Take the springs under these conditions; no factors of other ones serve with springs (collective)."""
+        """Take the springs under these conditions (collective)."""
         some, normal = conditions.counts(self.comm)[Condition.ROBIN] > 0, slice(len(self.spaces.sites))
         self._springs = self._data.laws.springs(conditions.take(normal)) if some else None
-        if self._springs is not None or self._turns:
-            self._factors.forget()
 
     def _given_forces(self, conditions: SiteConditions, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of the opening."""
@@ -304,23 +298,17 @@ class ElasticBackend(PlainBackend):
         self, conditions: SiteConditions, load: Array, lift: Array | float, start: Array | None = None
     ) -> PETSc.Vec:
         """`solve_homogeneous` with tools at rest; iterations begin at the start (collective)."""
-        contact, x, given = conditions.kind == Condition.ZERO_TRACE, self._x.duplicate(), self._x.duplicate()
+        x, given = self._x.duplicate(), self._x.duplicate()
         given.array_w[:] = lift
         x.array_w[:], load = 0.0 if start is None else start - given.array_r, load - self._operator.image(given)
-        present = conditions.same(self._imposed, self.comm)
-        if not present:
+        if not conditions.same(self._imposed, self.comm):
             self._applied = None
             self._take_springs(conditions)
-        if present and self._follows:
-            self._couple(load, x, contact, (load, self.friction.slopes.ravel()), self._solver.share)
-        elif present and (self._springs is not None or self._turns or self._sprung or self._solver.iterates):
-            self._b.array_w[:] = load
-            for vector in (self._b, x):
-                vector.array_w[self._factors.essential(contact)] = 0.0
-            self._solver.solve(self._b, x)
-        elif not self._factors.solve(load, x, contact):
-            self._factors.solve_anew(load, x, contact, 0.0, self._blocks())
-            self._imposed = conditions
+            self._law = self._at_sites(conditions)
+        load[self._unknowns] += self._pulls(load)
+        if not self._factors.solve(load, x, self._law):
+            self._factors.solve_anew(load, x, self._law)
+        self._imposed = conditions
         x.axpy(1.0, given)
         given.destroy()
         return x
@@ -334,7 +322,7 @@ class ElasticBackend(PlainBackend):
         if not self.tools:
             if not conditions.same(self._imposed, self.comm):
                 self._take_springs(conditions)
-            if (traces := self._factors.at_sites(load, conditions.kind == Condition.ZERO_TRACE)) is not None:
+            if (traces := self._factors.at_sites(load, self._at_sites(conditions))) is not None:
                 return np.asarray(self._signs * traces[1] / self._measure)
         return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
@@ -347,7 +335,8 @@ class ElasticBackend(PlainBackend):
         load, x = np.zeros(len(self.system.load)), self._x.duplicate()
         load[self.spaces.slip_sites] = self.spaces.slip_measure * forces
         x.set(0.0)
-        self._couple(load, x, conditions.kind == Condition.ZERO_TRACE, (np.zeros_like(load), slope), share)
+        shares = np.append(np.zeros(len(self.spaces.sites)), slope)
+        self._factors.coupled(load, x, replace(self._at_sites(conditions), shares=shares), share)
         self._x.axpy(1.0, x)
         self._applied = None
         return self.flux(x, np.zeros_like(load))
@@ -367,30 +356,25 @@ class ElasticBackend(PlainBackend):
         """−1 for normal sites, where p and the flux are those of −u_n and −σ_nn, and 1 for those with friction."""
         return np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
 
-    def _couple(
-        self, load: Array, x: PETSc.Vec, held: Mask, law: tuple[Array, Array], share: float
-    ) -> tuple[int, bool]:
-        """Solve with the present matrix where the shear follows the pressure, see `KeptFactors.coupled` (collective).
+    def _pulls(self, load: Array) -> Array:
+        """What the linear law in space takes from this right side, of which the pressure is what is left."""
+        return np.asarray(self._shares * load[self._unknowns[self._pressing]])
 
-        The law has the load without friction, of which the pressure is what is left, and the slopes of the shear.
-        """
-        (pulls, slopes), spaces = law, self.spaces
-        normal = np.repeat(spaces.sites.reshape(-1, spaces.dim)[spaces.rough_rows], spaces.dim - 1)
-        load = load.copy()
-        load[spaces.slip_sites] += slopes * pulls[normal]
-        return self._factors.coupled(load, x, held, (spaces.slip_sites, normal, slopes), share)
+    @property
+    def _shares(self) -> Array:
+        """How much of the pressure of its vertex the shear of a site follows; 0 for normal sites."""
+        return np.append(np.zeros(len(self.spaces.sites)), self.friction.slopes)
 
-    def _blocks(self) -> list[tuple[npt.NDArray[np.int32], Array]]:
-        """What the springs of laws, and friction in space, add to the matrix."""
-        blocks, number = [], len(self.spaces.sites)
+    def _at_sites(self, conditions: SiteConditions, weak: Array | float = 0.0) -> Imposed:
+        """What is imposed at the sites: also springs of laws, weak ones, and those of friction in space."""
+        number, (sites, width) = len(self.spaces.sites), self._near.shape
+        springs = np.where(self._near == np.arange(sites)[:, None], np.reshape(weak, (-1, 1)), 0.0)
+        measure = self._measure[:, None]
         if self._springs is not None:
-            normal = self._unknowns[:number].reshape(-1, self.spaces.dim)
-            stiffness = self._springs.stiffness * self._measure[:number].reshape(normal.shape)[:, :, None]
-            blocks.append((normal, stiffness))
+            springs[:number] += self._springs.stiffness.reshape(-1, width) * measure[:number]
         if self._turns:
-            along, weights = (each[number:].reshape(-1, 2) for each in (self._unknowns, self._measure))
-            blocks.append((along, self.friction.stiffness.reshape(-1, 2, 2) * weights[:, :, None]))
-        return blocks
+            springs[number:, :2] += self.friction.stiffness.reshape(-1, 2) * measure[number:]
+        return Imposed(conditions.kind == Condition.ZERO_TRACE, springs, self._shares)
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
@@ -420,9 +404,8 @@ class ElasticBackend(PlainBackend):
             if size <= TIE * scale or not size < before:
                 break
             correction.set(0.0)
-            if not self._factors.solve(left, correction, contact):
-                self._b.array_w[:] = left
-                self._solver.solve(self._b, correction)
+            if not self._factors.solve(left, correction, self._law):
+                self._factors.solve_anew(left, correction, self._law)
             before = size
             more, moved = self.system.recover(self.system.everywhere(correction.array_r), with_f=False)
             stresses, displacements = stresses + more, displacements + moved
@@ -445,3 +428,15 @@ class ElasticBackend(PlainBackend):
     def _extent(self, *values: Array) -> tuple[float, float]:
         u, sigma = (float(self.comm.allreduce(one.max(initial=0.0), MPI.MAX)) for one in values)
         return u, sigma
+
+
+def _neighbours(spaces: ElasticSpaces) -> tuple[Indices, Indices]:
+    """The sites near each site, those of its facet or its vertex, itself once; and the normal site of its vertex."""
+    dim, normal = spaces.dim, np.arange(len(spaces.sites))
+    along = len(normal) + np.arange(len(spaces.slip_sites))
+    facets, vertices = np.repeat(normal.reshape(-1, dim), dim, axis=0), along.reshape(-1, dim - 1)
+    near = np.full((len(normal) + len(along), dim), -1)
+    near[: len(normal)] = facets
+    near[len(normal) :, : dim - 1] = np.repeat(vertices, dim - 1, axis=0)
+    own = normal.reshape(-1, dim)[spaces.rough_rows]
+    return near, np.append(normal, np.repeat(own, dim - 1))

@@ -21,7 +21,6 @@ from signorini_fenicsx.physics.elasticity.system import jumps_to_sides
 
 OF_ALL = {
     "mg_levels_ksp_max_it": "4",
-    "mg_levels_ksp_chebyshev_esteig": "0,0.05,0,1.1",
     "mg_coarse_pc_mg_cycle_type": "w",
     "mg_coarse_pc_gamg_aggressive_coarsening": "0",
     "mg_coarse_mg_levels_ksp_max_it": "4",
@@ -30,6 +29,10 @@ OF_ALL = {
 """The coarse problem has a tenth of the entries, so a good solution by GAMG costs little."""
 DEFAULTS = {2: OF_ALL | {"mat_mumps_icntl_7": "2"}, 3: OF_ALL}
 """For each dimension. In the plane MUMPS orders by minimum fill; nested dissection is slower and fills in as much."""
+SMOOTHED = 0.05, 1.1
+"""Shares of the largest eigenvalue, as it is estimated, between which the smoother reduces errors."""
+ESTIMATE = 10
+"""Steps of CG that estimate it."""
 STIFF = 8.0
 """From this λ/μ on, that is ν = 0.444, the normals save more than the factorisation costs."""
 SHIFT = 1e-10
@@ -37,6 +40,10 @@ SHIFT = 1e-10
 
 DIRECT_UP_TO = {2: 500_000, 3: 60_000}
 """For each dimension, largest number of unknowns that are factorised; in space a factorisation fills in far more."""
+
+
+BLOCKS = "vpbjacobi"
+"""Jacobi's method by blocks; pbjacobi keeps its first ones."""
 
 
 class ElasticCoarse:
@@ -59,7 +66,7 @@ class ElasticCoarse:
         """Make `pc` a two-level multigrid with a smoother on blocks (collective).
 
         Args:
-            system: The system, whose values change with the conditions.
+            system: The system without conditions; later its values are those under conditions.
             size: Size of its blocks.
             space: Displacements in P1.
             interpolation: From these to the system.
@@ -69,8 +76,10 @@ class ElasticCoarse:
         self._system, self._normals, self._space = system, normals, space
         system.setVariableBlockSizes(np.full(system.getLocalSize()[0] // size, size, dtype=PETSc.IntType))
         self._levels = TwoLevel(pc, interpolation)
-        pc.getMGSmoother(1).setType("chebyshev")
-        pc.getMGSmoother(1).getPC().setType("vpbjacobi")  # pbjacobi keeps its first blocks
+        self._smoother = pc.getMGSmoother(1)
+        self._smoother.setType("chebyshev")
+        self._smoother.getPC().setType(BLOCKS)
+        self._smooth_up_to_largest()
         if normals:
             set_direct(self._levels.coarse, "cholesky")
         self._matrix: PETSc.Mat | None = None
@@ -92,6 +101,29 @@ class ElasticCoarse:
                 self._matrix.setNearNullSpace(self._rigid_motions())
                 self._levels.coarse.setUp()
                 self._galerkin(essential)
+
+    def _smooth_up_to_largest(self) -> None:
+        """Tell the smoother the eigenvalues, which PETSc would estimate again under all conditions (collective).
+
+        With A the system and D its blocks, conditions leave the quotients xᵀAx/xᵀDx of a smaller space, and springs
+        within the blocks bring these nearer to 1: so the largest one is an upper bound under all conditions.
+        """
+        x, b = self._system.createVecs()
+        b.setRandom()
+        estimate = PETSc.KSP().create(self._system.getComm())
+        estimate.setOperators(self._system)
+        estimate.setType("cg")
+        estimate.getPC().setType(BLOCKS)
+        estimate.setTolerances(max_it=ESTIMATE)
+        estimate.setComputeEigenvalues(True)
+        estimate.solve(b, x)
+        largest = estimate.computeEigenvalues().real.max()
+        for each in (estimate, x, b):
+            each.destroy()
+        options, name = PETSc.Options(), f"{self._smoother.getOptionsPrefix()}ksp_chebyshev_eigenvalues"
+        options.setValue(name, ",".join(str(share * largest) for share in SMOOTHED))
+        self._smoother.setFromOptions()
+        options.delValue(name)
 
     def _galerkin(self, essential: npt.NDArray[np.int32]) -> PETSc.Mat:
         self._levels.leave_out(essential, np.empty(0, dtype=np.int32))
