@@ -35,6 +35,8 @@ WORTH = 20
 """So many steps of GMRES by the factors of another set cost less than a factorisation."""
 RESTART = 50
 """Steps after which GMRES begins anew, for the sake of memory."""
+TOGETHER = 64
+"""So many right sides are solved for at once; more would take memory and save no time."""
 MOST_KEPT = 1000
 """So many sites at most have changed; their equations are on every rank."""
 
@@ -374,17 +376,19 @@ class KeptFactors:
         held = self._kept.held
         own = np.zeros((count, len(held)))
         own[before + np.arange(len(sites)), sites] = 1.0
-        columns = np.zeros((self._natural.getLocalSize()[0], count), order="F")
-        for column, moved in enumerate(np.where(held, own, 0.0)):
-            columns[:, column] = -self._of_moved(moved)
-        columns[self._essential] = 0.0
-        columns[self._unknowns] += (np.where(held, 0.0, own) * self._diagonal).T
-        solutions = self._solver.solve_all(columns)
         traces = []
-        for column, moved in enumerate(np.where(held, own, 0.0)):
-            self._x.array_w[:] = solutions[:, column]
-            self._x.array_w[self._unknowns] += moved
-            traces.append(self._traces(self._x))
+        for begin in range(0, count, TOGETHER):
+            several = own[begin : begin + TOGETHER]
+            columns = np.zeros((self._natural.getLocalSize()[0], len(several)), order="F")
+            for column, moved in enumerate(np.where(held, several, 0.0)):
+                columns[:, column] = -self._of_moved(moved)
+            columns[self._essential] = 0.0
+            columns[self._unknowns] += (np.where(held, 0.0, several) * self._diagonal).T
+            solutions = self._solver.solve_all(columns)
+            for column, moved in enumerate(np.where(held, several, 0.0)):
+                self._x.array_w[:] = solutions[:, column]
+                self._x.array_w[self._unknowns] += moved
+                traces.append(self._traces(self._x))
         first = len(self._of_moves)
         self._changed = np.append(self._changed, sites)
         self._number = np.append(self._number, first + before + np.arange(len(sites)))

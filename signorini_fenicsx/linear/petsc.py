@@ -147,7 +147,7 @@ class LinearSolver:
         size = self.ksp.getOperators()[0].getSizes()[0], (PETSc.DECIDE, columns.shape[1])
         solutions = PETSc.Mat().createDense(size, array=found, comm=pc.getComm())
         alone = pc.getComm().getSize() == 1 and pc.getFactorSolverType() == "mumps"
-        if alone and np.count_nonzero(columns) < SPARSE * columns.size:
+        if alone and 0 < np.count_nonzero(columns) < SPARSE * columns.size:  # MUMPS refuses right sides without entries
             number, row = np.nonzero(columns.T)
             starts = np.searchsorted(number, np.arange(columns.shape[1] + 1)).astype(PETSc.IntType)
             entries = starts, row.astype(PETSc.IntType), columns[row, number]

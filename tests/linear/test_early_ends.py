@@ -9,7 +9,10 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.residuals import relative
-from signorini_fenicsx.linear import gmres
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.gmres import DIRECTIONS
+from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
 
 EARLY = [
     ("snes_atol=1", ["snes1", "snes2"]),
@@ -43,22 +46,27 @@ def test_an_early_end_is_no_solution(given: str, algorithm: str):
     np.testing.assert_allclose(found.sigma.x.array, expected.sigma.x.array, atol=1e-6 * largest)
 
 
-def test_gmres_without_more_steps_is_not_at_its_end(monkeypatch: pytest.MonkeyPatch):
-    """A matrix with a share of its second row added to the first one."""
+def test_gmres_without_more_steps_is_not_at_its_end():
+    """A matrix with a spring at its first row and a share of its second row, by factors without both."""
     rows = np.diag(np.arange(1.0, 7)) + np.diag(np.full(5, 0.1), 1) + np.diag(np.full(5, 0.1), -1)
     matrix, load = PETSc.Mat().createDense((6, 6), array=rows.T.copy(), comm=PETSc.COMM_SELF), np.arange(1.0, 7)
     matrix.assemble()
-    preconditioner = PETSc.PC().create(PETSc.COMM_SELF)
-    preconditioner.setOperators(matrix)
-    preconditioner.setType("none")
-    added = np.array([0]), np.array([1]), np.array([0.5])
+    operator = ConstrainedMatrix(matrix.convert("aij"), PETSc.Mat.Option.SPD)
+    solver: FacetSolver = FacetSolver(operator.matrix, "facet_", {}, None, None)
+    sites, none = np.arange(2, dtype=np.int32), np.array([], dtype=np.int32)
+    factors = KeptFactors(solver, operator, none, sites, 2, pressing=np.array([1, 0]))
+    x, free = matrix.createVecLeft(), np.zeros(2, dtype=bool)
+    factors.solve_anew(load, x, Imposed.alone(free, np.zeros(2)))
+    np.testing.assert_allclose(rows @ x.array_r, load, rtol=1e-13)
+    assert not solver.solve_all(np.zeros((6, 2))).any()  # MUMPS refuses sparse right sides without entries
+    imposed = Imposed(free, np.array([[3.0], [0.0]]), np.array([0.5, 0.0]))
+    rows[0] += 0.5 * rows[1]
+    rows[0, 0] += 3.0
     found = []
-    for most in (gmres.DIRECTIONS, 2):
-        monkeypatch.setattr(gmres, "DIRECTIONS", most)
-        x = matrix.createVecLeft()
-        _, at_end = gmres.coupled(matrix, matrix, preconditioner, load, np.array([], dtype=np.int32), added, x, 0, 1e-9)
-        left = rows @ x.array_r + 0.5 * np.eye(6)[0] * (rows @ x.array_r)[1] - load
-        found.append((at_end, bool(np.linalg.norm(left) < 1e-8)))
+    for most in (DIRECTIONS, 1):
+        x.set(0.0)
+        _, at_end = factors.coupled(load, x, imposed, 0.0, most)
+        found.append((at_end, bool(np.linalg.norm(rows @ x.array_r - load) < 1e-8)))
     assert found == [(True, True), (False, False)]
 
 
