@@ -13,6 +13,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     Contact,
     Coulomb,
     CoulombLaw,
+    Dirichlet,
     ElasticBoundary,
     Elasticity,
     ElasticProblem,
@@ -100,3 +101,30 @@ def test_a_new_bound_leaves_the_sets_of_a_prediction():
     assert found.outcome.linear_solver.startswith("cg")
     assert len(found.outcome.history) <= 8
     assert found.friction_states()["slip-"]["measure"] > 0
+
+
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize("law", [Tresca(0.03), Coulomb(0.3)], ids=["Tresca", "Coulomb"])
+def test_one_factorisation_serves_friction_in_space(law: Tresca | Coulomb, monkeypatch: pytest.MonkeyPatch):
+    """It serves all steps of Newton's method, or few serve GMRES; the solution is that by a factorisation a step."""
+    factorised = []
+    impose = elastic.ConstrainedMatrix.impose
+    monkeypatch.setattr(elastic.ConstrainedMatrix, "impose", lambda *given: (factorised.append(1), impose(*given))[1])
+    top = Dirichlet("z1", ["-0.1*(y - 0.4)", "0.1*(x - 0.5)", "-0.05 + 0.03*x"])
+    touching = Contact("z0", gap="0.01*x", friction=law)
+    problem = Elasticity(1.0, 0.3, conditions=[touching, top, Neumann(["x0", "x1", "y0", "y1"])])
+
+    def on(comm: MPI.Comm, most: int, worth: int) -> tuple[int, ElasticSolution]:
+        factorised.clear()
+        monkeypatch.setattr(kept_factors, "MOST", {3: most})
+        monkeypatch.setattr(kept_factors, "WORTH", worth)
+        solution = solve(box(comm, 1, [0.0] * 3, [1.0, 1.0, 0.5]), problem)
+        return len(factorised), solution
+
+    fresh, expected = on(MPI.COMM_SELF, -1, 0)
+    assert fresh == len(expected.outcome.history) + 1  # the start is no step
+    for most, worth, number in ((200, 0, 1), (-1, 20, fresh - 2)):
+        times, found = on(COMM, most, worth)
+        assert times <= number
+        assert len(found.outcome.history) == len(expected.outcome.history)
+        assert found.norms() == pytest.approx(expected.norms(), rel=1e-10)
