@@ -11,6 +11,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -121,3 +122,20 @@ def test_friction_in_space(monkeypatch: pytest.MonkeyPatch):
     bound = certify(solution).bound
     monkeypatch.setattr(conforming, "MANY", {2: 0, 3: 0})
     assert certify(solution).bound == pytest.approx(bound, rel=1e-5)
+
+
+def test_a_factorisation_that_fails_late(monkeypatch: pytest.MonkeyPatch):
+    """Where it fails after some steps, the last point of the path still gives a bound, which is a little larger."""
+    solution, solved, calls = pressed(MPI.COMM_SELF, 2, 6), BestDisplacement.solve, []
+    best = certify(solution).bound
+
+    def failing(problem: BestDisplacement, load: np.ndarray, left: float = 0.0) -> np.ndarray:
+        calls.append(problem)
+        if calls.count(problem) > 8:
+            raise LinearSolveFailure("a factor is singular")
+        return solved(problem, load, left)
+
+    monkeypatch.setattr(BestDisplacement, "solve", failing)
+    found = certify(solution).bound
+    assert max(map(calls.count, calls)) == 9
+    assert best * (1 + 1e-12) < found < 1.2 * best

@@ -16,6 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import LinearSolveFailure
 
 MOST = 60
 """Steps at most. From forces near those of the minimum 5 to 15 are enough."""
@@ -85,14 +86,19 @@ def minimise(terms: Terms, forces: Array) -> Array:
         forces: Values of τ near those of the minimum.
 
     Raises:
-        LinearSolveFailure: If a factorisation fails.
+        LinearSolveFailure: If the first factorisation fails; where a later one does, the last point is near enough.
     """
     path = _Path(terms, forces)
-    for _ in range(MOST):
+    for number in range(MOST):
         if path.is_at_end():
             break
         before = path.x
-        path.step()
+        try:
+            path.step()
+        except LinearSolveFailure:
+            if number == 0:
+                raise
+            return before
         if not path.is_finite():
             return before
     return path.x
