@@ -1,4 +1,4 @@
-"""The factorisation of one set used for others: the same solutions, few factorisations."""
+"""The factorisation of one set used for others, and for friction in space: the same solutions, few factorisations."""
 
 import numpy as np
 import pytest
