@@ -1,76 +1,200 @@
-"""Nearly the minimum of `interior_point` in few solves, from forces near those of the minimum.
+"""Nearly the minimum of a convex quadratic function with terms at nodes, foundations and friction, in few solves.
 
-The forces of the stress tell well which foundations are touched and where friction holds. These terms become stiff
-springs that pull with the forces known; at the others the force is at an end of its range. The next sets follow from
-the solution, as in a primal-dual active set method, which needs a solve for each. What is found is admissible but for
-rounding, so it serves a bound whatever is left to gain.
+The function is ½x·Kx − b·x + Σ max τ·(Ax − g) over forces τ that are no longer than w, and not negative where a term is
+one-sided; a small matrix A and a vector g belong to each term. A foundation, a·x ≤ g, is one-sided with w = ∞; a law
+whose pressure jumps by w is one-sided; friction w|Ax − g| is not, and has two components in space.
+
+The forces of the stress tell well which foundations are touched, and with the slip of the solution where friction
+holds. These terms become stiff springs that pull with the forces known; at the others the force is at an end of its
+range, in space along the slip d, with the derivative of w d/|d| across it. The next sets follow from the solution, as
+in a primal-dual active set method (Hüeber, Stadler, Wohlmuth 2008), which needs a solve for each. What is found is
+admissible but for rounding, so it serves a bound whatever is left to gain.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.physics.elasticity.bound.interior_point import TOUCHES, Terms
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.physics.elasticity.friction import shortened
 
-ROUNDS = 6
-"""Solves at most."""
-ENOUGH = 3e-4
+ROUNDS = 12
+"""Solves at most; one to three are enough but for a few problems."""
+ENOUGH = 5e-4
 """The minimum is found if other sets would change it by about this share of itself at most: what each term that should
-change stores in a spring of the unit. That is less than it gains by a factor of about ten."""
+change stores in a spring of the unit. That is less than it gains by a factor of about ten,"""
+LEAST = 1e-16
+"""or by this share of the scale of the minimum, which is rounding."""
 ACCURATE = 0.003
 """Share of the root of twice the minimum that a solve may leave in the energy norm."""
-STIFF = 100.0
-"""Springs of terms that hold, as shares of the unit."""
+STIFF = 1000.0
+"""Springs of terms that hold, as shares of the unit; no spring is stiffer."""
+TOUCHES = 1e-3
+"""At the start a one-sided term is taken for active if its force is more than this share of the largest."""
+AHEAD = 0.3
+"""At the start friction slips where its force would be too large if it grew with the slip by this share of the unit."""
+FARTHER = 10.0
+"""What begins to slip goes about so much farther than what it has too much of a force would move the unit."""
 
 
-def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array | None:
-    """An x near the minimum, inside all foundations; None if the sets go on changing it (collective).
+class Terms(Protocol):
+    """The function, distributed: x is that of the owned unknowns, terms are those of this rank.
+
+    Attributes:
+        comm: Communicator.
+        load: b.
+        constant: What is added to the function, so that its minimum is near 0 where all is well.
+        scale: The size of what the function is a difference of.
+        bound: g of each term, shape (terms, components).
+        most: w, ∞ for a foundation.
+        one_sided: Whether no component of a force is negative.
+        unit: A stiffness for each term, of the size of K there, shared by those with friction at the same node.
+        locks: By how much the volume makes K stiffer than shear does.
+    """
+
+    comm: MPI.Comm
+    load: Array
+    constant: float
+    scale: float
+    bound: Array
+    most: Array
+    one_sided: Mask
+    unit: Array
+    locks: float
+
+    def times(self, x: Array) -> Array:
+        """Kx (collective)."""
+
+    def along(self, x: Array) -> Array:
+        """Ax of each term (collective)."""
+
+    def spread(self, forces: Array) -> Array:
+        """Σ Aᵀτ (collective)."""
+
+    def factorise(self, stiffness: Array) -> None:
+        """Get ready to solve with K + Σ AᵀDA, for a matrix D of each term (collective)."""
+
+    def solve(self, load: Array, left: float = 0.0) -> Array:
+        """Solve with the matrix that was factorised last; in the energy norm so much may be left (collective)."""
+
+    def pushed(self, x: Array) -> Array:
+        """The x inside all foundations that is near this one (collective)."""
+
+
+def nearly_minimal(terms: Terms, forces: Array, x: Array) -> Array:
+    """An x near the minimum, inside all foundations; the best one seen if the sets go on changing it (collective).
 
     Args:
         terms: The function.
-        forces: Values of τ near those of the minimum.
+        forces: Values of τ near those of the minimum, shape (terms, components).
         x: Where to begin.
 
     Raises:
-        LinearSolveFailure: If a solve fails.
+        LinearSolveFailure: If the first solve fails; where a later one does, the best x so far is near enough.
     """
-    comm, foundations = terms.comm, np.isinf(terms.high)
-    largest = comm.allreduce(float(np.abs(forces[foundations]).max(initial=0.0)), MPI.MAX)
-    margin = TOUCHES * np.where(foundations, largest, terms.high - terms.low)
-    held = (forces > terms.low + margin) & (forces < terms.high - margin)
-    force = np.where(held, forces, np.where(forces > terms.low + margin, terms.high, terms.low))
-    best, changed = terms.pushed(x), True
+    comm, off = terms.comm, terms.along(x) - terms.bound
+    sets, changed, best = _Sets.of(terms, forces, off), True, terms.pushed(x)
     least = _value(terms, best)
-    for _ in range(ROUNDS):
-        springs = np.where(held, STIFF * terms.unit, 0.0)
+    for number in range(ROUNDS):
         if changed:
+            springs = sets.springs(terms)
             terms.factorise(springs)
-        pull = force + springs * (terms.along(x) - terms.bound)
         allowed = ACCURATE * np.sqrt(2 * max(least, 0.0))
-        x = x + terms.solve(terms.load - terms.times(x) - terms.spread(pull), allowed)
-        off = terms.along(x) - terms.bound
-        reached, inside = force + springs * off, terms.pushed(x)
+        pull = sets.force + np.einsum("kij,kj->ki", springs, off)
+        try:
+            x = x + terms.solve(terms.load - terms.times(x) - terms.spread(pull), allowed)
+        except LinearSolveFailure:
+            if number == 0:
+                raise
+            break
+        off, inside = terms.along(x) - terms.bound, terms.pushed(x)
         value = _value(terms, inside)
         if not np.isfinite(value):
-            return None
+            break
         if value < least:
             least, best = value, inside
-        beyond = reached - np.clip(reached, terms.low, terms.high)
-        past = np.where(force <= terms.low, np.maximum(off, 0.0), np.minimum(off, 0.0))
-        gain = np.where(held, beyond**2 / terms.unit, terms.unit * past**2)
-        gained = comm.allreduce(float(gain.sum())) / 2 <= ENOUGH * least
-        if gained and allowed <= 2 * ACCURATE * np.sqrt(2 * max(least, 0.0)):
-            return best
-        following = np.where(held, beyond == 0, past != 0)
-        changed = comm.allreduce(bool((following != held).any()), MPI.LOR)
-        force, held = np.where(following == held, force, np.clip(reached, terms.low, terms.high)), following
-    return None
+        after, gain = sets.after(terms, sets.force + np.einsum("kij,kj->ki", springs, off), off)
+        enough = max(ENOUGH * least, LEAST * terms.scale)
+        if gain <= enough and allowed <= 2 * ACCURATE * np.sqrt(2 * max(least, 0.0)):
+            break
+        slips = off.shape[1] > 1 and bool((~after.held & ~terms.one_sided).any())
+        changed = comm.allreduce(slips or bool((after.held != sets.held).any()), MPI.LOR)
+        sets = after
+    return best
+
+
+@dataclass(frozen=True)
+class _Sets:
+    """What the terms are taken for in a solve.
+
+    Attributes:
+        force: τ at the springs' rest, shape (terms, components).
+        held: Whether a term holds.
+        length: |Ax − g| where friction slips.
+    """
+
+    force: Array
+    held: Mask
+    length: Array
+
+    @classmethod
+    def of(cls, terms: Terms, forces: Array, off: Array) -> _Sets:
+        """The sets of these forces and this Ax − g (collective)."""
+        most, rubs, foundations = terms.most, ~terms.one_sided, np.isinf(terms.most)
+        largest = terms.comm.allreduce(float(np.abs(forces[foundations]).max(initial=0.0)), MPI.MAX)
+        margin = TOUCHES * np.where(foundations, largest, most)
+        ahead = (1 + TOUCHES) * forces + np.where(rubs, AHEAD * terms.unit, 0.0)[:, None] * off
+        force = _nearest(terms, ahead)
+        pressed = forces[:, 0] > margin
+        held = np.where(rubs, (force == ahead).all(axis=1), pressed & (forces[:, 0] < most - margin))
+        force[terms.one_sided] = 0.0
+        full = pressed & ~held & terms.one_sided
+        force[full, 0] = most[full]
+        return cls(np.where(held[:, None], forces, force), held, np.linalg.norm(off, axis=1))
+
+    def springs(self, terms: Terms) -> Array:
+        """The springs, shape (terms, components, components)."""
+        one, most, unit = np.eye(self.force.shape[1]), terms.most, terms.unit
+        springs: Array = np.where(self.held, STIFF * unit, 0.0)[:, None, None] * one
+        slips = np.flatnonzero(~self.held & ~terms.one_sided)
+        direction = self.force[slips] / most[slips, None]
+        across = one - direction[:, :, None] * direction[:, None]
+        length = np.maximum(self.length[slips], most[slips] / (STIFF * unit[slips]))
+        springs[slips] = (most[slips] / length)[:, None, None] * across
+        return springs
+
+    def after(self, terms: Terms, reached: Array, off: Array) -> tuple[_Sets, float]:
+        """The next sets, and about what they gain (collective).
+
+        Args:
+            terms: The function.
+            reached: The forces that a solve has reached.
+            off: Its Ax − g.
+        """
+        ahead = reached + np.where(self.held, 0.0, terms.unit)[:, None] * off
+        following = _nearest(terms, ahead)
+        turned_back = ~self.held & ((off * self.force).sum(axis=1) < 0)
+        held = (following == ahead).all(axis=1) | turned_back
+        gains = ((following - reached) ** 2).sum(axis=1) / terms.unit
+        length = FARTHER * np.linalg.norm(following - reached, axis=1) / terms.unit
+        force = np.where(held[:, None], np.where(self.held[:, None], self.force, _nearest(terms, reached)), following)
+        sets = _Sets(force, held, np.where(self.held, length, np.linalg.norm(off, axis=1)))
+        return sets, terms.locks * terms.comm.allreduce(float(gains.sum())) / 2
+
+
+def _nearest(terms: Terms, forces: Array) -> Array:
+    """The allowed forces nearest to these."""
+    return shortened(np.where(terms.one_sided[:, None], np.maximum(forces, 0.0), forces), terms.most)
 
 
 def _value(terms: Terms, x: Array) -> float:
     """The function, without foundations (collective)."""
-    off, two = terms.along(x) - terms.bound, np.isfinite(terms.high)
-    rubbed = np.maximum(terms.high[two] * off[two], terms.low[two] * off[two]).sum()
+    off, finite = terms.along(x) - terms.bound, np.isfinite(terms.most)
+    reach = np.where(terms.one_sided, np.maximum(off[:, 0], 0.0), np.linalg.norm(off, axis=1))
+    rubbed = terms.most[finite] @ reach[finite]
     return terms.constant + float(terms.comm.allreduce(float(x @ (terms.times(x) / 2 - terms.load) + rubbed)))

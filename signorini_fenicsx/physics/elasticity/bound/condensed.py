@@ -29,7 +29,7 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
 
 TOLERANCE = 1e-5
-"""Relative residual of a solve by CG; each step of the interior point also removes what the last one left."""
+"""Relative residual of a solve by CG, which may stop before; the next solve also removes what the last one left."""
 MOST = 200
 """If CG needs more iterations, it gives way to a factorisation."""
 

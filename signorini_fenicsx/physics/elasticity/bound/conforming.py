@@ -2,7 +2,7 @@
 
 It minimises the gap of `forms/elasticity.py` for given y over the displacements whose coefficients in Bernstein's basis
 stay off: at each node of Γ_C there is a condition for each facet, between two nodes where two bodies touch. With
-friction, |v_t| is bounded by its coefficients, and there is one more term for each. `interior_point` finds the minimum.
+friction, |v_t| is bounded by its coefficients, and there is one more term for each. `active_terms` is for the minimum.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from signorini_fenicsx.physics.elasticity.bound.condensed import (
     means_at_nodes,
 )
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
-from signorini_fenicsx.physics.elasticity.bound.interior_point import minimise
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
 from signorini_fenicsx.physics.elasticity.boundary_nodes import (
@@ -58,7 +57,7 @@ PUSHES = 20
 
 
 class BestDisplacement:
-    """The gap as a function of v's coefficients, in the frames of the nodes; see `interior_point.Terms`.
+    """The gap as a function of v's coefficients, in the frames of the nodes; see `active_terms.Terms`.
 
     Attributes:
         data: The data.
@@ -100,7 +99,8 @@ class BestDisplacement:
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
         ]
         self.material = material_on_split(spaces, data, split, 2 * degree - 2)
-        self._given = given_nodes(spaces, data, split, self.space, None if v is None else self._continued(v))
+        self._v = None if v is None else self._continued(v)
+        self._given = given_nodes(spaces, data, split, self.space, self._v)
         self.openings = self.contact.openings(spaces.mesh, data)
         self.supports = SupportsOfDisplacement.of(spaces, data, split, self.space, y.stresses)
 
@@ -126,31 +126,33 @@ class BestDisplacement:
     def _collect_terms(self) -> None:
         """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective).
 
-        Bounds of the friction that are rounding are left out, as no interior point can hold them apart from 0.
+        Bounds of the friction that are rounding are left out.
         """
         contact, (rough, in_rough), dim = self.contact, self.rough, self.spaces.dim
-        tangents = self._rubbing_frames()
-        weights = np.repeat(self._rubbing_weights()[:, :, None], dim - 1, axis=2)
+        weights = self._rubbing_weights()
         rubs = weights > ROUNDING * self.comm.allreduce(weights.max(initial=0.0), MPI.MAX)
         on, at, sides, corners, most = self._kinks()
-        rows, places = np.append(on, rough[np.nonzero(rubs)[0]]), np.append(at, np.nonzero(rubs)[1])
-        directions = np.append(sides[:, None] * contact.facets.normals[on], tangents[rubs].reshape(-1, dim), 0)
-        nodes, signs = contact.pairs(rows, places)
-        axes = signs[:, :, None] * np.einsum("ksij,ki->ksj", self._given.frames[nodes], directions)
-        slipped = np.einsum("nkmi,nki->nkm", tangents, self._slipped())
-        bound = np.append(sides * (self.openings[on, at] - corners), slipped[rubs]) - (
-            axes * self._given.values[nodes]
-        ).sum(axis=(1, 2))
-        axes[self._given.given[nodes]] = 0.0
-        low, high = np.append(np.zeros(len(on)), -weights[rubs]), np.append(most, weights[rubs])
-        free = (axes**2).sum(axis=(1, 2)) > FREE
-        self._nodes, self._axes, self.bound = self._left.number_of[nodes[free]], axes[free], bound[free]
-        self.low, self.high = low[free], high[free]
+        touching, of_rough = len(on), np.nonzero(rubs)
+        rows, places = np.append(on, rough[of_rough[0]]), np.append(at, of_rough[1])
+        tangents = self.spaces.tangents[in_rough][of_rough[0]]
+        directions, bound, of_y = (np.zeros((len(rows), dim - 1, *shape)) for shape in ((dim,), (), ()))
+        directions[:touching, 0], directions[touching:] = sides[:, None] * contact.facets.normals[on], tangents
+        bound[:touching, 0] = sides * (self.openings[on, at] - corners)
+        bound[touching:] = np.einsum("kmi,ki->km", tangents, self._slipped()[rubs])
         forces, apart = self._pressing()
         measure = contact.facets.measure[rough]
         shear = np.einsum("nak,nki->nai", self._y.shear[in_rough], self.spaces.tangents[in_rough])
         rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self.moments)
-        self._forces = np.append(sides * forces[on, at], np.einsum("nki,nkmi->nkm", rubbing, tangents)[rubs])[free]
+        of_y[:touching, 0] = sides * forces[on, at]
+        of_y[touching:] = np.einsum("kmi,ki->km", tangents, rubbing[rubs])
+        nodes, signs = contact.pairs(rows, places)
+        axes = signs[:, None, :, None] * np.einsum("ksij,kmi->kmsj", self._given.frames[nodes], directions)
+        bound -= np.einsum("kmsj,ksj->km", axes, self._given.values[nodes])
+        axes = np.where(self._given.given[nodes][:, None], 0.0, axes)
+        free = (axes**2).sum(axis=(1, 2, 3)) > FREE
+        self._nodes, self._axes, self.bound = self._left.number_of[nodes[free]], axes[free], bound[free]
+        self.most, self.one_sided = np.append(most, weights[rubs])[free], (np.arange(len(rows)) < touching)[free]
+        self._forces = of_y[free]
 
         pulling = vector(strain(ufl.TestFunction(self.space))), ufl.dot(self.material.stiffness, self._without_v)
         pull = fem.assemble_vector(fenicsx.form(-ufl.inner(*pulling) * self.material.dx))
@@ -161,11 +163,7 @@ class BestDisplacement:
         add_at(pull, self.supports.on.nodes, self.supports.forces)
         pull.scatter_reverse(la.InsertMode.add)
         self._pull = pull
-        self._apart = (
-            apart
-            + float(self.supports.gap().sum())
-            + float((np.einsum("nki,nkmi->nkm", rubbing, tangents) * slipped).sum())
-        )
+        self._apart = apart + float(self.supports.gap().sum()) + float((rubbing * self._slipped()).sum())
 
     def _kinks(self) -> tuple[Indices, Indices, Array, Array, Array]:
         """The kinks of the gap in p: facet, coefficient, its side of the line of v, p there, and the largest force.
@@ -242,16 +240,26 @@ class BestDisplacement:
         stiffness.array[: size * dim] = diagonal.array_r + inside.softened
         stiffness.scatter_forward()
         self.unit = stiffness.array.reshape(-1, dim)[self._nodes].max(axis=(1, 2), initial=0.0)
+        self.locks = 1 + self.data.stiffness_of_volume(self.spaces) / 2
+        self._share()
         self._shift = (1 + SHIFT) * self._natural.getDiagonal()
         self._essential = essential
         self._solver = displacement_solver(
             self.spaces, self.split, self.space, left, self._given.frames, self._matrix, iterate=self._iterates
         )
 
-    @property
-    def _few_solves_do(self) -> bool:
-        """Whether `nearly_minimal` costs less: on the whole mesh, without friction in space, whose slip turns."""
-        return self.split is self.spaces.split and (self.spaces.dim == 2 or not self.data.friction)
+    def _share(self) -> None:
+        """Let all terms of friction at the same nodes have their share of what they carry together (collective)."""
+        weights, sides = np.where(self.one_sided, 0.0, self.most), self._axes.any(axis=(1, 3))
+        at_nodes = la.vector(self._numbers, 1)
+        add_at(at_nodes, self._nodes, weights[:, None, None] * sides[:, :, None])
+        at_nodes.scatter_reverse(la.InsertMode.add)
+        at_nodes.scatter_forward()
+        share = weights / np.where(self.one_sided, 1.0, at_nodes.array[self._nodes].max(axis=1, initial=0.0))
+        together = self.along(self.spread(np.where(self.one_sided[:, None], 0.0, self._forces)))
+        shares = together * (share / sides.sum(axis=1))[:, None]
+        self._forces = np.where(self.one_sided[:, None], self._forces, shares)
+        self.unit = np.where(self.one_sided, self.unit, share * self.unit)
 
     @property
     def _iterates(self) -> bool:
@@ -272,15 +280,15 @@ class BestDisplacement:
         return np.array(image.array_r)
 
     def along(self, x: Array) -> Array:
-        """a·x of each term (collective)."""
+        """Ax of each term (collective)."""
         everywhere = la.vector(self._numbers, self.spaces.dim)
         everywhere.array[: len(x)] = x
         everywhere.scatter_forward()
-        return (self._axes * everywhere.array.reshape(-1, self.spaces.dim)[self._nodes]).sum(axis=(1, 2))
+        return np.einsum("kmsj,ksj->km", self._axes, everywhere.array.reshape(-1, self.spaces.dim)[self._nodes])
 
     def spread(self, forces: Array) -> Array:
-        """Σ τa (collective)."""
-        return self._summed(forces[:, None, None] * self._axes)
+        """Σ Aᵀτ (collective)."""
+        return self._summed(np.einsum("km,kmsj->ksj", forces, self._axes))
 
     def _summed(self, values: Array) -> Array:
         """Sums over the terms of each owned node, from values of shape (terms, 2, …) (collective)."""
@@ -292,9 +300,9 @@ class BestDisplacement:
         return summed
 
     def factorise(self, stiffness: Array) -> None:
-        """Get ready to solve with K + Σ d aaᵀ (collective)."""
-        axes = self._axes.reshape(len(stiffness), 2 * self.spaces.dim)
-        values = stiffness[:, None, None] * axes[:, :, None] * axes[:, None]
+        """Get ready to solve with K + Σ AᵀDA (collective)."""
+        axes = self._axes.reshape(*stiffness.shape[:2], 2 * self.spaces.dim)
+        values = axes.swapaxes(1, 2) @ stiffness @ axes
         self._natural.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._matrix.setDiagonal(self._shift)
         add_of_cells(self._matrix, self._numbers, self._nodes, values)
@@ -314,19 +322,22 @@ class BestDisplacement:
 
     def pushed(self, x: Array) -> Array:
         """The x off all foundations that is near this one (collective)."""
-        feet = np.isinf(self.high)
-        lengths = (self._axes**2).sum(axis=(1, 2))
+        lengths = (self._axes**2).sum(axis=(1, 2, 3))[:, None]
         for _ in range(PUSHES):
-            past = np.where(feet, np.maximum(self.along(x) - self.bound, 0.0), 0.0)
+            past = np.where(np.isinf(self.most)[:, None], np.maximum(self.along(x) - self.bound, 0.0), 0.0)
             if not self.comm.allreduce(bool((past > 0).any()), MPI.LOR):
                 break
             x = x - self.spread(past / lengths)
         return x
 
     def _beginning(self) -> Array:
-        """The means of u at the nodes, less what is given of v (collective)."""
-        means, left = means_at_nodes(self.split, self.space, self._left, self._y.displacement), self._left
-        x: Array = np.einsum("nij,ni->nj", self._given.frames[left.of_space[: len(means)]], means).ravel() - self._lift
+        """The means of u at the nodes, or the v that is continued, less what is given of v (collective)."""
+        own = self._left.of_space[: self._numbers.size_local]
+        if self._v is None:
+            values = means_at_nodes(self.split, self.space, self._left, self._y.displacement)
+        else:
+            values = self._v.x.array.reshape(-1, self.spaces.dim)[own]
+        x: Array = np.einsum("nij,ni->nj", self._given.frames[own], values).ravel() - self._lift
         x[self._essential] = 0.0
         return x
 
@@ -339,8 +350,7 @@ class BestDisplacement:
         self._left = Nodes.of(self.split, self.space)
         self._collect_terms()
         self._assemble()
-        x = nearly_minimal(self, self._forces, self._beginning()) if self._few_solves_do else None
-        x = self.pushed(minimise(self, self._forces)) if x is None else x
+        x = nearly_minimal(self, self._forces, self._beginning())
         turned = la.vector(self._numbers, self.spaces.dim)
         turned.array[: len(x)] = x + self._lift
         turned.scatter_forward()
@@ -412,23 +422,6 @@ class BestDisplacement:
         """
         values = linear_from_means(self.spaces.along(self.data.slip_before)[self.rough[1]])
         return np.asarray(self.contact.hats @ values)
-
-    def _rubbing_frames(self) -> Array:
-        """Tangents for each coefficient on the facets with friction, shape (facets, nodes, d − 1, d).
-
-        In space the first one is along y_t there, along its mean where it is 0: |v_t| is at most the sum of both
-        components, and this is sharp where v_t has the direction of u_t.
-        """
-        _, in_rough = self.rough
-        tangents = np.repeat(self.spaces.tangents[in_rough][:, None], self.openings.shape[1], axis=1)
-        if self.spaces.dim == 2:
-            return tangents
-        shear, mean = self.contact.hats @ self._y.shear[in_rough], self._y.shear[in_rough].mean(axis=1, keepdims=True)
-        shear = np.where(shear.any(axis=2, keepdims=True), shear, mean)
-        size = np.linalg.norm(shear, axis=2, keepdims=True)
-        along = np.where(size > 0, shear / np.where(size > 0, size, 1.0), [1.0, 0.0])
-        beyond = np.stack([-along[..., 1], along[..., 0]], axis=2)
-        return np.stack([along, beyond], axis=2) @ tangents
 
     def slips(self, v: fem.Function) -> Array:
         """∫ (v_t − w)φ_a over the facets with friction, shape (facets, d, d − 1); w is the slip of the last step."""
