@@ -1,5 +1,7 @@
 """Errors of a run, and their exit statuses."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 
@@ -33,3 +35,20 @@ class WriteFailure(Exception):
 
 class LinearSolveFailure(NumericalFailure):
     """A Krylov or direct solver of PETSc gave up."""
+
+
+@contextlib.contextmanager
+def holding(solution: Any) -> Iterator[None]:
+    """A numerical failure in this context holds the solution, so that a run whose bound alone fails does not lose it.
+
+    Args:
+        solution: What is known, see `NumericalFailure.solution`.
+
+    Raises:
+        NumericalFailure: The failure.
+    """
+    try:
+        yield
+    except NumericalFailure as failure:
+        failure.solution = solution
+        raise

@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.errors import holding
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound, bound_field
@@ -47,6 +48,7 @@ def certify(
 
     Raises:
         InputError: If the solution has not converged, or is none that can be bounded; if v is not such a function.
+        NumericalFailure: If a linear solver fails; it holds the solution.
     """
     if isinstance(solution, Domain) and problem is not None:
         check_kind("v", v, fem.Function)
@@ -60,11 +62,15 @@ def certify(
 
 
 def certified(solution: Solved, module: str, certify: Callable[[Any], Certificate]) -> Certificate:
-    """The certificate that a module of the physics gives, with its seconds; no bound if there is none (collective)."""
+    """The certificate that a module of the physics gives, with its seconds; no bound if there is none (collective).
+
+    Raises:
+        NumericalFailure: If a linear solver fails; it holds the solution.
+    """
     of_physics, watch = bound_of(solution.physics, module), Stopwatch()
     if of_physics is None:
         return _none(solution)
-    with watch.phase("certificate"):
+    with watch.phase("certificate"), holding(solution):
         certificate = certify(of_physics)
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 

@@ -26,7 +26,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, holding
 from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -85,12 +85,14 @@ def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
 
     Raises:
         InputError: If it is another function, or the problem has no such bound.
+        NumericalFailure: If a linear solver fails; it holds the solution.
     """
     of_physics = bound_of(solution.physics, "of_field")
     if of_physics is None:
         raise InputError(f"{solution.physics}: no bound of functions is known")
     _check(solution, v)
-    bound: FieldBound = of_physics.field_bound(solution, v)
+    with holding(solution):
+        bound: FieldBound = of_physics.field_bound(solution, v)
     return bound
 
 

@@ -59,7 +59,7 @@ def certify(
         write = partial(write_solution, folder=folder.path, plot=plot)
         with failure_kept(folder, write):
             solution = solve_case(problem, comm, domain=domain, on_step=on_step)
-        bounds = bound_field(solution, v)
+            bounds = bound_field(solution, v)
         write(solution, certificate=bounds.certificate, of_field=bounds)
         folder.publish()
         report.solution(solution, bounds.certificate)

@@ -113,9 +113,9 @@ def solve(
         with failure_kept(folder, lambda state: write(state, folder.path)):
             start = None if start_from is None else load_solution(start_from, comm)
             solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
-        certificate = certify(solution, for_signorini=for_signorini or rigorous)
-        proof = _proof(solution, certificate) if rigorous else None
-        quantities = quantities_of(solution)
+            certificate = certify(solution, for_signorini=for_signorini or rigorous)
+            proof = _proof(solution, certificate) if rigorous else None
+            quantities = quantities_of(solution)
         write(solution, folder.path, certificate=certificate, proof=proof, quantities=quantities)
         folder.publish()
         report.solution(solution, certificate, proof, quantities)

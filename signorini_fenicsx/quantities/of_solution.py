@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, holding
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities import diffusion, diffusion_energy, elastic_energy, elasticity
 from signorini_fenicsx.quantities.beside import Beside
@@ -50,15 +50,17 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
 
     Raises:
         InputError: If it is not one of this problem.
+        NumericalFailure: If a linear solver fails; it holds the solution.
     """
     check_kind("solution", solution, Solved)
     check_quantities(solution.spaces.domain, (solution.boundary, solution.problem), [kind])
     physics = QUANTITIES[solution.physics]
-    if isinstance(kind, Energy):
-        interval: Quantity = physics.energy(solution)
-    else:
-        of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
-        interval = of(solution, kind).interval()
+    with holding(solution):
+        if isinstance(kind, Energy):
+            interval: Quantity = physics.energy(solution)
+        else:
+            of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
+            interval = of(solution, kind).interval()
     return replace(interval, of=physics.named_for(solution))
 
 

@@ -54,19 +54,16 @@ class Record:
     Attributes:
         status: DONE or FAILED.
         summary: Its `summary.json`.
+        reason: Why the run ended, in words; empty if it measured errors.
         seconds: Wall time of the run.
         ranks: Number of its ranks.
     """
 
     status: Status
     summary: dict[str, Any]
+    reason: str
     seconds: float
     ranks: int
-
-    @property
-    def reason(self) -> str:
-        """Why the run ended, in words; empty if it measured errors."""
-        return str(self.summary.get("reason", ""))
 
 
 class StudyFolder:
@@ -135,7 +132,8 @@ class StudyFolder:
         try:
             summary = dict(json.loads(text_of(folder / "summary.json")))
             own = json.loads(text_of(folder / RECORD))
-            return Record(status, summary, float(own["seconds"]), int(own["ranks"]))
+            reason = own.get("reason", summary.get("reason", ""))
+            return Record(status, summary, str(reason), float(own["seconds"]), int(own["ranks"]))
         except (OSError, ValueError, TypeError, LookupError, RecursionError):
             raise InputError(f"{folder}: is damaged; delete it, and the run will be done again") from None
 

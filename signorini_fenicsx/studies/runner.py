@@ -71,8 +71,8 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
     """Do one run and publish its folder, or that of its failure (collective over its group)."""
     began = time.perf_counter()
 
-    def record() -> None:
-        about = {"parameters": run.parameters, "seconds": time.perf_counter() - began, "ranks": comm.size}
+    def record(**failure: str) -> None:
+        about = {"parameters": run.parameters, "seconds": time.perf_counter() - began, "ranks": comm.size} | failure
         (results.path / RECORD).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 
     with ResultsFolder(comm, place, saves_state=False) as results:
@@ -85,7 +85,8 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
             else:
                 summary = {"converged": False, "reason": str(failure)}
                 on_root(comm, lambda: write_summary(results.path, summary))
-            on_root(comm, record)
+            reason = str(failure)
+            on_root(comm, lambda: record(reason=reason))
             results.keep_failed()
         else:
             on_root(comm, record)

@@ -1,5 +1,6 @@
 """Ends from outside: signals, full disks, readers of the output that close."""
 
+import json
 import os
 import shutil
 import signal
@@ -15,12 +16,14 @@ from commands import run, signorini
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.signals import Interruption, listening
 from signorini_fenicsx.cli.main import main
 from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.diffusion import solving
+from signorini_fenicsx.physics.diffusion.bound import certify as bound
 
 SOLVE = ("solve", "example2", "--h", "1/8", "--output", "x")
 
@@ -69,6 +72,28 @@ def test_a_signal_in_the_loop_keeps_its_state(
     if algorithm == "alg1":
         assert ended(monkeypatch, *SOLVE, "--start-from", "x.failed") == 0
         assert sorted(path.name for path in tmp_path.iterdir()) == ["x"]
+
+
+def test_a_bound_that_fails_leaves_the_solution(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """A run whose bound alone fails ends with 1 and keeps its solution; a study tells why it failed."""
+
+    def failing(*_: object, **_options: object) -> object:
+        raise LinearSolveFailure("a factor is singular")
+
+    monkeypatch.chdir(tmp_path)
+    Path("study.toml").write_text('case = "example2"\n[vary]\nh = ["1/8"]', encoding="utf-8")
+    with monkeypatch.context() as during:
+        during.setattr(bound, "certificate_of", failing)
+        assert ended(during, *SOLVE) == 1
+        assert "a factor is singular; the last state is in" in " ".join(capsys.readouterr().err.split())
+        assert json.loads(Path("x.failed/summary.json").read_text(encoding="utf-8"))["converged"]
+        assert ended(during, "study", "study.toml") == 1
+    table = Path("results/study-study/table.csv").read_text(encoding="utf-8")
+    assert "failed,a factor is singular" in table
+    assert not Path("x").exists()
+    assert ended(monkeypatch, *SOLVE, "--start-from", "x.failed") == 0
 
 
 def test_a_closed_terminal_ends_as_any_signal(

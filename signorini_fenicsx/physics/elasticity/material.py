@@ -276,7 +276,8 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
     """Read the law of the material (collective).
 
     Raises:
-        InputError: If something has the wrong shape, or a region has no value; if plane stress is asked for in space.
+        InputError: If something has the wrong shape, or a region has no value; if plane stress is asked for in space;
+            if the material has axes and is isotropic.
     """
     dim = spaces.mesh.geometry.dim
     if dim == 3 and problem.plane != Plane.STRAIN:
@@ -286,7 +287,7 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
         raise InputError("[problem] shear: where young has three values it is [G12, G13, G23]")
     axes = _filled(problem, problem.axes, np.eye(dim)[: dim - 1].tolist())
     directions = () if axes is None else [_entry("axes", axes, k, dim - 1, "directions") for k in range(dim - 1)]
-    return Material(
+    material = Material(
         dim=dim,
         plane=problem.plane,
         young=young,
@@ -302,6 +303,9 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
             if given is not None
         ),
     )
+    if material.axes and not material.shear and len(young) == len(material.poisson) == 1:
+        raise InputError("[problem] axes: of an isotropic material do nothing; give young, poisson and shear along them")
+    return material
 
 
 def _read(spaces: MeshSpaces, key: str, given: Any, *, matrix: bool = False) -> Datum:
