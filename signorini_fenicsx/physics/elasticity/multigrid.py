@@ -51,6 +51,8 @@ class ElasticCoarse:
 
     It is made anew for each set, while GAMG's hierarchy is that of all of Γ_C free, see
     `AuxiliarySpace._build_hierarchy`. Vertices of fixed unknowns stay free: the operator holds them as springs do.
+
+    CG and the smoother multiply by a copy of the system that has one triangle alone, in blocks: half of the time.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class ElasticCoarse:
             pc: The preconditioner.
             normals: Whether the coarse space has the normals of the facets, too.
         """
-        self._system, self._normals, self._space = system, normals, space
+        self._system, self._normals, self._space, self._pc = system, normals, space, pc
         system.setVariableBlockSizes(np.full(system.getLocalSize()[0] // size, size, dtype=PETSc.IntType))
         self._levels = TwoLevel(pc, interpolation)
         self._smoother = pc.getMGSmoother(1)
@@ -83,6 +85,8 @@ class ElasticCoarse:
         if normals:
             set_direct(self._levels.coarse, "cholesky")
         self._matrix: PETSc.Mat | None = None
+        self._in_blocks = PETSc.Mat()
+        pc.setUseAmat(True)
 
     def update(self, fixed: npt.NDArray[np.int32], essential: npt.NDArray[np.int32]) -> None:
         """Take over new conditions, which the system has (collective).
@@ -91,6 +95,9 @@ class ElasticCoarse:
             fixed: Owned unknowns that are fixed under all conditions.
             essential: Those fixed under these.
         """
+        self._system.setOption(PETSc.Mat.Option.SYMMETRIC, True)  # PETSc forgets it where entries were added
+        self._in_blocks = self._system.convert("sbaij", self._in_blocks)
+        self._pc.setOperators(self._in_blocks, self._system)
         first = self._matrix is None
         self._matrix = self._galerkin(fixed if first and not self._normals else essential)
         if first:
