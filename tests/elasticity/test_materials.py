@@ -235,7 +235,7 @@ def complaint(**data: object) -> str:
         ),
         ({"shear": [1, "x - 1/2", 1]}, "shear: must be positive and finite everywhere; its smallest value is -0."),
         ({"axes": [[0, 0]], "shear": 1}, "axes: must be finite directions"),
-        ({"axes": [[1, 2]]}, "axes: of an isotropic material do nothing"),
+        ({"axes": [[1, 2]]}, "axes: do nothing for an isotropic material"),
         ({"axes": [1, 0]}, "axes: has 2 directions, not 1"),
         ({"axes": [[1, 0, 0]]}, "axes: has 3 components, not 2"),
         ({"eigenstrain": [[1, 0], [0.1, 1]]}, "eigenstrain: must be a number or a symmetric matrix"),
