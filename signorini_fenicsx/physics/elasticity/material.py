@@ -304,7 +304,7 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
         ),
     )
     if material.axes and not material.shear and len(young) == len(material.poisson) == 1:
-        raise InputError("[problem] axes: do nothing for an isotropic material; give young, poisson and shear along them")
+        raise InputError("[problem] axes: do nothing for an isotropic material; give young along each of them")
     return material
 
 
