@@ -211,7 +211,7 @@ def test_bad_input():
     assert "f: not finite" in complaint(held, f=["1/(x - x)", "0"])
     assert "f: has 3 components, not 2" in complaint(held, f=np.array([1, 0, 0]))
     assert "no traction is given on part 'y1', as no part is in Γ_N" in complaint(held, g_N={"y1": ["0", "1"]})
-    assert "gap: not finite everywhere on Γ_C" in complaint(held, gap="1/x")
+    assert "gap: not finite everywhere on part 'y0'" in complaint(held, gap="1/x")
     assert "unknown part 'lid'" in complaint(ElasticBoundary(["y0"], fixed={"lid": "x"}))
     assert "inside the domain or in another part" in complaint(ElasticBoundary(["y0"], fixed={"y0": "x"}))
     assert "unknown region 'core'" in complaint(held, young={"core": 1.0})
