@@ -19,8 +19,8 @@ from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Regulat
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.output.gather import gather
-from signorini_fenicsx.output.pictures import scene_of
+from signorini_fenicsx.output.pictures import gathered_scene, load_steps, space
+from signorini_fenicsx.output.pictures.load_steps import _of_facets
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.space import Space
 from signorini_fenicsx.output.pictures.space_files import draw_files_of_body
@@ -36,7 +36,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     ElasticLaw,
     ElasticProblem,
 )
-from signorini_fenicsx.physics.elasticity.shown import BodyFacets
+from signorini_fenicsx.physics.elasticity.shown import STATES, BodyFacets, ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
@@ -303,17 +303,76 @@ def test_a_tool_that_nothing_holds_is_told():
         solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))
 
 
+def turned_cube() -> ElasticSolution:
+    """A cube that is turned on its foundation; beside it there is a wall without friction, which it does not touch."""
+    top = Dirichlet("z1", ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"])
+    conditions = [Contact("z0", friction=Coulomb(1.0)), Contact("y0", gap=0.2), Neumann(["x0", "x1", "y1"]), top]
+    return solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))
+
+
+@pytest.mark.parallel([1, 3])
+def test_table_of_facets():
+    """The rows of a facet have its number and area, so that the table gives the force; sticking is of means."""
+    solution = turned_cube()
+    table = solution.table().gathered(COMM)
+    force, facets = solution.norms()["contact_force"], COMM.allreduce(len(solution.spaces.contact.facets))
+    stick = STATES.index("stick")
+    means = [float(size.max(initial=0.0)) for size in COMM.allgather(np.abs(solution.slip[solution.states == stick]))]
+    if table is None:
+        return
+    columns = solution.columns(table)
+    numbers, first = np.unique(columns["facet"], return_index=True)
+    np.testing.assert_array_equal(numbers, np.arange(facets))
+    assert np.all(np.diff(first) > 0)  # they are counted in the order of the rows, which is the same on any ranks
+    rows = np.argsort(columns["facet"], kind="stable").reshape(-1, 3)
+    corners = np.column_stack([columns[axis] for axis in "xyz"])[rows]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    np.testing.assert_allclose(columns["measure"][rows], areas[:, None] * [1, 1, 1])
+    assert areas @ columns["pressure"][rows].mean(axis=1) == pytest.approx(force, rel=1e-12)
+    assert max(means) < 1e-12 < 1e-4 < np.abs(table.slip[table.state == stick]).max()
+
+
+@pytest.mark.parallel([1])
+def test_pictures_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Pressure, shear and slip at three times, each on the facets of its step, on one scale."""
+    drawn = []
+    monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append((path.name, sheet)))
+    body = gathered_scene(turned_cube())
+    assert body is not None
+    whole, facets = body.sites, body.facets
+    assert isinstance(whole, ContactTable)
+    assert isinstance(facets, BodyFacets)
+    found = _of_facets(facets, whole)
+    for name in ("flux", "shear", "condition"):
+        np.testing.assert_allclose(getattr(found, name), getattr(facets, name), atol=1e-14, err_msg=name)
+    touching = facets.condition == 1
+    np.testing.assert_allclose(found.slip[touching], facets.slip[touching], atol=1e-14)
+    assert np.isnan(found.slip[~touching]).all()
+    shares = (0.1, 0.25, 0.5, 1.0)
+    scaled = ("pressure", "shear", "slip", "shear_vector", "slip_vector")
+    tables = [replace(whole, **{key: share * getattr(whole, key) for key in scaled}) for share in shares]
+    rows = [{"t": share, "contact_force": share} for share in shares]
+    load_steps.draw_steps(tmp_path, body, tables, shares, rows)
+    assert [name for name, _ in drawn] == ["forces.png", "contact.png"]
+    sheet = drawn[1][1]
+    views = [axes for axes in sheet.axes if axes.get_title()]
+    assert [axes.get_title().split(",")[1] for axes in views[:3]] == [" $t = 0.1$", " $t = 2^{-2}$", " $t = 1$"]
+    assert [axes.get_title().split()[0] for axes in views[::3]] == ["pressure", "shear", "slip"]
+    bars = [axes for axes in sheet.axes if axes not in views]
+    limits = [axes.get_ylim() for axes in bars]
+    assert len(bars) == 9
+    assert all(limits[3 * row] == limits[3 * row + 1] == limits[3 * row + 2] for row in range(3))
+    images = [axes.images[0].get_array() for axes in views]
+    assert all(np.any(images[k] != images[k + 2]) for k in (0, 3, 6))
+
+
 @pytest.mark.parallel([1])
 def test_picture_of_shear_and_slip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Shear and slip have panels with arrows, though there is another part without friction."""
     drawn = []
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
-    top = Dirichlet("z1", ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"])
-    conditions = [Contact("z0", friction=Coulomb(1.0)), Contact("y0", gap=0.2), Neumann(["x0", "x1", "y1"]), top]
-    solution = solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))
-    fields = gather(solution, None)
-    assert fields is not None
-    body = scene_of(solution, fields)
+    body = gathered_scene(turned_cube())
+    assert body is not None
     draw_files_of_body(tmp_path, body)
     (sheet,) = drawn
     views = {axes.get_title()[4:]: axes.images[0].get_array() for axes in sheet.axes if axes.get_title()}
@@ -326,3 +385,20 @@ def test_picture_of_shear_and_slip(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         np.mean(np.min(image, axis=2) == 255) for image in (axes.images[-1].get_array(), views[r"shear $|\sigma_t|$"])
     ]
     assert 0.001 < white[1] - white[0] < 0.1  # arrows
+
+
+@pytest.mark.parallel([1])
+def test_small_part_is_enlarged(monkeypatch: pytest.MonkeyPatch):
+    """What is called small fills its panel, and the title tells."""
+    body = gathered_scene(turned_cube())
+    assert body is not None
+    few = replace(body, facets=replace(body.facets, **{name: rows[:1] for name, rows in vars(body.facets).items()}))
+    shares = []
+    for near in (0.25, 2.0):
+        monkeypatch.setattr(space, "NEAR", near)
+        sheet = Sheet([2.5], [2.5])
+        axes = sheet.view(0, 0)
+        Space(few).draw_trace(sheet, axes, "flux", "pressure", Space(few).views[0])
+        assert axes.get_title() == ("pressure" if near < 1 else "pressure, enlarged")
+        shares.append(np.mean(np.ptp(np.asarray(axes.images[0].get_array(), dtype=int), axis=2) > 50))
+    assert shares[1] > 3 * shares[0] > 0

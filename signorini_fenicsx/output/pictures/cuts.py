@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.output.pictures.rendering import screen
 from signorini_fenicsx.output.pictures.scene import Scene, creases
 
 USUAL_VIEW = np.array([1.0, -1.6, 0.9]) / np.linalg.norm([1.0, -1.6, 0.9])
@@ -15,6 +16,8 @@ VIEWS = [
     for turn in np.radians([-60, -30, 30, 60, 120, 150, 210, 240])
 ]
 """Possible directions of view, the usual ones first."""
+WITHIN = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [3, 0, 3], [0, 3, 3]]) / 6
+"""Barycentric coordinates of points of a triangle, which decide whether it is seen."""
 SLANTED = 0.6, 0.8
 """The cosine between the view of a cut and its normal: the surface beside the cut is seen too."""
 MARGIN = 0.1
@@ -162,3 +165,20 @@ def outward(scene: Scene, triangles: Indices) -> Array:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     away = np.sum(normals * (corners.mean(axis=1) - points[cells[cell]].mean(axis=1)), axis=1)
     return normals * (np.sign(away) * (cell >= 0))[:, None]
+
+
+def seen_from(scene: Scene, view: Array) -> Array:
+    """The visible area of each triangle of Γ_S from a direction: its projected area, or 0 if it is hidden."""
+    corners = scene.fields.points[scene.facets.vertices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    slant = np.abs(normals @ view) / np.linalg.norm(normals, axis=1)
+    across, up = screen(view)
+    places = np.einsum("pc,fcx->fpx", WITHIN, corners)
+    depth, size = places @ view, 0.6 * np.sqrt(scene.facets.measure.max())
+    pixel = np.floor(places @ np.column_stack([across, up]) / size).astype(np.int64)
+    _, where = np.unique(pixel.reshape(-1, 2), axis=0, return_inverse=True)
+    nearest = np.full(where.max() + 1, -np.inf)
+    np.maximum.at(nearest, where.ravel(), depth.ravel())
+    room = size * (0.5 + np.minimum(np.sqrt(1 - np.minimum(slant, 1) ** 2) / np.maximum(slant, 1e-9), 3))
+    visible = np.mean(depth > nearest[where].reshape(depth.shape) - room[:, None], axis=1)
+    return scene.facets.measure * visible * np.minimum(slant, 0.35)

@@ -118,10 +118,14 @@ def _draw_views(sheet: Sheet, scenes: Sequence[Scene], times: Sequence[float]) -
     """Γ_S with its sets in space, early, in the middle and at the end."""
     from signorini_fenicsx.output.pictures.space import Space  # imports VTK
 
-    for column in range(3):
-        step = (column + 1) * len(scenes) // 3 - 1 if len(scenes) >= 3 else -1
+    for column, step in enumerate(three_of(len(scenes))):
         space = Space(scenes[step])
         space.draw_contact(sheet.view(0, column), f"$t = {style.power(times[step])}$", space.views[0])
+
+
+def three_of(steps: int) -> list[int]:
+    """The rows of the steps that are shown in space: an early one, one in the middle and the last; all of few."""
+    return sorted({max((number * steps) // 3 - 1, 0) for number in (1, 2, 3)})
 
 
 def _groups(scenes: Sequence[Scene]) -> dict[str, str]:

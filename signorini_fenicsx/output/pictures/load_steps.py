@@ -1,6 +1,7 @@
 """Pictures of loads in steps: force against displacement, pressure, shear and slip over time."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,13 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.evolution import three_of
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.elasticity.shown import STATES, ContactTable
+from signorini_fenicsx.physics.elasticity.shown import STATES, BodyFacets, ContactTable
 
 MOVES = 0.01
 """A part moves if the mean of its displacement changes by more than this share of the largest of all parts."""
@@ -26,10 +29,10 @@ OPEN = STATES.index("open")
 def draw_steps(
     folder: Path, scene: Scene, tables: Sequence[ContactTable], times: Sequence[float], rows: Sequence[dict[str, Any]]
 ) -> None:
-    """Draw `forces.png` and, in the plane, `contact.png` (rank 0)."""
+    """Draw `forces.png` and `contact.png` (rank 0)."""
     _forces(scene, rows).save(folder / "forces.png")
-    if scene.dim == 2:
-        _contact(scene, tables, times).save(folder / "contact.png")
+    draw = _contact if scene.dim == 2 else _contact_in_space
+    draw(scene, tables, times).save(folder / "contact.png")
 
 
 def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
@@ -93,6 +96,31 @@ def _contact(scene: Scene, tables: Sequence[ContactTable], times: Sequence[float
     has_open = rubs and any((table.state == OPEN).any() for table in tables)
     sheet.legend_below([Patch(color="0.85", label="apart")] if has_open else [])
     return sheet
+
+
+def _contact_in_space(scene: Scene, tables: Sequence[ContactTable], times: Sequence[float]) -> Sheet:
+    """Pressure and, with friction, shear and slip on Γ_C early, in the middle and at the end."""
+    from signorini_fenicsx.output.pictures.space_files import contact_over_time  # imports VTK
+
+    assert isinstance(scene.facets, BodyFacets)
+    steps = three_of(len(tables))
+    facets = [_of_facets(scene.facets, tables[step]) for step in steps]
+    return contact_over_time(scene, facets, [times[step] for step in steps])
+
+
+def _of_facets(facets: BodyFacets, table: ContactTable) -> BodyFacets:
+    """The facets with the means of a table; slip is NaN where they are apart."""
+    ordered = np.lexsort((*in_digits(facets.x).T, facets.part))
+    rows = np.empty((len(ordered), facets.vertices.shape[1]), dtype=np.int64)
+    rows[ordered] = np.lexsort((*in_digits(table.facet).T, table.part)).reshape(rows.shape)
+    together = _together(table)[rows].any(axis=1)
+    return replace(
+        facets,
+        flux=table.pressure[rows].mean(axis=1),
+        condition=table.touching[rows].any(axis=1).astype(np.int64),
+        shear=table.shear_vector[rows].mean(axis=1),
+        slip=np.where(together[:, None], table.slip_vector[rows].mean(axis=1), np.nan),
+    )
 
 
 def _together(table: ContactTable) -> Mask:

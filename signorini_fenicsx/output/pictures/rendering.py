@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import numpy.typing as npt
+import pyvista
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array
@@ -31,6 +32,14 @@ def screen(view: Array) -> tuple[Array, Array]:
     across /= np.linalg.norm(across)
     up = np.cross(view, across)
     return across, up / np.linalg.norm(up)
+
+
+def go_near(camera: pyvista.Camera, points: Array, view: Array) -> None:
+    """Show the neighbourhood of points of shape (…, 3) alone, in parallel projection."""
+    points = points.reshape(-1, 3)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    radius = np.linalg.norm(points - middle, axis=1).max()
+    camera.focal_point, camera.position, camera.parallel_scale = middle, middle + 3 * radius * view, radius
 
 
 def cropped(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -1,6 +1,6 @@
 """Views of a solution in space: VTK renders surfaces without any text, Matplotlib adds titles, axes and colour bars."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,25 +15,26 @@ from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
+from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.output.pictures import style
-from signorini_fenicsx.output.pictures.cuts import VIEWS, Cut, best_cuts, best_view, outward
+from signorini_fenicsx.output.pictures.cuts import VIEWS, Cut, best_cuts, best_view, outward, seen_from
 from signorini_fenicsx.output.pictures.plane import log_norm
-from signorini_fenicsx.output.pictures.rendering import cropped, offscreen, screen, triad
+from signorini_fenicsx.output.pictures.rendering import cropped, go_near, offscreen, triad
 from signorini_fenicsx.output.pictures.scene import Scene, creases
 from signorini_fenicsx.output.pictures.sheet import Sheet
 
 PIXELS = 700
-WITHIN = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [3, 3, 0], [3, 0, 3], [0, 3, 3]]) / 6
-"""Barycentric coordinates of points of a triangle, which decide whether it is seen."""
 STREAMLINES = 70
 EDGES_UP_TO = 6_000
 """Edges of Γ_S are drawn up to this number of triangles; more cannot be distinguished."""
 ARROWS = 200
 """Arrows on Γ_S are drawn on about this many facets."""
 STILL = 1e-6
-"""Vectors that are less than this share of the largest have no arrow."""
+"""Vectors that are less than this share of the largest one of the scale have no arrow."""
 HULL = "#c8c8c8"
 """The colour of the boundary that is not in Γ_S."""
+NEAR = 0.25
+"""Γ_S is shown from near if it is less long than this share of the domain."""
 SAME = 0.92
 """One view is enough if it shows this share of what all views show."""
 
@@ -67,6 +68,13 @@ class Space:
         return float(np.ptp(self.scene.fields.points, axis=0).max())
 
     @cached_property
+    def is_small(self) -> bool:
+        """Whether Γ_S is too small for a view of the whole domain to show what is on it."""
+        return (
+            float(np.ptp(self.scene.fields.points[self.scene.facets.vertices], axis=(0, 1)).max()) < NEAR * self.extent
+        )
+
+    @cached_property
     def hull(self) -> pyvista.PolyData:
         """The boundary without Γ_S."""
         return self._triangles(self.scene.boundary.vertices[self.scene.boundary.kind != SIGNORINI])
@@ -91,7 +99,7 @@ class Space:
     def views(self) -> list[Array]:
         """One direction from which Γ_S is seen, or two if one hides a part of it."""
         groups, directions = [group.facets for group in self.scene.groups], np.array(VIEWS)
-        seen = np.array([self._seen(view) for view in VIEWS])
+        seen = np.array([seen_from(self.scene, view) for view in VIEWS])
         first = best_view(seen, groups, directions)
         more = np.maximum(seen - seen[first], 0)
         if more.sum(axis=1).max(initial=0.0) <= (1 - SAME) * seen.max(axis=0).sum():
@@ -101,7 +109,7 @@ class Space:
     @cached_property
     def view_of_contact(self) -> Array:
         """The first view, or another one if that shows much more of the contact set."""
-        seen = [self._seen(view)[self.scene.touching].sum() for view in self.views]
+        seen = [seen_from(self.scene, view)[self.scene.touching].sum() for view in self.views]
         return self.views[0 if seen[0] >= 0.5 * max(seen) else int(np.argmax(seen))]
 
     @cached_property
@@ -206,23 +214,31 @@ class Space:
         self._show(axes, title, "certificate", build, cut.view, rim=False)
         _bar(sheet, axes, norm, style.ERROR_MAP, r"$\eta_T$")
 
-    def draw_trace(self, sheet: Sheet, axes: Axes, column: str, label: str, view: Array) -> None:
-        """A column of the table of facets, as colours on Γ_S; of vectors their lengths, with arrows along them."""
-        facets = self.scene.facets
-        column_values = getattr(facets, column)
-        vectors = column_values if column_values.ndim == 2 else np.zeros((len(column_values), 3))
-        values = np.linalg.norm(vectors, axis=1) if column_values.ndim == 2 else column_values
-        there = np.isfinite(values)
-        least = values[there].min()
-        low, high, extend = style.limits(values[there] - least, facets.measure[there])
-        low, high = low + least, high + least
+    def draw_trace(
+        self, sheet: Sheet, axes: Axes, column: str, label: str, view: Array, tables: Sequence[FacetTable] = ()
+    ) -> None:
+        """A column of the table of facets, as colours on Γ_S; of vectors their lengths, with arrows along them.
+
+        A small Γ_S is enlarged, and its title tells.
+
+        Args:
+            sheet: The sheet.
+            axes: Where it is drawn.
+            column: Of the table of facets.
+            label: The title.
+            view: Direction from which Γ_S is seen.
+            tables: The tables that share the scale of the colours, if not that of the scene alone.
+        """
+        low, high, extend = _scale(column, tables or [self.scene.facets])
 
         def build(plotter: pyvista.Plotter) -> None:
+            values = _sizes(self.scene.facets, column)
             _add_colours(plotter, self.gamma, values, style.U_MAP, (low, high), nan_color=HULL, **self._edges())
-            self._add_arrows(plotter, vectors, view)
+            self._add_arrows(plotter, getattr(self.scene.facets, column), STILL * high, view)
             self._add_hull(plotter)
 
-        self._show(axes, label, column, build, view)
+        title = f"{label}, enlarged" if self.is_small else label
+        self._show(axes, title, column, build, view, near=self.is_small)
         _bar(sheet, axes, Normalize(low, high), style.U_MAP, "", extend)
 
     def draw_contact(self, axes: Axes, title: str, view: Array) -> None:
@@ -302,10 +318,15 @@ class Space:
         if self.hull.n_cells:
             plotter.add_mesh(self.hull, color="grey", opacity=0.12, lighting=False)
 
-    def _add_arrows(self, plotter: pyvista.Plotter, vectors: Array, view: Array) -> None:
-        """Arrows along vectors on facets of Γ_S, all of one length, on some of the facets if there are many."""
+    def _add_arrows(self, plotter: pyvista.Plotter, vectors: Array, least: float, view: Array) -> None:
+        """Arrows along vectors on facets of Γ_S, all of one length, on some of the facets if there are many.
+
+        Vectors of at most the least length have none, numbers that are no vectors neither.
+        """
+        if vectors.ndim == 1:
+            return
         size = np.linalg.norm(np.nan_to_num(vectors), axis=1)
-        rows = np.flatnonzero(size > STILL * size.max(initial=0.0))
+        rows = np.flatnonzero(size > least)
         rows = rows[:: 1 + len(rows) // ARROWS]
         if not len(rows):
             return
@@ -328,23 +349,6 @@ class Space:
         moved = lines.translate(0.004 * self.extent * view)
         plotter.add_mesh(moved, color=color, line_width=width, lighting=False, render_lines_as_tubes=width > 2)
 
-    def _seen(self, view: Array) -> Array:
-        """The visible area of each triangle of Γ_S from a direction: its projected area, or 0 if it is hidden."""
-        scene = self.scene
-        corners = scene.fields.points[scene.facets.vertices]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        slant = np.abs(normals @ view) / np.linalg.norm(normals, axis=1)
-        across, up = screen(view)
-        places = np.einsum("pc,fcx->fpx", WITHIN, corners)
-        depth, size = places @ view, 0.6 * np.sqrt(scene.facets.measure.max())
-        pixel = np.floor(places @ np.column_stack([across, up]) / size).astype(np.int64)
-        _, where = np.unique(pixel.reshape(-1, 2), axis=0, return_inverse=True)
-        nearest = np.full(where.max() + 1, -np.inf)
-        np.maximum.at(nearest, where.ravel(), depth.ravel())
-        room = size * (0.5 + np.minimum(np.sqrt(1 - np.minimum(slant, 1) ** 2) / np.maximum(slant, 1e-9), 3))
-        visible = np.mean(depth > nearest[where].reshape(depth.shape) - room[:, None], axis=1)
-        return scene.facets.measure * visible * np.minimum(slant, 0.35)
-
     def _show(
         self,
         axes: Axes,
@@ -354,10 +358,11 @@ class Space:
         view: Array,
         *,
         rim: bool = True,
+        near: bool = False,
     ) -> None:
         """Render into axes, with the edges of the domain and the coordinate directions; each image is rendered once."""
         if (key, tuple(view)) not in self.rendered:
-            self.rendered[key, tuple(view)] = self._render(build, view, rim=rim)
+            self.rendered[key, tuple(view)] = self._render(build, view, rim=rim, near=near)
         image = self.rendered[key, tuple(view)]
         height, width = image.shape[:2]
         axes.imshow(image, interpolation="antialiased")
@@ -366,7 +371,9 @@ class Space:
         axes.set_title(title)
         triad(axes, view)
 
-    def _render(self, build: Callable[[pyvista.Plotter], None], view: Array, *, rim: bool) -> npt.NDArray[np.uint8]:
+    def _render(
+        self, build: Callable[[pyvista.Plotter], None], view: Array, *, rim: bool, near: bool
+    ) -> npt.NDArray[np.uint8]:
         with offscreen():
             plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
             plotter.suppress_rendering = True  # otherwise each of the following calls renders
@@ -377,6 +384,9 @@ class Space:
                     self._add_lines(plotter, lines, view, color, width)
             plotter.enable_parallel_projection()
             plotter.view_vector(view, (0, 0, 1))
+            if near:
+                go_near(plotter.camera, self.scene.fields.points[self.scene.facets.vertices], view)
+                plotter.reset_camera_clipping_range()
             plotter.enable_anti_aliasing("msaa")
             plotter.suppress_rendering = False
             image = plotter.screenshot(return_img=True)
@@ -388,6 +398,21 @@ def _lines(points: Array, edges: Indices) -> pyvista.PolyData:
     if not len(edges):
         return pyvista.PolyData()
     return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
+
+
+def _sizes(table: FacetTable, column: str) -> Array:
+    """The numbers of a column, of vectors their lengths."""
+    values: Array = getattr(table, column)
+    return values if values.ndim == 1 else np.linalg.norm(values, axis=1)
+
+
+def _scale(column: str, tables: Sequence[FacetTable]) -> tuple[float, float, str]:
+    """Colour limits for a column of tables, and the ends of the colour bar to extend; facets with NaN do not count."""
+    values = np.concatenate([_sizes(table, column) for table in tables])
+    there = np.isfinite(values)
+    measure, least = np.concatenate([table.measure for table in tables]), values[there].min()
+    low, high, extend = style.limits(values[there] - least, measure[there])
+    return low + least, high + least, extend
 
 
 def _pale(colour: str) -> tuple[float, ...]:

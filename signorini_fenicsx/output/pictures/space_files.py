@@ -1,17 +1,20 @@
 """The picture files of a solution in space."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.curves import draw_iterations, draw_steps, moves
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.output.pictures.space import Space
+from signorini_fenicsx.output.pictures.space import HULL, Space
 from signorini_fenicsx.physics.elasticity.shown import BodyFacets
 
 SIDE, WIDE_SIDE = 2.5, 3.4
@@ -67,6 +70,32 @@ def draw_files_of_body(folder: Path, scene: Scene) -> None:
     assert isinstance(facets, BodyFacets)
     rubs = np.isfinite(facets.shear).any()
     _draw_traces(folder / "pressure.png", space, OF_BODY | (OF_FRICTION if rubs else {}))
+
+
+def contact_over_time(scene: Scene, tables: Sequence[BodyFacets], times: Sequence[float]) -> Sheet:
+    """Pressure and, with friction, shear and slip on Γ_C at some times, in one scale of colours for each.
+
+    Args:
+        scene: The solution at the end.
+        tables: Γ_C at each time, NaN where there is nothing to show.
+        times: As many times.
+    """
+    spaces = [Space(replace(scene, facets=table)) for table in tables]
+    columns = {"flux": OF_BODY["flux"]} | OF_FRICTION
+    shown = [name for name in columns if any(np.isfinite(getattr(table, name)).any() for table in tables)]
+    panels = [(view, name) for view in spaces[-1].views for name in shown]
+    sheet = Sheet(len(tables) * [SIDE], len(panels) * [SIDE], title=scene.title)
+    for row, (view, name) in enumerate(panels):
+        for column, (space, t) in enumerate(zip(spaces, times, strict=True)):
+            title = f"{columns[name]}, $t = {style.power(t)}$"
+            space.draw_trace(sheet, sheet.view(row, column), name, title, view, tables)
+    rim = [Line2D([], [], color=style.CONTACT, linewidth=2.5, label="around the contact set")]
+    blank = any(np.isnan(getattr(table, name)).any() for table in tables for name in shown)
+    sheet.legend_below(
+        rim * any(len(each.rim.lines) > 0 for each in spaces)
+        + blank * [Patch(color=HULL, label="apart or without friction")]
+    )
+    return sheet
 
 
 def _draw_certificate_file(folder: Path, space: Space) -> None:

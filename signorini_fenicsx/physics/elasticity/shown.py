@@ -10,7 +10,7 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
@@ -83,6 +83,7 @@ class ContactTable(SiteTable):
 
     Attributes:
         facet: Midpoint of the facet, shape (rows, 3).
+        measure: |e|.
         pressure: −σ_nn.
         gap: g − u_n, linear on the facet.
         touching: Whether it is in contact.
@@ -96,6 +97,7 @@ class ContactTable(SiteTable):
     """
 
     facet: Array
+    measure: Array
     pressure: Array
     gap: Array
     touching: Mask
@@ -109,13 +111,20 @@ class ContactTable(SiteTable):
     name = "contact"
     places = ("along", "x", "facet")
 
+    @property
+    def number(self) -> Indices:
+        """The number of the facet of each row; facets are counted as they come."""
+        places = np.column_stack([self.part, self.facet])
+        _, first, facet = np.unique(places, axis=0, return_index=True, return_inverse=True)
+        return np.argsort(np.argsort(first))[facet.ravel()]
+
 
 def table(solution: ElasticSolution) -> ContactTable:
     """The vertices of the facets of Γ_C of this rank."""
     spaces = solution.spaces
     contact, dim = spaces.contact, spaces.dim
-    x = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim)))
-    part, places = np.repeat(spaces.part_of_facet, dim).astype(np.int64), x.reshape(-1, 3)
+    part = np.repeat(spaces.part_of_facet, dim).astype(np.int64)
+    places = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim))).reshape(-1, 3)
     along = along_parts(spaces, part, places)
     shear, slip, state = (values.ravel() for values in solution.on_all_contact())
     shear_vector, slip_vector = _friction_vectors(solution)
@@ -123,7 +132,8 @@ def table(solution: ElasticSolution) -> ContactTable:
         part=part,
         along=along,
         x=places,
-        facet=np.repeat(np.sort(x, axis=1).mean(axis=1), dim, axis=0),
+        facet=np.repeat(_middles(contact), dim, axis=0),
+        measure=np.repeat(contact.measure, dim),
         pressure=solution.pressure.ravel(),
         gap=solution.linear_gap.ravel(),
         touching=solution.touching.ravel(),
@@ -135,6 +145,12 @@ def table(solution: ElasticSolution) -> ContactTable:
         state=np.nan_to_num(state, nan=-1.0).astype(np.int64),
         forward=np.repeat(_forward(contact, along), dim),
     )
+
+
+def _middles(contact: BoundaryFacets) -> Array:
+    """The midpoints of facets to the last digit, whatever the order of their vertices, shape (facets, 3)."""
+    dim = contact.vertices.shape[2]
+    return np.pad(np.sort(contact.vertices, axis=1).mean(axis=1), ((0, 0), (0, 3 - dim)))
 
 
 def _friction_vectors(solution: ElasticSolution) -> Array:
@@ -151,6 +167,8 @@ def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
     """The columns of `contact.csv`."""
     columns: dict[str, npt.NDArray] = {
         "part": np.array(solution.contact_parts)[table.part],
+        "facet": table.number,
+        "measure": table.measure,
         **dict(zip("xyz", table.x.T, strict=True)),
         "pressure": table.pressure,
         "gap": table.gap,
@@ -235,7 +253,7 @@ def drawn(solution: ElasticSolution) -> Drawn:
 def _facets(solution: ElasticSolution) -> BodyFacets:
     spaces, contact = solution.spaces, solution.spaces.contact
     part = spaces.part_of_facet.astype(np.int64)
-    middle = np.pad(contact.vertices.mean(axis=1), ((0, 0), (0, 3 - spaces.dim)))
+    middle = _middles(contact)
     none = np.zeros(len(middle))
     apart = np.zeros((len(middle), spaces.dim))
     means = (solution.data.lift[spaces.sites] + solution.data.laws.opening).reshape(apart.shape)
