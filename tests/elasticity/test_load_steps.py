@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import signorini
+from dolfinx.mesh import create_unit_square
 from elastic import box
 from mpi4py import MPI
 
@@ -14,8 +15,11 @@ from signorini_fenicsx import Coulomb, Elasticity, Evolution, InputError, StepBo
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.problem import Contact, Tresca
+from signorini_fenicsx.physics.elasticity.shown import ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 PUSHED = "(0.4*t if t < 1 else 0.8 - 0.4*t)"
@@ -204,3 +208,22 @@ def test_capacity_of_a_body():
     square = build_domain(COMM, "square", 0.5, mesh="structured")
     with pytest.raises(InputError, match="loads on an elastic body have no initial, capacity and scheme"):
         next(evolve(square, block(Tresca(0.05)), Evolution(end=1.0, steps=2, capacity=2.0)))
+
+
+@pytest.mark.parallel([1])
+def test_rows_of_a_facet_follow_each_other():
+    """Two by two along a part in the plane, as pictures take them, also where y grows and x falls along it."""
+    square = create_unit_square(COMM, 4, 4)
+    square.geometry.x[:, 0] -= square.geometry.x[:, 1] / 2
+    parts = {
+        "left": lambda x: np.isclose(x[0], -x[1] / 2),
+        "top": lambda x: np.isclose(x[1], 1),
+        "free": lambda x: np.isclose(x[1], 0) | np.isclose(x[0], 1 - x[1] / 2),
+    }
+    top = Dirichlet("top", ["-0.05", "0.02"])
+    problem = Elasticity(1.0, 0.3, conditions=[Contact("left", gap="0.06*y^2"), Neumann("free"), top])
+    table = solve(domain_of(square, parts), problem).table().in_order()
+    assert isinstance(table, ContactTable)
+    assert table.number.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    np.testing.assert_allclose(table.x.reshape(-1, 2, 3).mean(axis=1), table.facet[::2])
+    assert np.ptp(table.pressure.reshape(-1, 2), axis=1).max() > 0.01

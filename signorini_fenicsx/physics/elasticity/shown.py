@@ -82,7 +82,8 @@ class ContactTable(SiteTable):
     """One row per vertex of each facet of Γ_C.
 
     Attributes:
-        facet: Midpoint of the facet, shape (rows, 3).
+        middle: Coordinate of the midpoint of the facet along the part.
+        facet: Its midpoint, shape (rows, 3).
         measure: |e|.
         pressure: −σ_nn.
         gap: g − u_n, linear on the facet.
@@ -96,6 +97,7 @@ class ContactTable(SiteTable):
         forward: 1 where the coordinate along the part grows along the tangent, −1 where it falls; 0 in space.
     """
 
+    middle: Array
     facet: Array
     measure: Array
     pressure: Array
@@ -109,7 +111,7 @@ class ContactTable(SiteTable):
     state: npt.NDArray[np.int64]
     forward: npt.NDArray[np.int64]
     name = "contact"
-    places = ("along", "x", "facet")
+    places = ("along", "x", "middle", "facet")
 
     @property
     def number(self) -> Indices:
@@ -125,14 +127,15 @@ def table(solution: ElasticSolution) -> ContactTable:
     contact, dim = spaces.contact, spaces.dim
     part = np.repeat(spaces.part_of_facet, dim).astype(np.int64)
     places = np.pad(contact.vertices, ((0, 0), (0, 0), (0, 3 - dim))).reshape(-1, 3)
-    along = along_parts(spaces, part, places)
+    along, middles = along_parts(spaces, part, places), np.repeat(_middles(contact), dim, axis=0)
     shear, slip, state = (values.ravel() for values in solution.on_all_contact())
     shear_vector, slip_vector = _friction_vectors(solution)
     return ContactTable(
         part=part,
         along=along,
         x=places,
-        facet=np.repeat(_middles(contact), dim, axis=0),
+        middle=along_parts(spaces, part, middles),
+        facet=middles,
         measure=np.repeat(contact.measure, dim),
         pressure=solution.pressure.ravel(),
         gap=solution.linear_gap.ravel(),
