@@ -51,10 +51,10 @@ def cropped(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     return image[max(rows[0] - 4, 0) : rows[-1] + 5, max(columns[0] - 4, 0) : columns[-1] + 5]
 
 
-def triad(axes: Axes, view: Array) -> None:
-    """Small arrows along x, y and z in the lower left corner."""
+def triad(axes: Axes, view: Array, size: tuple[float, float]) -> None:
+    """Small arrows along x, y and z in the lower left corner, on these shares of the width and the height."""
     across, up = screen(view)
-    corner = axes.inset_axes((0, 0, 0.2, 0.2))
+    corner = axes.inset_axes((0, 0, *size))
     corner.set(xlim=(-1.5, 1.5), ylim=(-1.5, 1.5), aspect="equal")
     corner.set_axis_off()
     for name, direction in zip("xyz", np.eye(3), strict=True):

@@ -366,10 +366,11 @@ class Space:
         image = self.rendered[key, tuple(view)]
         height, width = image.shape[:2]
         axes.imshow(image, interpolation="antialiased")
-        axes.set(xlim=(-0.1 * width, width), ylim=(1.1 * height, 0))  # room for the coordinate directions
+        room = 0.1 * max(width, height)  # for the coordinate directions, also beside what is flat
+        axes.set(xlim=(-room, width), ylim=(height + room, 0))
         axes.set_axis_off()
         axes.set_title(title)
-        triad(axes, view)
+        triad(axes, view, (2.2 * room / (width + room), 2.2 * room / (height + room)))
 
     def _render(
         self, build: Callable[[pyvista.Plotter], None], view: Array, *, rim: bool, near: bool
