@@ -20,15 +20,18 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, node_rank
 from signorini_fenicsx.physics.elasticity.system import jumps_to_sides
 
 OF_ALL = {
-    "mg_levels_ksp_max_it": "4",
     "mg_coarse_pc_mg_cycle_type": "w",
     "mg_coarse_pc_gamg_aggressive_coarsening": "0",
     "mg_coarse_mg_levels_ksp_max_it": "4",
     "mg_coarse_mat_mumps_icntl_14": MUMPS_WORKSPACE["mat_mumps_icntl_14"],
 }
 """The coarse problem has a tenth of the entries, so a good solution by GAMG costs little."""
-DEFAULTS = {2: OF_ALL | {"mat_mumps_icntl_7": "2"}, 3: OF_ALL}
-"""For each dimension. In the plane MUMPS orders by minimum fill; nested dissection is slower and fills in as much."""
+DEFAULTS = {
+    2: OF_ALL | {"mg_levels_ksp_max_it": "4", "mat_mumps_icntl_7": "2"},
+    3: OF_ALL | {"mg_levels_ksp_max_it": "2"},
+}
+"""For each dimension. In the plane MUMPS orders by minimum fill; nested dissection is slower and fills in as much. In
+space fewer steps of the smoother take more iterations, but less time, above all where few iterations are enough."""
 SMOOTHED = 0.05, 1.1
 """Shares of the largest eigenvalue, as it is estimated, between which the smoother reduces errors."""
 ESTIMATE = 10
