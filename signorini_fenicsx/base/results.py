@@ -4,6 +4,7 @@ import contextlib
 import os
 import shutil
 import sys
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import NoReturn, Self
@@ -17,6 +18,8 @@ from signorini_fenicsx.base.signals import on_abort, postponed
 
 STATE = "checkpoint"
 """The folder that is kept if the others cannot be written."""
+ATTEMPTS = 5
+"""So often it is tried to keep it alone."""
 
 
 class ResultsFolder:
@@ -102,14 +105,15 @@ class ResultsFolder:
         """Keep only the checkpoint, if there is one, and tell where it is (on any rank, not collective)."""
         if self._work is None or not self._saves_state or not (self.path / STATE).is_dir():
             return ""
-        try:
-            for entry in self.path.iterdir():
-                if entry.name != STATE:
-                    delete(entry)
-            self._work.area.commit(FAILED)
-        except OSError:
-            return ""
-        return f"; the state is in {failed_place(self.target)}, for export and --start-from"
+        for _ in range(ATTEMPTS):
+            with contextlib.suppress(OSError):
+                for entry in self.path.iterdir():
+                    if entry.name != STATE:
+                        delete(entry)
+                self._work.area.commit(FAILED)
+                return f"; the state is in {failed_place(self.target)}, for export and --start-from"
+            time.sleep(0.1)  # another rank may still write into what is deleted
+        return ""
 
 
 class _Work:

@@ -1,5 +1,6 @@
 """Ends from outside: signals, full disks, readers of the output that close."""
 
+import errno
 import json
 import os
 import shutil
@@ -16,6 +17,7 @@ from commands import run, signorini
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from signorini_fenicsx.base import results
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.signals import Interruption, listening
 from signorini_fenicsx.cli.main import main
@@ -233,6 +235,25 @@ def test_a_disk_that_others_fill(tmp_path: Path):
     done = run(tmp_path, *A_SMALL_DISK, *command, "--output", "disk/x", ranks=1)
     assert done.returncode == 1, done.stderr
     assert "cannot be written; free on the disk: 0 kB; the state is in" in done.stderr
+
+
+def test_another_rank_that_still_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The state is kept although a folder beside it cannot be removed at once."""
+    delete, calls = results.delete, []
+
+    def late(path: Path) -> None:
+        calls.append(path)
+        if len(calls) == 1:
+            raise OSError(errno.ENOTEMPTY, "Directory not empty")
+        delete(path)
+
+    monkeypatch.setattr(results, "delete", late)
+    with results.ResultsFolder(MPI.COMM_SELF, tmp_path / "x") as folder:
+        for name in ("checkpoint", "solution.bp"):
+            (folder.path / name).mkdir()
+        assert "the state is in" in folder._state_saved()
+    assert [path.name for path in calls] == 2 * ["solution.bp"]
+    assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.parametrize("checked", [True, False])
