@@ -79,13 +79,12 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
         try:
             _compute(run, results.path, comm)
         except (InputError, NumericalFailure) as failure:
-            solution = failure.solution if isinstance(failure, NumericalFailure) else None
+            reason, solution = str(failure), failure.solution if isinstance(failure, NumericalFailure) else None
             if solution is not None:
                 write_solution(solution, results.path, fields=run.fields, plot=run.plot)
             else:
-                summary = {"converged": False, "reason": str(failure)}
+                summary = {"converged": False, "reason": reason}
                 on_root(comm, lambda: write_summary(results.path, summary))
-            reason = str(failure)
             on_root(comm, lambda: record(reason=reason))
             results.keep_failed()
         else:

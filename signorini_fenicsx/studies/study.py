@@ -107,8 +107,10 @@ def flattened(tree: Mapping[str, Any], prefix: str = "", *, into_lists: bool = T
     for key, value in tree.items():
         if into_lists and isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
             value = {str(i): entry for i, entry in enumerate(value)}
-        below = flattened(value, f"{prefix}{key}.", into_lists=into_lists) if isinstance(value, dict) else None
-        flat |= {prefix + key: value} if below is None else below
+        if isinstance(value, dict):
+            flat |= flattened(value, f"{prefix}{key}.", into_lists=into_lists)
+        else:
+            flat[prefix + key] = value
     return flat
 
 

@@ -70,9 +70,8 @@ class Space:
     @cached_property
     def is_small(self) -> bool:
         """Whether Γ_S is too small for a view of the whole domain to show what is on it."""
-        return (
-            float(np.ptp(self.scene.fields.points[self.scene.facets.vertices], axis=(0, 1)).max()) < NEAR * self.extent
-        )
+        on_gamma = self.scene.fields.points[self.scene.facets.vertices]
+        return bool(np.ptp(on_gamma, axis=(0, 1)).max() < NEAR * self.extent)
 
     @cached_property
     def hull(self) -> pyvista.PolyData:

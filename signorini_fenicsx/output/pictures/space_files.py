@@ -123,10 +123,8 @@ def _draw_traces(path: Path, space: Space, columns: Mapping[str, str]) -> None:
     sheet = Sheet(3 * [SIDE], rows * len(space.views) * [SIDE])
     for number, view in enumerate(space.views):
         for place, (column, label) in enumerate(panels):
-            axes, title = (
-                sheet.view(rows * number + place // 3, place % 3),
-                f"{style.letter(len(panels) * number + place)} {label}",
-            )
+            axes = sheet.view(rows * number + place // 3, place % 3)
+            title = f"{style.letter(len(panels) * number + place)} {label}"
             if column:
                 space.draw_trace(sheet, axes, column, title, view)
             else:

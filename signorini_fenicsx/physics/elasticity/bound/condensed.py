@@ -182,8 +182,7 @@ def _stiffness(
     matrices = np.tensordot(by_components, of_reference.reshape(-1, *of_reference.shape[4:]), 1)
     matrices = matrices.transpose(0, 3, 1, 4, 2).copy()
     some = np.flatnonzero((frames != np.eye(dim)).any(axis=(1, 2, 3)))
-    turned = np.einsum("nacbd,naci,nbdj->naibj", matrices[some], frames[some], frames[some], optimize=True)
-    matrices[some] = turned
+    matrices[some] = np.einsum("nacbd,naci,nbdj->naibj", matrices[some], frames[some], frames[some], optimize=True)
     return matrices.reshape(len(block), matrices.shape[1] * dim, -1)
 
 
