@@ -27,8 +27,8 @@ PIXELS = 700
 STREAMLINES = 70
 EDGES_UP_TO = 6_000
 """Edges of Γ_S are drawn up to this number of triangles; more cannot be distinguished."""
-ARROWS = 200
-"""Arrows on Γ_S are drawn on about this many facets."""
+ARROWS = 50
+"""Arrows on Γ_S are drawn on about this many facets; more would be too small to be seen."""
 STILL = 1e-6
 """Vectors that are less than this share of the largest one of the scale have no arrow."""
 HULL = "#c8c8c8"
