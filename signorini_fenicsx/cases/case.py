@@ -271,8 +271,6 @@ class Case(CaseFile):
         self.parts.refuse_repetition()
         law = "a [[law]] between the jump of u and σ·n"
         self.boundary.check_inner(self.law_parts, self.geometry.file, law)
-        if not self.boundary.signorini and not self.law and self.problem.obstacle is None and not self._stores:
-            raise ValueError("[boundary] signorini: lists no part, and there is no [[law]] and no obstacle")
         for i, texts in enumerate(self.law):
             if texts.kind == "storage" and self.time is None:
                 raise ValueError(f"law.{i}: the law 'storage' needs [time]")

@@ -208,7 +208,7 @@ class ElasticCase(CaseFile):
     @property
     def approach(self) -> str:
         """What is solved and how, in words."""
-        return f"elastic contact, {self.solve.algorithm}"
+        return f"{'elastic contact' if self.parts.contact else 'elasticity'}, {self.solve.algorithm}"
 
     @property
     def unproved(self) -> str:
@@ -220,8 +220,6 @@ class ElasticCase(CaseFile):
     @model_validator(mode="after")
     def _solvable(self) -> Self:
         self.parts.refuse_repetition()
-        if not self.parts.named["contact"]:
-            raise ValueError("[boundary] contact: lists no part, and there is no [[law]]")
         in_laws = Counter(part for law in self.law for part in law.parts)
         twice = [part for part, times in in_laws.items() if times > 1]
         if twice:

@@ -17,7 +17,7 @@ from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import named
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.common import results_place
-from signorini_fenicsx.cli.solution_report import interval
+from signorini_fenicsx.cli.solution_report import interval, mesh
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import CaseFile
@@ -65,10 +65,9 @@ class EvolutionReport(CaseReport):
     ) -> None:
         """Print the summary of all steps, and what there is to say of the last one."""
         about = summary["time"]
-        facets = f"{last.spaces.Lambda.dofmap.index_map.size_global} {last.gamma} facets"
         lines = {
             "steps": f"{about['steps']} to t = {about['end']:g}, {summary['iterations']} linear problems",
-            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets}",
+            "mesh": mesh(last, summary),
             "at most": named({name: each for name, each in about["largest"].items() if name not in TRUST}, ".3e"),
             **{name: f"at the end {words}" for name, words in last.lines(summary).items()},
         }

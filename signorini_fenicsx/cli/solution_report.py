@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from decimal import ROUND_CEILING, Context, Decimal
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -43,7 +43,9 @@ class SolutionReport(CaseReport):
         self.table(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
     def step(self, row: Step) -> None:
-        """Print an iteration as soon as it is done; of many on a terminal only those with numbers such as 30 or 400."""
+        """Print an iteration with sites as soon as it is done; of many on a terminal only those such as 30 or 400."""
+        if row.sites == 0:
+            return
         whole = math.inf if self._live.verbose else WHOLE_TABLE[self._live.alive]
         if row.iteration == whole + 1:
             self.row(f"{'…':>4} from here on only some; all are in history.csv, and printed with --verbose")
@@ -64,10 +66,9 @@ class SolutionReport(CaseReport):
         """Print the summary of a finished run (collective)."""
         summary, water = result.summary(), seepage(result)
         rough = f", {summary['rough_steps']} of them rough" if summary["rough_steps"] else ""
-        facets = f"{result.spaces.Lambda.dofmap.index_map.size_global} {result.gamma} facets"
         lines = {
             "converged": f"{summary['reason']} after {counted(summary['iterations'], 'iteration')}{rough}",
-            "mesh": f"h = {summary['h']:.5g}, {summary['cells']} cells, {facets}",
+            "mesh": mesh(result, summary),
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
             **result.lines(summary),
             **({} if water is None else {"seepage": water.in_words()}),
@@ -93,6 +94,13 @@ class SolutionReport(CaseReport):
         trust = "" if bound.guaranteed else f"; not guaranteed: {bound.reason}"
         words = f"{below(bound.lower, 5)} ≤ energy error ≤ {above(bound.bound, 5)}{share}{repair}{trust}"
         self.entry("field", words if math.isfinite(bound.bound) else f"no error bound: {bound.reason}")
+
+
+def mesh(result: Solved, summary: Mapping[str, Any]) -> str:
+    """The mesh of a solution in words, with the facets in contact if there are any."""
+    facets = result.spaces.Lambda.dofmap.index_map.size_global
+    of_gamma = f", {facets} {result.gamma} facets" if facets else ""
+    return f"h = {summary['h']:.5g}, {summary['cells']} cells{of_gamma}"
 
 
 def bound(certificate: Certificate) -> str:

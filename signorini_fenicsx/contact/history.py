@@ -50,6 +50,11 @@ class Step:
     seconds: float
     rough: bool = False
 
+    @property
+    def sites(self) -> int:
+        """The number of sites; a problem without any is linear."""
+        return self.no_flux + self.zero_trace + self.robin
+
 
 @dataclass(frozen=True)
 class Outcome:

@@ -35,6 +35,9 @@ from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, Present, SetRule
 
+LINEAR = "without a law the problem is linear, and solved"
+"""Why the loop ends where there are no sites."""
+
 
 @dataclass(frozen=True)
 class Parameters:
@@ -132,7 +135,7 @@ def iterate_sets[I: Pairs](
         wanted = _wanted(backend, rule, parameters, iterate, solved_with)
         changing = safeguard.look(conditions, wanted, len(history.steps))
         if changing == 0:
-            return end(f"the {site} sets repeat", converged=True)
+            return end(f"the {site} sets repeat" if history.steps[-1].sites else LINEAR, converged=True)
         if len(history.steps) == most:
             ended = counted(parameters.max_iterations, "iteration")
             return end(f"{changing} {sites} still change after {ended}", converged=False)

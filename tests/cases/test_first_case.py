@@ -61,7 +61,7 @@ def test_every_condition_is_written_above():
         (["--mesh", "none.msh", "--on", "bottom=signorini"], "no such file"),
         (["--mesh", "none.msh", "--shape", "square"], "not both"),
         (["--shape", "slit", "--on", "slit=neumann"], "is inside the domain"),
-        (["--on", "left=neumann"], "lists no part"),
+        (["--on", "left,right,bottom,top=neumann"], "no part of the boundary is left for u = u_D"),
         (["--physics", "elasticity", "--on", "bottom=contact", "--on", "left,right,top=neumann"], "can move"),
     ],
 )

@@ -10,7 +10,6 @@ from made_cases import EXACT, on_grid
 from mpi4py import MPI
 from random_bounds import difference
 
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -198,8 +197,6 @@ def test_what_is_not_proved(folder: Path):
         assert reason in ended.stderr
     solution = on_grid("wall", 4)
     assert "Signorini alone" in proof_of(solution, certify(solution).v).reason
-    with pytest.raises(InputError, match="lists no part"):
-        solve(solution.spaces.domain, (Boundary([]), Problem(1)))
 
 
 def test_penalty_bounds_of_the_command_line(folder: Path):

@@ -186,7 +186,7 @@ def test_sides_of_conditions():
 LAW = 'law = [{parts = ["fault"], kind = "contact"}]'
 WRONG = {
     "inner": (('kind = "contact"', 'kind = "contact", mu = 0.3'), "unknown key 'mu' of the law 'contact'"),
-    "law": ((LAW, ""), "contact: lists no part, and there is no [[law]]"),
+    "law": ((LAW, ""), "inner: 'fault' needs contact: list it there as well, or in a [[law]]"),
     "sides": (("sides = {fault", "sides = {crack"), "sides.crack: 'crack' is not an inner part of a mesh file"),
     "twice": (("contact", 'contact"}, {parts = ["fault"], kind = "contact'), "part 'fault' has two laws"),
     "listed": (('inner = ["fault"]', 'inner = ["fault", "fault"]'), "[boundary] inner: 'fault' is listed twice"),

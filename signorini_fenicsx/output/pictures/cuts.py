@@ -169,6 +169,8 @@ def outward(scene: Scene, triangles: Indices) -> Array:
 
 def seen_from(scene: Scene, view: Array) -> Array:
     """The visible area of each triangle of Γ_S from a direction: its projected area, or 0 if it is hidden."""
+    if len(scene.facets.measure) == 0:
+        return scene.facets.measure
     corners = scene.fields.points[scene.facets.vertices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     slant = np.abs(normals @ view) / np.linalg.norm(normals, axis=1)

@@ -48,11 +48,12 @@ def caption(solution: Solved, fields: Fields, certificate: Certificate | None) -
 
 
 def draw_files(folder: Path, scene: Scene) -> None:
-    """Draw `deformed.png`, `displacement.png`, `pressure.png` and, with a certificate, `certificate.png`."""
+    """Draw `deformed.png`, `displacement.png`, with Γ_C `pressure.png`, with a certificate `certificate.png`."""
     overview(scene).save(folder / "deformed.png")
     overview(_by_displacement(scene)).save(folder / "displacement.png")
     if scene.dim == 2:
-        _pressure(scene).save(folder / "pressure.png")
+        if scene.labels:
+            _pressure(scene).save(folder / "pressure.png")
         plane_files.draw_certificate_file(folder / "certificate.png", Plane(scene))
         return
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
@@ -71,7 +72,8 @@ def overview(scene: Scene) -> Sheet:
     places = fields.points + factor * fields.displacement + apart
     moved = replace(scene, fields=replace(fields, points=places))
     foundation = foundation_of(scene, moved.fields.points, factor, NEAR * size)
-    title = f"{scene.caption}\ndisplacement and gap × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
+    what = "displacement and gap" if scene.labels else "displacement"
+    title = f"{scene.caption}\n{what} × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
     if scene.dim == 2:
         return _deformed_plane(scene, moved, foundation, title)
     from signorini_fenicsx.output.pictures import space_files  # imports VTK

@@ -31,12 +31,14 @@ def draw_steps(
 ) -> None:
     """Draw `forces.png` and `contact.png` (rank 0)."""
     _forces(scene, rows).save(folder / "forces.png")
+    if not scene.labels:
+        return
     draw = _contact if scene.dim == 2 else _contact_in_space
     draw(scene, tables, times).save(folder / "contact.png")
 
 
 def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
-    """The force on each part that moves against its mean displacement, inner ones once; the contact force over time."""
+    """The contact force over time; the force on each part that moves against its mean displacement, inner ones once."""
     axes_of, others = AXES[: scene.dim], {other_side(part) for part in scene.inside}
     parts = [key.removesuffix("_force_x") for key in rows[0] if key.endswith("_force_x")]
     moved = {part: np.array([[row[f"{part}_u_{axis}"] for axis in axes_of] for row in rows]) for part in parts}
@@ -51,12 +53,14 @@ def _forces(scene: Scene, rows: Sequence[dict[str, Any]]) -> Sheet:
         and ranges[part].max() > MOVES * largest
         and np.abs(forces[part]).max() > LOADED * strongest
     ]
-    sheet = Sheet([4.4], [2.2] * (1 + len(driven)), bars=False, title=scene.title)
-    axes = sheet.panel(0, 0)
-    axes.plot([row["t"] for row in rows], [row["contact_force"] for row in rows], color=style.CONTACT, marker=".")
-    axes.set(xlabel="$t$", ylabel=r"$-\int\sigma_{nn}$", title="contact force")
-    axes.set_ylim(0, 1.05 * max(row["contact_force"] for row in rows) or None)  # what hardly changes looks so
-    for index, part in enumerate(driven, start=1):
+    first = 1 if scene.labels else 0
+    sheet = Sheet([4.4], [2.2] * (first + len(driven)), bars=False, title=scene.title)
+    if scene.labels:
+        axes = sheet.panel(0, 0)
+        axes.plot([row["t"] for row in rows], [row["contact_force"] for row in rows], color=style.CONTACT, marker=".")
+        axes.set(xlabel="$t$", ylabel=r"$-\int\sigma_{nn}$", title="contact force")
+        axes.set_ylim(0, 1.05 * max(row["contact_force"] for row in rows) or None)  # what hardly changes looks so
+    for index, part in enumerate(driven, start=first):
         axes, along = sheet.panel(index, 0), int(ranges[part].argmax())
         for k, (axis, colour) in enumerate(zip(axes_of, (style.CONTACT, style.FREE, style.WATER), strict=False)):
             look = {"color": colour, "linestyle": ("-", "--", ":")[k], "marker": ".os"[k], "markersize": 4}

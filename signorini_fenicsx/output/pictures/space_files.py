@@ -63,10 +63,12 @@ def deformed(moved: Scene, foundation: Array, title: str) -> Sheet:
 
 
 def draw_files_of_body(folder: Path, scene: Scene) -> None:
-    """Draw `pressure.png` and, with a certificate, `certificate.png` of an elastic body."""
+    """Draw with Γ_C `pressure.png` and with a certificate `certificate.png` of an elastic body."""
     space = Space(scene)
     _draw_certificate_file(folder, space)
     facets = scene.facets
+    if not scene.labels:
+        return
     assert isinstance(facets, BodyFacets)
     rubs = np.isfinite(facets.shear).any()
     _draw_traces(folder / "pressure.png", space, OF_BODY | (OF_FRICTION if rubs else {}))
@@ -154,13 +156,7 @@ def _finish(sheet: Sheet, space: Space, path: Path) -> None:
 def _overview(space: Space) -> Sheet:
     scene = space.scene
     sheet = Sheet(3 * [SIDE], 2 * [SIDE], title=f"{scene.title}\n{scene.caption}")
-    panels = [
-        sheet.view(0, 0),
-        sheet.view(0, 1),
-        sheet.view(0, 2),
-        sheet.view(1, 0),
-        sheet.view(1, 1),
-    ]
+    panels = [sheet.view(0, 0), sheet.view(0, 1), sheet.view(0, 2), sheet.view(1, 0)]
     space.draw_u(sheet, panels[0], f"(a) {space.scene.plot.u_label} on a cut")
     space.draw_streamlines(sheet, panels[1], f"(b) streamlines of {space.scene.plot.flux_name}")
     if scene.fields.indicator is None:
@@ -169,10 +165,11 @@ def _overview(space: Space) -> Sheet:
         space.draw_certificate(sheet, panels[2], r"(c) error contributions $\eta_T$")
     if scene.labels:
         space.draw_trace(sheet, panels[3], "p", r"(d) $p_h$ on $\Gamma_S$", space.views[0])
-        space.draw_trace(sheet, panels[4], "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.view_of_contact)
+        space.draw_trace(sheet, sheet.view(1, 1), "flux", r"(e) $\sigma_h\cdot n$ on $\Gamma_S$", space.view_of_contact)
     else:
         space.draw_u(sheet, panels[3], f"(d) {space.scene.plot.u_label} on a cut across (a)", number=1)
-        space.draw_contact(panels[4], f"(e) {scene.edges}", space.views[0])
+        if scene.fields.states is not None:
+            space.draw_contact(sheet.view(1, 1), f"(e) {scene.edges}", space.views[0])
     handles = space.handles()
     if moves(scene.history):
         axes = sheet.panel(1, 2)

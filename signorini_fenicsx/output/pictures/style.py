@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certificate import Certificate
 
 STYLE = {
@@ -59,7 +60,7 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
     usual = float(values[order[np.searchsorted(measure, QUANTILE * measure[-1])]])
     if high > 1.2 * usual > 0:
         return min(low, usual), usual, "max"
-    return low, high if high > low else low + (abs(low) or 1.0), "neither"
+    return low, high if high - low > TIE * high else low + (abs(low) or 1.0), "neither"
 
 
 def letter(number: int) -> str:

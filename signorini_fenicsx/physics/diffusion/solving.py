@@ -260,8 +260,6 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
         InputError: If there is none, or the method cannot.
     """
     method = options.method
-    if data.inside is None and not spaces.part_names and data.c_h is None:
-        raise InputError("signorini: lists no part, and there are no laws and no obstacle")
     if data.inside is not None and not method.laws_inside:
         what = "an obstacle" if data.inside.is_obstacle else "laws in Ω"
         raise InputError(f"{options.algorithm_name} does not take {what}; {those(lambda other: other.laws_inside)} do")

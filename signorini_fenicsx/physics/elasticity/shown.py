@@ -39,6 +39,8 @@ def fields(solution: ElasticSolution) -> Fields:
         Field("u", u, order=1, at_points=True),
         Field("equilibrium", np.linalg.norm(left, axis=2).max(axis=1)),
     ]
+    if not spaces.part_names:
+        return {IN_CELLS: on_cells}
     on_facets = [
         Field("u", u[contact.cells[:, None], opposite(spaces.dim)[contact.local]], order=1),
         Field("pressure", solution.pressure),
@@ -288,8 +290,9 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
 
 def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
+    touching = f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}"
     texts = {
-        "contact": f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}",
+        **({"contact": touching} if solution.spaces.part_names else {}),
         "forces": _forces(summary["resultants"], solution.spaces.dim),
         "largest": _largest(summary["quantities"]),
     }

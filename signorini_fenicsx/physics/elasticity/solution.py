@@ -106,7 +106,7 @@ class ElasticSolution(Solved):
     @property
     def approach(self) -> str:
         """The problem and its method, in words."""
-        return f"elastic contact, {self.options.algorithm_name}"
+        return f"{'elastic contact' if self.contact_parts else 'elasticity'}, {self.options.algorithm_name}"
 
     @cached_property
     def stresses(self) -> Array:
