@@ -1,11 +1,12 @@
 """What a rank owns: the first cells of a mesh and the first entries of a function. Ghosts follow, which others own."""
 
+import math
 from weakref import WeakKeyDictionary
 
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem
+from dolfinx import common, fem, la
 
 type Entities = npt.NDArray[np.int32]
 
@@ -60,3 +61,27 @@ def function_of(space: fem.FunctionSpace, values: npt.ArrayLike, name: str | Non
     function = fem.Function(space, name=name)
     set_owned(function, values)
     return function
+
+
+def sums_at(
+    index_map: common.IndexMap, numbers: npt.NDArray[np.integer], values: npt.ArrayLike = 1.0
+) -> npt.NDArray[np.float64]:
+    """Add up values for each thing that an index map numbers, over all ranks, ghosts updated (collective).
+
+    Args:
+        index_map: The map.
+        numbers: Numbers of things on this rank, in any shape and as often as one likes.
+        values: A value for each of these numbers, its entries behind their axes; or what can be broadcast to this.
+
+    Returns:
+        The sums, shape (things, *shape of a value); 0 for a thing without numbers.
+    """
+    shape = np.shape(values)[numbers.ndim :]
+    sums = la.vector(index_map, math.prod(shape))
+    rows = sums.array.reshape(-1, sums.block_size)
+    summands = np.broadcast_to(values, (*numbers.shape, *shape)).reshape(numbers.size, sums.block_size)
+    for column, of_column in enumerate(summands.T):
+        rows[:, column] = np.bincount(numbers.ravel(), of_column, len(rows))
+    sums.scatter_reverse(la.InsertMode.add)
+    sums.scatter_forward()
+    return rows.reshape(-1, *shape)

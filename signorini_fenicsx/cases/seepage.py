@@ -12,10 +12,9 @@ from typing import Any
 
 import dolfinx.mesh
 import numpy as np
-from dolfinx import fem, la
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.cases.dam import Dam
 from signorini_fenicsx.discrete.points import in_facets
@@ -87,12 +86,9 @@ def _phreatic_line(solution: Solution) -> Array:
     spaces, contact = solution.spaces, solution.outcome.iterate.contact
     assert contact is not None
     space = spaces.crouzeix_raviart
-    dry = fem.Function(space)
     dofs = cell_dofs(space)
-    dry.x.array[dofs[contact]] = 1.0
-    dry.x.scatter_reverse(la.InsertMode.add)
-    dry.x.scatter_forward()
-    beside = np.flatnonzero((dry.x.array[dofs] > 0).any(axis=1) & ~contact).astype(np.int32)
+    dry = sums_at(space.dofmap.index_map, dofs[contact])
+    beside = np.flatnonzero((dry[dofs] > 0).any(axis=1) & ~contact).astype(np.int32)
     centroids = dolfinx.mesh.compute_midpoints(spaces.mesh, 2, beside).reshape(-1, 3)[:, :2]
     points = centroids - solution.cell_flux.centroid[beside]
     points = np.concatenate(spaces.mesh.comm.allgather(points))

@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from dolfinx import la
 
 from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_nodes, number_of_cells
+from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, sums_at
 from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.cut import opened
@@ -126,10 +125,8 @@ def _entities(mesh: dolfinx.mesh.Mesh, dim: int, key: str, chosen: Chosen, *, in
 
 def _owned(mesh: dolfinx.mesh.Mesh, dim: int, numbers: Indices) -> Entities:
     """The owned entities, ascending, that any rank lists (collective)."""
-    listed = la.vector(mesh.topology.index_map(dim), dtype=np.int8)
-    listed.array[numbers] = 1
-    listed.scatter_reverse(la.InsertMode.add)
-    return np.flatnonzero(listed.array[: listed.index_map.size_local]).astype(np.int32)
+    index_map = mesh.topology.index_map(dim)
+    return np.flatnonzero(sums_at(index_map, numbers)[: index_map.size_local]).astype(np.int32)
 
 
 def _gathered(

@@ -5,13 +5,12 @@ from dataclasses import replace
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.base.owned import cell_nodes
+from signorini_fenicsx.base.owned import cell_nodes, sums_at
 from signorini_fenicsx.base.small_matrices import determinants
 from signorini_fenicsx.meshes.domain import (
     Domain,
@@ -170,8 +169,8 @@ def descendant(
     before, dim = _volumes(mesh), mesh.topology.dim
     for name, moved in nearest.items():
         nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, refined.facets[name])
-        nodes = _on_all_ranks(mesh, nodes.ravel())
-        mesh.geometry.x[nodes] = moved(mesh.geometry.x[nodes].T).T
+        listed = sums_at(mesh.geometry.index_map(), nodes) > 0  # by any rank
+        mesh.geometry.x[listed] = moved(mesh.geometry.x[listed].T).T
     if not mesh.comm.allreduce(bool(np.all(_volumes(mesh) / before > FLAT)), MPI.LAND):
         raise NumericalFailure("new vertices on a curved boundary would flatten a cell; start from a finer mesh")
     return replace(refined, h=largest_diameter(mesh))
@@ -232,12 +231,3 @@ def _boundary_facets(
     nodes = cell_nodes(fine)[cells[outside]]
     others = nodes[np.arange(dim + 1) != opposite[outside, None]]
     return parents[outside], others.reshape(-1, dim), cells[outside]
-
-
-def _on_all_ranks(mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Nodes of this rank that any rank lists (collective)."""
-    marked = la.vector(mesh.geometry.index_map())
-    marked.array[nodes] = 1.0
-    marked.scatter_reverse(la.InsertMode.add)
-    marked.scatter_forward()
-    return np.flatnonzero(marked.array > 0).astype(np.int32)

@@ -7,11 +7,10 @@ from functools import cached_property
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import cell_nodes
+from signorini_fenicsx.base.owned import cell_nodes, sums_at
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.meshes.domain import facet_vertices
 
@@ -145,22 +144,12 @@ class MeansAround:
     """
 
     def __init__(self, mesh: dolfinx.mesh.Mesh, nodes: npt.NDArray[np.integer]) -> None:
-        self._mesh, self._nodes = mesh, nodes
-        self._count = self._sums(np.ones((*nodes.shape, 1)))
+        self._numbers, self._nodes = mesh.geometry.index_map(), nodes
+        self._count = sums_at(self._numbers, nodes)[:, None]
 
     def __call__(self, values: Array) -> Array:
         """The means, shape (nodes, k), of values of shape (cells, dim + 1, k) (collective)."""
-        return self._sums(values) / self._count
-
-    def _sums(self, values: Array) -> Array:
-        width = values.shape[2]
-        total = la.vector(self._mesh.geometry.index_map(), width)
-        rows = total.array.reshape(-1, width)
-        for column in range(width):
-            rows[:, column] = np.bincount(self._nodes.ravel(), values[:, :, column].ravel(), minlength=len(rows))
-        total.scatter_reverse(la.InsertMode.add)
-        total.scatter_forward()
-        return np.asarray(rows)
+        return np.asarray(sums_at(self._numbers, self._nodes, values) / self._count)
 
 
 def _firsts(groups: Indices, keys: tuple[Array, ...]) -> Indices:

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
 from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.points import Points
@@ -136,7 +136,4 @@ def joined(spaces: Spaces, of_cells: Array) -> Array:
 
     Collective.
     """
-    total = fem.Function(spaces.V)
-    total.x.array[:] = np.bincount(cell_dofs(spaces.V).ravel(), of_cells.ravel(), len(total.x.array))
-    total.x.scatter_reverse(la.InsertMode.add)
-    return np.asarray(total.x.array, dtype=np.float64)
+    return sums_at(spaces.V.dofmap.index_map, cell_dofs(spaces.V), of_cells)

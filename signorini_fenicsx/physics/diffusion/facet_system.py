@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values
+from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values, sums_at
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -131,11 +131,8 @@ class FacetSystem:
         """
         data, spaces = self._data, self.spaces
         y, dofs = owned_values(self.sources.b), cell_dofs(self.space)
-        load = fem.Function(self.space).x
-        per_facet = np.repeat(y * spaces.cell_measures / dofs.shape[1], dofs.shape[1])
-        load.array[:] = np.bincount(dofs.ravel(), per_facet, len(load.array))
-        load.scatter_reverse(la.InsertMode.add)
-        owned = load.array[: self.b.getLocalSize()]
+        per_facet = (y * spaces.cell_measures / dofs.shape[1])[:, None]
+        owned = sums_at(self.space.dofmap.index_map, dofs, per_facet)[: self.b.getLocalSize()]
         owned[self._across] += owned[self._named]  # the jump is on the named side alone
         owned[self.trace_dofs] += data.q_Sh * spaces.facet_measure
         owned[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
@@ -268,14 +265,12 @@ class FacetSystem:
         Returns:
             σ and u, and û of each facet that is owned, on inner ones of Γ_S its jump.
         """
-        dofs, owned, jumps = cell_dofs(self.space), len(loads.forces), loads.jumps
+        owned, jumps = len(loads.forces), loads.jumps
         through, _ = self._through(jumps, loads)
-        sums = fem.Function(self.space).x
-        sums.array[:] = np.bincount(dofs.ravel(), -through.ravel(), len(sums.array))
-        sums.scatter_reverse(la.InsertMode.add)
-        sums.array[self._across] += sums.array[self._named]
+        sums = sums_at(self.space.dofmap.index_map, cell_dofs(self.space), -through)
+        sums[self._across] += sums[self._named]
         b, x = (vector.duplicate() for vector in (self.b, self.x))
-        b.array_w[:] = sums.array[:owned] + loads.forces
+        b.array_w[:] = sums[:owned] + loads.forces
         b.array_w[self._fixed(conditions.take(self._facets))] = 0.0
         x.set(0.0)
         solve(b, x)
@@ -283,7 +278,7 @@ class FacetSystem:
         u_cr.x.array[:owned] = trace
         u_cr.x.array[self._named] += trace[self._across]
         u_cr.x.scatter_forward()
-        through, of_cells = self._through(jumps + u_cr.x.array[dofs], loads)
+        through, of_cells = self._through(jumps + u_cr.x.array[cell_dofs(self.space)], loads)
         sigma, u = fem.Function(self.spaces.V, name="sigma"), function_of(self.spaces.Q, of_cells, "u")
         sigma.x.array[cell_dofs(self.spaces.V)] = through / self.spaces.outflow
         sigma.x.scatter_forward()

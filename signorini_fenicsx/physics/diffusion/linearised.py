@@ -22,13 +22,13 @@ from collections.abc import Callable, Iterator, Mapping
 import dolfinx.mesh
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from ufl import Form
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned
+from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.loop import settled_change
@@ -225,11 +225,9 @@ class Linearised:
 
     def _jumps(self, functional: fem.Function) -> Array:
         """The z whose ⟨z, τ·n⟩ is the value at τ of a functional, given by its values at the basis functions."""
-        spaces, dofs, cells = self._spaces, cell_dofs(self._spaces.V), fem.Function(self._spaces.V).x
-        cells.array[:] = np.bincount(dofs.ravel(), minlength=len(cells.array))
-        cells.scatter_reverse(la.InsertMode.add)
-        cells.scatter_forward()
-        return np.asarray((functional.x.array / cells.array)[dofs] / spaces.outflow)
+        spaces, dofs = self._spaces, cell_dofs(self._spaces.V)
+        cells = sums_at(spaces.V.dofmap.index_map, dofs)
+        return np.asarray((functional.x.array / cells)[dofs] / spaces.outflow)
 
 
 def _seen(spaces: Spaces, solution: Solution) -> Iterator[tuple[str, Seen]]:

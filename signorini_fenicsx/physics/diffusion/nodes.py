@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.matrices import identity_with
@@ -43,14 +44,10 @@ def largest_around(space: fem.FunctionSpace, nodes: Entities, values: Array) -> 
 
 def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:
     """Set the nodes of some facets to the means of what the facets say (collective)."""
-    total, count = fem.Function(function.function_space), fem.Function(function.function_space)
-    np.add.at(total.x.array, nodes.ravel(), values.ravel())
-    np.add.at(count.x.array, nodes.ravel(), 1.0)
-    for each in (total, count):
-        each.x.scatter_reverse(la.InsertMode.add)
-        each.x.scatter_forward()
-    has_place = count.x.array > 0
-    function.x.array[has_place] = total.x.array[has_place] / count.x.array[has_place]
+    index_map = function.function_space.dofmap.index_map
+    total, count = sums_at(index_map, nodes, values), sums_at(index_map, nodes)
+    has_place = count > 0
+    function.x.array[has_place] = total[has_place] / count[has_place]
 
 
 def quadratic_on_sides(datum: Datum, space: fem.FunctionSpace, spaces: Spaces) -> fem.Function:

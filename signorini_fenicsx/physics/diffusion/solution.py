@@ -12,12 +12,12 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned
+from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tolerances import KKT
@@ -198,12 +198,9 @@ class Solution(Solved):
         space, segment = self.spaces.crouzeix_raviart, self.segments().cells
         if segment is None:
             return np.empty(0, dtype=np.int32)
-        sums, dofs = [fem.Function(space) for _ in range(3)], cell_dofs(space)
-        for function, values in zip(sums, (np.ones(len(segment)), segment, segment**2), strict=True):
-            of_facets = np.repeat(values, dofs.shape[1])
-            function.x.array[:] = np.bincount(dofs.ravel(), of_facets, len(function.x.array))
-            function.x.scatter_reverse(la.InsertMode.add)
-        number, total, squares = map(owned_values, sums)
+        of_cells, index_map = np.column_stack([np.ones(len(segment)), segment, segment**2]), space.dofmap.index_map
+        sums = sums_at(index_map, cell_dofs(space), of_cells[:, None])
+        number, total, squares = sums[: index_map.size_local].T
         return np.flatnonzero((number == 2) & (2 * squares != total**2)).astype(np.int32)
 
     @collector_off()

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
@@ -134,13 +134,10 @@ def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Arra
 def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     """Σ |e|^(1/(d − 1)) ‖r‖²_e over the facets that this rank owns, see `ElasticKKT.tractions` (collective)."""
     dim, index_map = spaces.dim, spaces.traces.dofmap.index_map
-    sums = la.vector(index_map, dim**2)
     normals = facet_normals(spaces.vertices)
     measures = np.linalg.norm(normals, axis=2)
     pulls = np.einsum("nsaij,nsj->nsai", stresses[:, :, :dim], normals / measures[:, :, None])
-    np.add.at(sums.array.reshape(-1, dim, dim), spaces.dofs, pulls)
-    sums.scatter_reverse(la.InsertMode.add)
-    left: Array = sums.array.reshape(-1, dim, dim)
+    left = sums_at(index_map, spaces.dofs, pulls)
     left[spaces.neumann.blocks] -= linear_values(data.tractions, spaces.neumann.measure)
     held = data.supports.facets.blocks
     left[held] = data.supports.let_go(left[held])

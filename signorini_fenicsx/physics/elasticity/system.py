@@ -14,6 +14,7 @@ from dolfinx import la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.discrete.matrices import identity_with, of_cells
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import (
@@ -242,15 +243,12 @@ class ElasticSystem:
     def forces(self, stresses: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown, from values as `recover` gives them (collective)."""
         spaces, dim = self.spaces, self.spaces.dim
-        sums = la.vector(spaces.traces.dofmap.index_map, dim**2)
         mass = (1 + np.eye(dim)) / (dim * (dim + 1))
         pulls = np.einsum("nsaij,nsj->nsai", stresses[:, :, :dim], facet_normals(spaces.vertices))
-        np.add.at(sums.array.reshape(-1, dim, dim), spaces.dofs, mass @ pulls)
-        sums.scatter_reverse(la.InsertMode.add)
-        by_block = sums.array.reshape(-1, dim**2)
+        by_block = sums_at(spaces.traces.dofmap.index_map, spaces.dofs, mass @ pulls).reshape(-1, dim**2)
         for facets, matrices in spaces.frames:
             by_block[facets.blocks] = np.einsum("nij,ni->nj", matrices, by_block[facets.blocks])
-        return self._of_jumps(sums.array[: len(self.load)])
+        return self._of_jumps(by_block.ravel()[: len(self.load)])
 
 
 def jumps_to_sides(spaces: ElasticSpaces, *, back: bool = False) -> PETSc.Mat | None:

@@ -13,11 +13,11 @@ import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
-from dolfinx import fem, la
+from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values, sums_at
 from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
@@ -82,7 +82,6 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
     """
     mesh, flux = solution.spaces.mesh, solution.cell_flux
     v = fem.Function(bernstein(mesh), name="v")
-    total = fem.Function(v.function_space)
     nodes = cell_dofs(v.function_space)
     of_cells, values = solution.data.conductivities(solution.spaces), np.empty(nodes.shape, order="F")
     constant = owned_values(solution.u) - flux.slope * metric.moment / 2
@@ -91,10 +90,6 @@ def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
         gradient = times(flux.centroid[cells, None], inverse)[:, 0]
         values[cells] = np.einsum("npi,ni->np", points.arms, gradient) + slope / 2 * squares_of(points.arms, inverse)
         values[cells] += constant[cells, None]
-    values *= of_cells[:, None]
-    for function, summands in ((v, values), (total, np.broadcast_to(of_cells[:, None], values.shape))):
-        function.x.array[:] = np.bincount(nodes.ravel(), summands.ravel(), len(function.x.array))
-        function.x.scatter_reverse(la.InsertMode.add)
-        function.x.scatter_forward()
-    v.x.array[:] /= total.x.array
+    index_map = v.function_space.dofmap.index_map
+    v.x.array[:] = sums_at(index_map, nodes, values * of_cells[:, None]) / sums_at(index_map, nodes, of_cells[:, None])
     return v

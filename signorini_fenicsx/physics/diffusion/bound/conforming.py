@@ -34,7 +34,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
@@ -211,14 +211,12 @@ def _given(space: fem.FunctionSpace, spaces: Spaces, u_D: Datum) -> npt.NDArray[
     on_dirichlet = fem.locate_dofs_topological(space, dim - 1, spaces.dirichlet_facets)
     if not spaces.inner.present or u_D.number is not None:
         return on_dirichlet
-    is_given = fem.Function(space)
-    is_given.x.array[on_dirichlet] = 1.0
+    is_given = np.zeros(space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts, dtype=bool)
+    is_given[on_dirichlet] = True
     nodes = facet_nodes(space, np.concatenate([spaces.facets[spaces.inner.rows], spaces.inner.facets]))
-    ends = is_given.x.array[nodes[:, :dim]][:, np.array(basix.topology(facet_type(dim))[1])]
-    is_given.x.array[nodes[:, dim:][(ends > 0).all(axis=2)]] = 1.0
-    is_given.x.scatter_reverse(la.InsertMode.add)
-    is_given.x.scatter_forward()
-    return np.flatnonzero(is_given.x.array)
+    ends = is_given[nodes[:, :dim]][:, np.array(basix.topology(facet_type(dim))[1])]
+    is_given[nodes[:, dim:][ends.all(axis=2)]] = True
+    return np.flatnonzero(sums_at(space.dofmap.index_map, np.flatnonzero(is_given)))
 
 
 def _without(ends: list[Array], where: Mask) -> list[Array]:
@@ -237,12 +235,10 @@ def _load(
 
     On facets inside the domain, for the jumps.
     """
-    on_facets, in_cells = fem.Function(v.function_space), fem.Function(v.function_space)
-    np.add.at(on_facets.x.array, nodes.ravel(), loads.ravel())
-    on_facets.x.scatter_reverse(la.InsertMode.add)
-    load = np.asarray(on_facets.x.array, dtype=np.float64)
+    load = sums_at(v.function_space.dofmap.index_map, nodes, loads)
     load[jumps.tips] = 0.0
     if inside.rays:
+        in_cells = fem.Function(v.function_space)
         add_load(in_cells, inside.spaces, inside.forces)
         in_cells.x.scatter_reverse(la.InsertMode.add)
         size = v.function_space.dofmap.index_map.size_local

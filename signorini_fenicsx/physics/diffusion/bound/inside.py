@@ -34,11 +34,11 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import cell_dofs, owned_values
+from signorini_fenicsx.base.owned import cell_dofs, owned_values, sums_at
 from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -168,11 +168,7 @@ def coefficients(datum: Datum, space: fem.FunctionSpace, edges: Edges) -> Array:
 
 def _around(space: fem.FunctionSpace, cells: Indices) -> Mask:
     """Mask of the nodes of this rank that some owned cells of any rank have (collective)."""
-    near = fem.Function(space)
-    near.x.array[space.dofmap.list[cells]] = 1.0
-    near.x.scatter_reverse(la.InsertMode.add)
-    near.x.scatter_forward()
-    return np.asarray(near.x.array > 0)
+    return sums_at(space.dofmap.index_map, space.dofmap.list[cells]) > 0
 
 
 @dataclass(frozen=True)

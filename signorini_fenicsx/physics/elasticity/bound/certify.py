@@ -32,10 +32,11 @@ from dataclasses import replace
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
@@ -206,11 +207,7 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     if comm.allreduce(len(half)) <= FEW[spaces.dim]:
         large = np.union1d(large, half)
     nodes = spaces.nodes
-    near = la.vector(spaces.mesh.geometry.index_map())
-    near.array[nodes[large]] = 1.0
-    near.scatter_reverse(la.InsertMode.add)
-    near.scatter_forward()
-    chosen = (near.array[nodes] > 0).any(axis=1)
+    chosen = (sums_at(spaces.mesh.geometry.index_map(), nodes[large])[nodes] > 0).any(axis=1)
     cells = spaces.contact.cells[spaces.inner.rows], spaces.across.cells
     for one, other in (cells, cells[::-1]):  # v may jump between both sides, so both are there
         chosen[other[chosen[one]]] = True

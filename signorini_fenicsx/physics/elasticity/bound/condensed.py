@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity.data import BLOCK, OnSplit
@@ -275,12 +275,7 @@ def means_at_nodes(split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes, u: 
         nodes: The nodes that are left.
         u: Values at the vertices of the cells, as in `ElasticSpaces.order`, shape (cells, d + 1, d).
     """
-    dim = nodes.dim
-    sums = la.vector(nodes.numbers, dim + 1)
-    by_node = sums.array.reshape(-1, dim + 1)
-    for mine, corners in _between_vertices(split, space, nodes):
-        np.add.at(by_node[:, :dim], mine, u[:, corners].mean(axis=1))
-        np.add.at(by_node[:, dim], mine, 1.0)
-    sums.scatter_reverse(la.InsertMode.add)
-    own = by_node[: nodes.numbers.size_local]
-    return own[:, :dim] / own[:, dim:]
+    between = [(mine, u[:, corners].mean(axis=1)) for mine, corners in _between_vertices(split, space, nodes)]
+    numbers, values = (np.concatenate(each) for each in zip(*between, strict=True))
+    sums, count = sums_at(nodes.numbers, numbers, values), sums_at(nodes.numbers, numbers)
+    return (sums / count[:, None])[: nodes.numbers.size_local]

@@ -7,7 +7,6 @@ friction, |v_t| is bounded by its coefficients, and there is one more term for e
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from functools import cached_property
 
@@ -21,6 +20,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
 from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.forms.elasticity import square, strain, vector
@@ -251,11 +251,8 @@ class BestDisplacement:
     def _share(self) -> None:
         """Let all terms of friction at the same nodes have their share of what they carry together (collective)."""
         weights, sides = np.where(self.one_sided, 0.0, self.most), self._axes.any(axis=(1, 3))
-        at_nodes = la.vector(self._numbers, 1)
-        add_at(at_nodes, self._nodes, weights[:, None, None] * sides[:, :, None])
-        at_nodes.scatter_reverse(la.InsertMode.add)
-        at_nodes.scatter_forward()
-        share = weights / np.where(self.one_sided, 1.0, at_nodes.array[self._nodes].max(axis=1, initial=0.0))
+        at_nodes = sums_at(self._numbers, self._nodes, weights[:, None] * sides)
+        share = weights / np.where(self.one_sided, 1.0, at_nodes[self._nodes].max(axis=1, initial=0.0))
         together = self.along(self.spread(np.where(self.one_sided[:, None], 0.0, self._forces)))
         shares = together * (share / sides.sum(axis=1))[:, None]
         self._forces = np.where(self.one_sided[:, None], self._forces, shares)
@@ -292,12 +289,7 @@ class BestDisplacement:
 
     def _summed(self, values: Array) -> Array:
         """Sums over the terms of each owned node, from values of shape (terms, 2, …) (collective)."""
-        size = math.prod(values.shape[2:])
-        sums = la.vector(self._numbers, size)
-        add_at(sums, self._nodes, values)
-        sums.scatter_reverse(la.InsertMode.add)
-        summed: Array = sums.array[: size * self._numbers.size_local]
-        return summed
+        return sums_at(self._numbers, self._nodes, values)[: self._numbers.size_local].ravel()
 
     def factorise(self, stiffness: Array) -> None:
         """Get ready to solve with K + Σ AᵀDA (collective)."""
