@@ -189,7 +189,7 @@ def check_enclosures(seed: int) -> bool:
     share = rng.random((2, 30, boxes))
     share[:, :4] = rng.integers(0, 2, (2, 4, boxes))
     points = np.clip(lo[:, None] + share * (hi - lo)[:, None], lo[:, None], hi[:, None]).astype(np.longdouble)
-    values, gradients = values_and_gradient(tree, {"x": points[0], "y": points[1]})
+    values, gradients = values_and_gradient(tree, np.moveaxis(points, 0, -1))
     for sampled, enclosure in [(values, value), (gradients[..., 0], gradient[0]), (gradients[..., 1], gradient[1])]:
         outside = (sampled < enclosure.lo) | (sampled > enclosure.hi)  # False if one of them is NaN
         assert not outside.any(), f"outside of the enclosure of {text!r}"

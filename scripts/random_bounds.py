@@ -138,7 +138,7 @@ def pulses_of(rng: np.random.Generator, coarse: Domain) -> str:
 
 def values_in(text: str, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Values of a text in points, shape (…, dim)."""
-    shown = values(read(text, "xyz"), dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+    shown = values(read(text, "xyz"), x)
     return np.broadcast_to(shown, x.shape[:-1])
 
 

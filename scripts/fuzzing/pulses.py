@@ -32,7 +32,7 @@ def pulses(rng: random.Random, folder: Path, valid: Valid) -> Broken:
     height = 10 ** (rng.uniform(-2, -0.1) if kind == "g" else rng.uniform(-2, 3))
     w = _train(rng, "y" if kind in ("g_N", "u_D") else "x")
     middle = (np.arange(POINTS) + 0.5) / POINTS
-    shape = np.broadcast_to(values(read(w, "xy"), {"x": middle, "y": middle}), middle.shape)
+    shape = np.broadcast_to(values(read(w, "xy"), np.column_stack([middle, middle])), middle.shape)
     data, sides, law, flux = _posed(kind, w, height, shape, middle)
     if "psi" not in data and not law:
         data["psi"] = repr(-10 - 10 * height)

@@ -13,7 +13,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
-from signorini_fenicsx.expressions import TREES, polynomial_degree, values
+from signorini_fenicsx.expressions import TREES, is_polynomial, values
 from signorini_fenicsx.expressions.given import parsed
 
 
@@ -49,9 +49,9 @@ def _constant(path: str, mesh: dolfinx.mesh.Mesh, constants: list[Any], given: A
         InputError: If it is no number.
     """
     tree = parsed(given, "xyzt", path)
-    if not isinstance(tree, TREES) or polynomial_degree(tree) != 0:
+    if not (isinstance(tree, TREES) and is_polynomial(tree, 0)):
         raise InputError(f"{path}: is no number; in Python put a Constant or Function there")
-    constants.append(fem.Constant(mesh, float(values(tree, dict.fromkeys("xyzt", np.zeros(1)))[0])))
+    constants.append(fem.Constant(mesh, float(values(tree, np.zeros(3)))))
     return constants[-1]
 
 

@@ -29,8 +29,16 @@ from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.of_points import interpolated
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells
-from signorini_fenicsx.expressions import TREES, Tree, exactly, polynomial_degree, to_ufl, values, values_and_gradient
+from signorini_fenicsx.expressions import (
+    TREES,
+    Tree,
+    exactly,
+    to_ufl,
+    values,
+    values_and_gradient,
+)
 from signorini_fenicsx.expressions.given import Given, Rows, parsed
+from signorini_fenicsx.expressions.tree import polynomial_degree
 
 DEGREES = 8, 30
 """Least and largest degree of a quadrature of data."""
@@ -135,18 +143,14 @@ class _Text(Datum):
         return [(self.trees, None)]
 
     def _values(self, points: Points) -> Array:
-        x = _named(points)
+        x = points.x
         if isinstance(self.trees, list):
             return np.stack([np.stack([values(entry, x) for entry in row], axis=-1) for row in self.trees], axis=-2)
         return values(self.trees, x)
 
     def _gradients(self, points: Points) -> Array:
         assert not isinstance(self.trees, list)
-        return values_and_gradient(self.trees, _named(points))[1]
-
-
-def _named(points: Points) -> dict[str, Array]:
-    return dict(zip("xyz", np.moveaxis(points.x, -1, 0), strict=False))
+        return values_and_gradient(self.trees, points.x)[1]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from signorini_fenicsx.expressions.evaluation import (
 )
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.symbolic import to_ufl
-from signorini_fenicsx.expressions.tree import TREES, Binary, Tree, exactly, polynomial_degree, substituted
+from signorini_fenicsx.expressions.tree import TREES, Binary, Tree, exactly, is_polynomial, substituted
 
 __all__ = [
     "TREES",
@@ -24,10 +24,10 @@ __all__ = [
     "difference",
     "exactly",
     "interval",
+    "is_polynomial",
     "linear_terms",
     "parse_expression",
     "parse_number",
-    "polynomial_degree",
     "read",
     "substituted",
     "to_ufl",

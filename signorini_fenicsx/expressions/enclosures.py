@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.reference_cells import SIMPLEX, orthonormal, positive_quadrature
 from signorini_fenicsx.expressions.cutting import CHUNK, Frame, in_parts, look_everywhere
 from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval
@@ -30,8 +30,6 @@ BESIDE = 4.5
 """If e is within ρ of a quadratic, it is within so many times ρ of `interpolated`, whose Lebesgue constant is 3.5."""
 DIGITS = 12
 """Points of reference simplices are the same in so many digits."""
-SIMPLICES = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}
-"""By their number of vertices."""
 
 
 def distances(tree: Tree, vertices: Array, frame: Frame, enough: Array, degree: int = DEGREE) -> Array:
@@ -110,7 +108,7 @@ def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
 
     def look(parts: Parts, remainder: Remainder) -> Array:
         x, rule = _points(parts.vertices)
-        d = _values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
+        d = values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
         rho, middle = 2 * remainder.distance(), d @ rule
         return np.stack([middle, rho, np.sqrt(d**2 @ rule) + rho], axis=1)
 
@@ -164,7 +162,7 @@ def moments(
     def look(parts: Parts, remainder: Remainder) -> Array:
         x, rule = _points(parts.vertices)
         hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.own, None], slopes[parts.own])
-        d = _values(tree, x) - np.einsum("nqa,na->nq", basis(hats), p[parts.own])
+        d = values(tree, x) - np.einsum("nqa,na->nq", basis(hats), p[parts.own])
         rho = 2 * remainder.distance()
         return np.column_stack([rho**2, (np.sqrt(d**2 @ rule) + rho) ** 2, np.einsum("nq,q,nqv->nv", d, rule, hats)])
 
@@ -217,7 +215,7 @@ def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
         x, rule = _points(parts.vertices)
-        value, gradient = values_and_gradient(tree, _named(x))
+        value, gradient = values_and_gradient(tree, x)
         d, subtracted = projection.at(parts.own, x)
         d, gradient = value - d, gradient - subtracted
         rho, slope = remainder.slope()
@@ -257,11 +255,11 @@ class _Projection:
         """The L² projections of an expression, by quadrature."""
         corners = vertices.shape[1]
         points, weights = _rule(corners, 2 * DEGREE)
-        basis = _basis(corners).tabulate(0, points)[0][:, :, 0]
+        basis = orthonormal(SIMPLEX[corners - 1], DEGREE).tabulate(0, points)[0][:, :, 0]
         coefficients = np.empty((len(vertices), basis.shape[1]))
         for begin in range(0, len(vertices), CHUNK):
             some = slice(begin, begin + CHUNK)
-            coefficients[some] = _values(tree, _points(vertices[some])[0]) @ (weights[:, None] * basis)
+            coefficients[some] = values(tree, _points(vertices[some])[0]) @ (weights[:, None] * basis)
         measure = 1 / math.factorial(corners - 1)
         return cls(coefficients * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
 
@@ -274,7 +272,7 @@ class _Projection:
         reference = np.einsum("nij,nqj->nqi", inverse, x - self.origin[own, None])
         rounded = np.round(reference, DIGITS).reshape(number, points * dim)
         _, first, alike = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-        tables = _basis(dim + 1).tabulate(1, reference[first].reshape(-1, dim))[:, :, :, 0]
+        tables = orthonormal(SIMPLEX[dim], DEGREE).tabulate(1, reference[first].reshape(-1, dim))[:, :, :, 0]
         tables = tables.reshape(dim + 1, len(first), points, self.coefficients.shape[1]).transpose(1, 0, 3, 2)
         groups = np.split(np.argsort(alike), np.cumsum(np.bincount(alike))[:-1])
         results = np.empty((dim + 1, number, points))
@@ -288,20 +286,11 @@ class _Projection:
         for begin in range(0, len(vertices), CHUNK):
             own = np.arange(begin, min(begin + CHUNK, len(vertices)))
             x, weights = _points(vertices[own], degree)
-            value, gradient = values_and_gradient(tree, _named(x))
+            value, gradient = values_and_gradient(tree, x)
             subtracted, slope = self.at(own, x)
             distances[0, own] = np.sqrt((value - subtracted) ** 2 @ weights)
             distances[1, own] = np.sqrt(((gradient - slope) ** 2).sum(axis=2) @ weights)
         return distances
-
-
-@cache
-def _basis(corners: int) -> basix.finite_element.FiniteElement:
-    """Polynomials of degree K, orthonormal on the reference simplex."""
-    legendre = basix.LagrangeVariant.legendre
-    return basix.create_element(
-        basix.ElementFamily.P, SIMPLICES[corners], DEGREE, legendre, basix.DPCVariant.unset, True
-    )
 
 
 @dataclass(frozen=True)
@@ -389,7 +378,7 @@ def _bounds(tree: Tree, p: Quadratic | None, vertices: Array, parts: Parts, rho:
     near = interpolated(tree, parts.vertices)
     x = np.concatenate([parts.vertices, parts.vertices.mean(axis=1, keepdims=True)], axis=1)
     x = x.mean(axis=1, keepdims=True) + INSIDE * (x - x.mean(axis=1, keepdims=True))
-    seen, coefficients = values(tree, _named(x)), bernstein(near, parts.vertices)
+    seen, coefficients = values(tree, x), bernstein(near, parts.vertices)
     if p is not None:
         seen = seen - _of_simplices(p, vertices, parts, x)[:, :, 0]
         coefficients = bernstein(_less(near, p, vertices, parts), parts.vertices)
@@ -414,18 +403,8 @@ def _points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:
 
 @cache
 def _rule(corners: int, degree: int) -> tuple[Array, Array]:
-    few = degree <= {2: -1, 3: 30, 4: 15}[corners]
-    kind = basix.QuadratureType.xiao_gimbutas if few else basix.QuadratureType.gauss_jacobi
-    points, weights = basix.make_quadrature(SIMPLICES[corners], degree, kind)
+    points, weights = positive_quadrature(SIMPLEX[corners - 1], degree)
     return points, weights / weights.sum()
-
-
-def _values(tree: Tree, x: Array) -> Array:
-    return values(tree, _named(x))
-
-
-def _named(x: Array) -> dict[str, Array]:
-    return dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))
 
 
 def _of_simplices(p: Quadratic, vertices: Array, parts: Parts, x: Array) -> Array:

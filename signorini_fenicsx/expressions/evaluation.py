@@ -143,11 +143,11 @@ class Intervals(_Logic):
         return then.where(condition.surely, intervals.WHOLE.where(condition.possibly, otherwise))
 
 
-def values(tree: Tree, points: Mapping[str, Array]) -> Array:
-    """Values in points, whose coordinates are arrays of one shape; NaN or ±inf where there is no value."""
+def values(tree: Tree, x: Array) -> Array:
+    """Values in points, whose coordinates are the last axis; NaN or ±inf where there is no value."""
     with np.errstate(all="ignore"):
-        value = evaluate(tree, Numeric(points))
-    return np.array(np.broadcast_to(value, _shape(points)))
+        value = evaluate(tree, Numeric(_coordinates(x)))
+    return np.array(np.broadcast_to(value, x.shape[:-1]))
 
 
 def linear_terms(tree: Tree) -> list[tuple[float, Tree]]:
@@ -220,12 +220,13 @@ def _number(tree: Tree) -> float | None:
         return None
 
 
-def values_and_gradient(tree: Tree, points: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Values in points, and the derivatives with respect to each name as a last axis."""
+def values_and_gradient(tree: Tree, x: Array) -> tuple[Array, Array]:
+    """Values in points, and the derivatives by each coordinate as a last axis."""
+    names = {name: Dual((value,), {name: np.float64(1.0)}) for name, value in _coordinates(x).items()}
     with np.errstate(all="ignore"):
-        dual: Dual = evaluate(tree, Differentiated(Numeric({}), _variables(points, np.float64(1.0))))
-    shape = _shape(points)
-    gradient = [np.broadcast_to(dual.gradient.get(name, 0.0), shape) for name in points]
+        dual: Dual = evaluate(tree, Differentiated(Numeric({}), names))
+    shape = x.shape[:-1]
+    gradient = [np.broadcast_to(dual.gradient.get(name, 0.0), shape) for name in names]
     return np.array(np.broadcast_to(dual.values[0], shape)), np.stack(gradient, axis=-1)
 
 
@@ -265,9 +266,6 @@ def _branch(choice: Conditional, box: Mapping[str, Interval]) -> Tree | None:
     return None if truth.possibly else decided(choice.otherwise, box)
 
 
-def _shape(points: Mapping[str, Array]) -> tuple[int, ...]:
-    return np.shape(next(iter(points.values())))
-
-
-def _variables(names: Mapping[str, Any], one: Any) -> dict[str, Dual]:
-    return {name: Dual((value,), {name: one}) for name, value in names.items()}
+def _coordinates(x: Array) -> dict[str, Array]:
+    """Points by the names of their coordinates."""
+    return dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))

@@ -56,8 +56,7 @@ def number_of(name: str, given: Any) -> float:
     Raises:
         InputError: If it is not one.
     """
-    anywhere = {axis: np.full(1, np.nan) for axis in "xyz"}
-    number = float(values(given, anywhere)[0]) if isinstance(given, TREES) else np.nan
+    number = float(values(given, np.full(3, np.nan))) if isinstance(given, TREES) else np.nan
     if not np.isfinite(number):
         raise InputError(f"{name}: must be a number")
     return number

@@ -67,7 +67,7 @@ def interpolated(tree: Tree, vertices: Array) -> Quadratic:
     ends = np.array(edges(vertices.shape[1])).T
     corners = centre + INSIDE * (vertices - centre)
     midpoints = (corners[:, ends[0]] + corners[:, ends[1]]) / 2
-    in_nodes = [values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))) for x in (corners, midpoints)]
+    in_nodes = [values(tree, x) for x in (corners, midpoints)]
     return quadratic(corners, *in_nodes)
 
 

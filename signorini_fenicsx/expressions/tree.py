@@ -186,6 +186,12 @@ def substituted(node: Any, name: str, number: Number) -> Any:
     return replace(node, **{each.name: substituted(getattr(node, each.name), name, number) for each in fields(node)})
 
 
+def is_polynomial(tree: Tree, degree: int) -> bool:
+    """Whether a tree is written as a polynomial of at most this degree."""
+    own = polynomial_degree(tree)
+    return own is not None and own <= degree
+
+
 def polynomial_degree(tree: Tree) -> int | None:
     """The degree of a tree that is written as a polynomial; None for anything else."""
     match tree:

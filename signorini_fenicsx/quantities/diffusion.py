@@ -10,6 +10,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.laws import half_gap
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import facet_quadrature, in_cells
@@ -26,7 +27,6 @@ from signorini_fenicsx.physics.diffusion.bound.certify import (
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
-from signorini_fenicsx.physics.diffusion.bound.local_fields import positive_quadrature
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside

@@ -8,6 +8,7 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature, facet_type, in_cells, in_facets
@@ -16,7 +17,6 @@ from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, UNBALAN
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
-from signorini_fenicsx.physics.diffusion.bound.local_fields import positive_quadrature
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.quantities.bracket import Quantity
 

@@ -106,9 +106,9 @@ def deviation(
     return Deviation(nodes, enclosed.mean, enclosed.norm, enclosed.sup, enclosed.slope, enclosed.tilt, enclosed.rise)
 
 
-def places(x: Interval) -> dict[str, Array]:
-    """Coordinates, by name, of the middle of the intervals, as floats."""
-    return dict(zip("xyz", np.moveaxis((x.lo + x.hi) / 2, -1, 0), strict=False))
+def places(x: Interval) -> Array:
+    """The middle of the intervals, as floats."""
+    return np.asarray((x.lo + x.hi) / 2)
 
 
 def smallest(tree: Tree, vertices: Array, elementary: Elementary) -> Array:

@@ -114,7 +114,7 @@ def energy_of_extension(tree: Any, a: Any, b: Any, c: Any, lame: float) -> float
 
     def t(tau: Any) -> Any:
         x = a + tau[:, None] * (b - a)
-        return values(tree, {"x": x[:, 0], "y": x[:, 1]})
+        return values(tree, x)
 
     coefficients = np.polyfit(nodes, t(nodes), 2)
 
@@ -196,7 +196,7 @@ def test_distances_to_linear_bounds_of_friction(text: str):
     ((_, datum, rows),) = friction.texts
     bound, tau = friction.bound[rows], (np.arange(20_000) + 0.5) / 20_000
     x = facets.vertices[rows][:, :1, 0] + tau * np.diff(facets.vertices[rows][..., 0], axis=1)
-    squares = (values(read(text, "xy"), {"x": x}) - bound[:, :1] * (1 - tau) - bound[:, 1:] * tau) ** 2
+    squares = (values(read(text, "xy"), x[..., None]) - bound[:, :1] * (1 - tau) - bound[:, 1:] * tau) ** 2
     ratio = off_linear(solution.spaces, datum, facets.take(rows), bound) / np.sqrt(squares.mean(axis=1) / 2)
     assert (ratio > 1 - 1e-7).all()
     assert (ratio < 1.2).all()

@@ -156,7 +156,7 @@ def test_moments(corners: int):
     frame = Frame(np.array([[0.0] * dim, [1.0] * dim]), 5, MPI.COMM_SELF)
     found = moments(tree, vertices, p, lambda hats: lagrange(hats, degree), frame, np.full(5, 1e6))
     x = np.einsum("qv,nvi->nqi", points, vertices)
-    d = values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))) - p @ lagrange(points, degree).T
+    d = values(tree, x) - p @ lagrange(points, degree).T
     mass = (1 + np.eye(corners)) / (corners * (corners + 1))
     hats = np.einsum("q,nq,qv->nv", weights, d, points)
     linear = np.sqrt(np.einsum("nv,vw,nw->n", hats, np.linalg.inv(mass), hats))

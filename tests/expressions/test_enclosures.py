@@ -70,7 +70,7 @@ def test_enclosures_hold(dim: int, corners: int):
         p = p if np.isfinite(p.value).all() else constant(np.zeros(12), dim)
         found = enclose(tree, vertices, p, np.full(12, 1e-2), NUMPY)
         points = inside(vertices, 400, rng)
-        e, gradient = values_and_gradient(tree, dict(zip(names, np.moveaxis(points, 2, 0), strict=True)))
+        e, gradient = values_and_gradient(tree, points)
         d = e - value_of(p, vertices, points)
         bend = np.einsum("nij,cnj->cni", p.hessian, points - vertices.mean(axis=1))
         slope = np.linalg.norm(gradient - p.gradient - bend, axis=2)
@@ -101,7 +101,7 @@ def test_means_and_norms():
             for cell, (o, v, w) in enumerate(vertices):
                 points = o + a[:, None] * (v - o) + b[:, None] * (w - o)
                 one = Quadratic(p.value[[cell]], p.gradient[[cell]], p.hessian[[cell]])
-                d = values(tree, {"x": points[:, 0], "y": points[:, 1]})
+                d = values(tree, points)
                 d = d - value_of(one, vertices[[cell]], points[:, None])[:, 0]
                 mean, norm = d.mean(), np.sqrt((d**2).mean())
                 assert found.mean.lo[cell] - 1e-3 <= mean <= found.mean.hi[cell] + 1e-3
@@ -151,11 +151,9 @@ def test_gradients_and_values():
     tree = read("sin(3*x)*y^3 + abs(x - 1/4)", "xy")
     ends = np.array([(0, 1), (0, 2), (1, 2)]).T
     nodes = [vertices, (vertices[:, ends[0]] + vertices[:, ends[1]]) / 2]
-    p = quadratic(vertices, *(values(tree, {"x": x[..., 0], "y": x[..., 1]}) for x in nodes))
+    p = quadratic(vertices, *(values(tree, x) for x in nodes))
     for x in np.moveaxis(np.concatenate(nodes, axis=1), 1, 0):
-        np.testing.assert_allclose(
-            value_of(p, vertices, x[None])[0], values(tree, {"x": x[:, 0], "y": x[:, 1]}), atol=1e-14
-        )
+        np.testing.assert_allclose(value_of(p, vertices, x[None])[0], values(tree, x), atol=1e-14)
     found = enclose(tree, vertices, p, np.full(128, 0.3), NUMPY, by="tilt")
     assert (found.tilt <= found.slope * (1 + 1e-9)).all()
     kappa = read("1 - 0.99*exp(-((x - 0.515)/0.01)^2)", "xy")

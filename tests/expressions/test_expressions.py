@@ -32,7 +32,7 @@ def at_point(text: str) -> float:
     value = float(parse_expression(text, X)(POINT))
     coordinates = dict(zip("xy", np.array(POINT)[:, None], strict=True))
     tree = read(text, "xy")
-    assert values(tree, coordinates) == pytest.approx(value, abs=1e-14)
+    assert values(tree, np.array(POINT)) == pytest.approx(value, abs=1e-14)
     enclosure = interval(tree, {name: Interval(a, a) for name, a in coordinates.items()})
     assert enclosure.lo <= value <= enclosure.hi
     assert enclosure.hi - enclosure.lo < 1e-13 * max(1, abs(value))
@@ -212,13 +212,13 @@ def test_gradients():
     """Gradients in NumPy are those of UFL; over a box a jump gives no gradient, and a kink both gradients."""
     texts = ["x^3*sin(y) + tan(x)", "exp(x)/(2 + y)", "sqrt(x)*log(x) + tanh(x*y)", "(1 + x)^y", "atan2(y, x)"]
     texts += ["erf(3*x - y)", "max(x, y, 0) + min(x^2, y)", "abs(y)*x", "x^2 if x > y else cos(y)"]
-    points = {"x": np.array([0.3, 1.2, 0.7]), "y": np.array([-0.7, 0.4, 2.0])}
+    points = np.array([[0.3, -0.7], [1.2, 0.4], [0.7, 2.0]])
     for text in texts:
         value, gradient = values_and_gradient(read(text, "xy"), points)
         expression = parse_expression(text, X)
         lowered = ufl.algorithms.apply_algebra_lowering.apply_algebra_lowering(ufl.grad(expression))
         exact = ufl.algorithms.apply_derivatives.apply_derivatives(lowered)
-        for i, point in enumerate(zip(*points.values(), strict=True)):
+        for i, point in enumerate(map(tuple, points)):
             assert value[i] == pytest.approx(expression(point), abs=1e-14)
             found = [float(exact[j](point)) for j in range(2)]
             assert gradient[i] == pytest.approx(found, abs=1e-13), text
@@ -269,7 +269,7 @@ def test_differences_without_common_summands(left: str, right: str, rest: str):
 )
 def test_linear_terms(text: str, number: int):
     """They add up to the whole; products of functions of x and of t have the same trees at all t."""
-    x = {name: np.random.default_rng(1).uniform(0.1, 1, 9) for name in "xy"}
+    x = np.random.default_rng(1).uniform(0.1, 1, (9, 2))
     for t in (0.3, 0.7):
         tree = substituted(read(text, "xyt"), "t", exactly(t))
         terms = linear_terms(tree)

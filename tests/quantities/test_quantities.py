@@ -52,7 +52,7 @@ def exact_mean(text: str, low: float = 0.0) -> float:
     x, weights = np.polynomial.legendre.leggauss(8)
     nodes = low + (np.arange(100)[:, None] + (x + 1) / 2).ravel() / 100
     weights = np.tile(weights / 2, 100) / 100
-    at = dict(zip("xy", np.meshgrid(nodes, nodes), strict=True))
+    at = np.stack(np.meshgrid(nodes, nodes), axis=-1)
     return float(weights @ values(read(text, "xy"), at) @ weights)
 
 

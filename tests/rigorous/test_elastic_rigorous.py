@@ -108,8 +108,7 @@ def true_error(discrete: ElasticDiscrete, u: list[str]) -> float:
     lam, weights = quadrature(dim, 6)
     corners = split_vertices(discrete.vertices)
     points = np.einsum("pk,nskd->nspd", lam, corners)
-    x = dict(zip("xyz", np.moveaxis(points, 3, 0), strict=False))
-    gradient = np.stack([values_and_gradient(read(each, "xyz"[:dim]), x)[1] for each in u], axis=3)
+    gradient = np.stack([values_and_gradient(read(each, "xyz"[:dim]), points)[1] for each in u], axis=3)
     strain = (gradient + gradient.swapaxes(3, 4)) / 2
     sigma = 0.4 * np.trace(strain, axis1=3, axis2=4)[..., None, None] * np.eye(dim) + 0.8 * strain
     off = sigma - np.einsum("pk,nskij->nspij", lam, discrete.stresses)
@@ -239,7 +238,7 @@ def test_moments_and_constants():
 
         def at(corners: np.ndarray, tree: Tree = tree, lam: np.ndarray = lam) -> np.ndarray:
             x = np.einsum("pk,...kd->...pd", lam, corners)
-            return values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+            return values(tree, x)
 
         hats = np.einsum("np,pk,p->nk", at(vertices), lam, weights)
         constant = (dim + 2) * hats.sum(axis=1, keepdims=True) - (dim + 1) ** 2 * hats

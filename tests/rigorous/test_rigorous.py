@@ -197,7 +197,7 @@ def true_error(discrete: Discrete, u: str) -> float:
     dim = discrete.dim
     lam, weights = quadrature(dim, 12)
     points = np.einsum("pk,nkd->npd", lam, discrete.vertices)
-    _, gradient = values_and_gradient(read(u, "xyz"[:dim]), dict(zip("xyz", np.moveaxis(points, 2, 0), strict=False)))
+    _, gradient = values_and_gradient(read(u, "xyz"[:dim]), points)
     cells = simplices.simplices(discrete.vertices)
     y = simplices.flux_in_vertices(cells, enclosing(discrete.fluxes)).lo
     error = gradient - np.einsum("pk,nkd->npd", lam, y)

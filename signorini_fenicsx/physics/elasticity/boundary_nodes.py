@@ -22,11 +22,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.physics.elasticity.data import ElasticData
-from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX
 from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaw
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces

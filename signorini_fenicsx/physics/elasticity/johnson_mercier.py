@@ -16,9 +16,8 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.forms.elasticity import pairs as entries
-
-SIMPLEX = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
 
 @dataclass(frozen=True)

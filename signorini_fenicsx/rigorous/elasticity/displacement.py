@@ -14,7 +14,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import Tree, interval, polynomial_degree
+from signorini_fenicsx.expressions import Tree, interval, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.simplices import EDGES, at, bernstein, facet_measures, total, with_midpoints
@@ -115,8 +115,7 @@ def _on_facets(
     Raises:
         InputError: If the tree is not quadratic.
     """
-    degree = polynomial_degree(tree)
-    if degree is None or degree > 2:
+    if not is_polynomial(tree, 2):
         raise InputError(f"the proof is for quadratic {name} alone")
     cells, local = np.nonzero(mask)
     nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(discrete.dim)]

@@ -17,8 +17,9 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import Tree, interval, polynomial_degree
+from signorini_fenicsx.expressions import Tree, interval
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.tree import polynomial_degree
 from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.simplices import (

@@ -25,7 +25,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions import Binary, Tree, interval, polynomial_degree
+from signorini_fenicsx.expressions import Binary, Tree, interval, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.tree import Negative, exactly
 from signorini_fenicsx.forms.elasticity import pairs
@@ -319,8 +319,7 @@ def _linear(given: Given, name: str, tree: Tree, x: Array) -> Interval:
     Raises:
         InputError: If it is not linear.
     """
-    degree = polynomial_degree(tree)
-    if degree is None or degree > 1:
+    if not is_polynomial(tree, 1):
         raise InputError(f"the proof is for linear {name} alone")
     return _at(tree, x, given)
 

@@ -43,6 +43,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.laws import Area, gap
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -53,7 +54,7 @@ from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_fl
 from signorini_fenicsx.physics.diffusion.bound.hidden import Pressure, degree_near, hidden_parts
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawGap, not_polynomial
-from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, Projection, positive_quadrature
+from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, Projection
 from signorini_fenicsx.physics.diffusion.bound.mean_loads import load_left
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric, cell_metric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS

@@ -39,6 +39,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, sums_at
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -48,7 +49,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
-from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, positive_quadrature, projected
+from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution

@@ -6,14 +6,14 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.expressions import Tree, values
 from signorini_fenicsx.expressions.quadratics import Quadratic, edges, quadratic
 
 
 def edge_order(corners: int) -> list[int]:
     """The positions in Basix's order of the edges of a simplex that `edges` lists."""
-    cell = {2: basix.CellType.interval, 3: basix.CellType.triangle, 4: basix.CellType.tetrahedron}[corners]
-    order = [tuple(sorted(edge)) for edge in basix.topology(cell)[1]]
+    order = [tuple(sorted(edge)) for edge in basix.topology(SIMPLEX[corners - 1])[1]]
     return [corners + order.index(edge) for edge in edges(corners)]
 
 
@@ -29,4 +29,4 @@ def in_nodes(tree: Tree, vertices: Array) -> Array:
     ends = np.empty((corners * (corners - 1) // 2, 2), dtype=np.int64)
     ends[np.array(edge_order(corners)) - corners] = edges(corners)
     x = np.concatenate([vertices, (vertices[:, ends[:, 0]] + vertices[:, ends[:, 1]]) / 2], axis=1)
-    return values(tree, dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False)))
+    return values(tree, x)

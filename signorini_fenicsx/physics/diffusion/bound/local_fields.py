@@ -31,14 +31,13 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.reference_cells import orthonormal
 from signorini_fenicsx.base.small_matrices import times
 from signorini_fenicsx.discrete.points import FacetPoints, facet_type
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 
 OF_LOAD, OF_FLUX = 1, 2
 """Degrees of Π and of all Π_e. τ has degree 2 in cells at Γ_N and Γ_S; in all other cells degree 1 is enough."""
-FEW_POINTS_UP_TO = {basix.CellType.triangle: 30, basix.CellType.tetrahedron: 15}
-"""Largest degree of the quadratures of Xiao and Gimbutas."""
 SINGULAR = 1e-10
 AT_ONCE = 20_000
 """Cells whose matrices are in memory at the same time."""
@@ -67,17 +66,9 @@ class Projection:
         return np.sqrt(scale * ((self.coefficients**2).sum(axis=1) + self.rest))
 
 
-def positive_quadrature(cell: basix.CellType, degree: int) -> tuple[Array, Array]:
-    """Points and weights > 0 on the reference cell; the default, Keast's rules, has negative ones too."""
-    few = degree <= FEW_POINTS_UP_TO[cell]
-    rule = basix.QuadratureType.xiao_gimbutas if few else basix.QuadratureType.gauss_jacobi
-    points, weights = basix.make_quadrature(cell, degree, rule)
-    return points, weights
-
-
 def projected(values: Array, cell: basix.CellType, degree: int, points: Array, weights: Array) -> Projection:
     """Project functions with mean 0, given by values in the points of a quadrature, shape (n, points)."""
-    basis = _polynomials(cell, degree).tabulate(0, points)[0][:, 1:, 0]
+    basis = orthonormal(cell, degree).tabulate(0, points)[0][:, 1:, 0]
     coefficients = np.asfortranarray(values @ (weights[:, None] * basis))
     rest = values - np.asfortranarray(coefficients @ basis.T)
     return Projection(coefficients, rest**2 @ weights)
@@ -85,13 +76,7 @@ def projected(values: Array, cell: basix.CellType, degree: int, points: Array, w
 
 def at_points(projection: Projection, cell: basix.CellType, degree: int, points: Array) -> Array:
     """The projections in points of the reference cell or facet, shape (n, points)."""
-    return projection.coefficients @ _polynomials(cell, degree).tabulate(0, points)[0][:, 1:, 0].T
-
-
-def _polynomials(cell: basix.CellType, degree: int) -> basix.finite_element.FiniteElement:
-    """An orthonormal basis on the reference cell; functions of lower degree come first."""
-    legendre = basix.LagrangeVariant.legendre
-    return basix.create_element(basix.ElementFamily.P, cell, degree, legendre, basix.DPCVariant.unset, True)
+    return projection.coefficients @ orthonormal(cell, degree).tabulate(0, points)[0][:, 1:, 0].T
 
 
 @dataclass(frozen=True)
@@ -120,7 +105,7 @@ def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
     points, weights = basix.make_quadrature(cell, 2 * degree + 2)
     values, *derivatives = element.tabulate(1, points)
     divergence = sum(derivatives[i][:, :, i] for i in range(dim))
-    basis = _polynomials(cell, degree).tabulate(0, points)[0][:, :, 0]
+    basis = orthonormal(cell, degree).tabulate(0, points)[0][:, :, 0]
     conditions = [basis.T @ (weights[:, None] * divergence)]
     for facet, normal in zip(topology[dim - 1], basix.cell.facet_outward_normals(cell), strict=True):
         x = geometry[facet]
@@ -128,9 +113,9 @@ def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
         edges = x[1:] - x[:1]
         area = np.sqrt(np.linalg.det(edges @ edges.T))
         flux = element.tabulate(0, x[0] + on_facet @ edges)[0] @ normal
-        facet_basis = _polynomials(facet_type(dim), degree).tabulate(0, on_facet)[0][:, :, 0]
+        facet_basis = orthonormal(facet_type(dim), degree).tabulate(0, on_facet)[0][:, :, 0]
         conditions.append(area * facet_basis.T @ (facet_weights[:, None] * flux))
-    of_load = _polynomials(cell, OF_LOAD).dim
+    of_load = orthonormal(cell, OF_LOAD).dim
     wanted = [at_facets & (np.arange(len(rows)) > 0) for rows in conditions]
     wanted[0][1:of_load] = True
     wanted[0][of_load:] = False

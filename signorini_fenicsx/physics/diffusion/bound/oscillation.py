@@ -18,6 +18,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import owned_cells, owned_values
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
     CellPoints,
@@ -35,7 +36,6 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     Projection,
     at_points,
     load_norms,
-    positive_quadrature,
     projected,
 )
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric

@@ -23,13 +23,14 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
-from signorini_fenicsx.expressions import TREES, polynomial_degree
+from signorini_fenicsx.expressions import TREES, is_polynomial
 from signorini_fenicsx.expressions.enclosures import ranges
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, constant, interpolated
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, positive_quadrature, projected
+from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST, Resolution
 from signorini_fenicsx.physics.diffusion.data import Data
@@ -131,8 +132,7 @@ def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: A
         q = interpolated(tree, vertices[cells])
         p.value[cells], p.gradient[cells], p.hessian[cells] = q.value, q.gradient, q.hessian
         least[cells] = bernstein(q, vertices[cells]).min(axis=1)
-        degree = polynomial_degree(tree)
-        if degree is None or degree > 2:
+        if not is_polynomial(tree, 2):
             deviation[cells] = resolution.deviation(tree, q, cells, tolerance[cells])
             least[cells] = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, np.inf).lo
     below = np.flatnonzero(least < -ROUNDING * np.abs(p.value).max(initial=0.0))

@@ -25,17 +25,18 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import Places, first_places
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import FacetPoints, cell_quadrature, in_cells
-from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, values
+from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, interpolated
 from signorini_fenicsx.expressions.series import DEGREE
-from signorini_fenicsx.physics.diffusion.bound.local_fields import facet_constants, positive_quadrature
+from signorini_fenicsx.physics.diffusion.bound.local_fields import facet_constants
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -177,7 +178,7 @@ class Resolution:
         norm, mean = np.empty((2, len(cells)))
         for points in in_cells(self.spaces.mesh, cells.astype(np.int32), *rule):
             rows, weights = np.searchsorted(cells, points.cells), points.weights / points.weights.sum()
-            rest = values(tree, dict(zip("xyz", np.moveaxis(points.x, -1, 0), strict=False)))
+            rest = values(tree, points.x)
             rest = rest - p.of(rows).at(points.arms)[:, :, 0]
             norm[rows], mean[rows] = np.sqrt(rest**2 @ weights), rest @ weights
         weight = self.spaces.cell_measures[cells] / self.volume / np.maximum(tolerance, SMALLEST) ** 2
@@ -253,8 +254,7 @@ class Resolution:
         for tree, cells, entries in self._conductivities(pieces):
             p = interpolated(tree, self.vertices[cells])
             of_p = bernstein(p, self.vertices[cells])
-            degree = polynomial_degree(tree)
-            if degree is None or degree > 2:
+            if not is_polynomial(tree, 2):
                 tolerance = SHARE * self.error / max(size, SMALLEST) * np.abs(of_p).max(axis=1, initial=0.0)
                 enclosure = ranges(tree, self.vertices[cells], p, self.spaces.frame, -tolerance, tolerance)
                 deviation[cells] = np.hypot(deviation[cells], len(entries) ** 0.5 * enclosure.sup)
@@ -332,8 +332,7 @@ class Resolution:
 
 def is_enclosed(tree: Tree | Rows) -> bool:
     """Whether quadrature may miss something of it: it is no polynomial, or one of a high degree."""
-    degree = polynomial_degree(tree) if isinstance(tree, TREES) else None
-    return degree is None or degree > EXACT
+    return not (isinstance(tree, TREES) and is_polynomial(tree, EXACT))
 
 
 def of_all_cells(matrices: Array, number: int) -> Array:

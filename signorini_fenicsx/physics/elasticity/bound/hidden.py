@@ -27,12 +27,13 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
+from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
-from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree
+from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
@@ -41,7 +42,7 @@ from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trac
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.data import DEGREE, LARGEST_DEGREE, ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import SIMPLEX, Cells, SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
@@ -102,8 +103,7 @@ class _Enclosures:
         """The pieces of a scalar that quadrature does not integrate exactly, with masks of the cells where they are."""
         for number, (tree, inside) in enumerate(self.datum.scalars[scalar].pieces or ()):
             assert isinstance(tree, TREES)
-            degree = polynomial_degree(tree)
-            if degree is None or degree > OF_SERIES:
+            if not is_polynomial(tree, OF_SERIES):
                 yield number, tree, inside
 
     def add(self, cells: AnyIndices, vertices: Array, near: Array, seen: Array, acting: Mask | None = None) -> None:

@@ -33,7 +33,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import beside
-from signorini_fenicsx.expressions import TREES, Tree, polynomial_degree, values
+from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import slopes
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
@@ -161,8 +161,7 @@ def _pieces(datum: Datum, facets: BoundaryFacets) -> Iterator[tuple[Tree, Indice
     for mask, part in datum.by_facets(facets.facets):
         for tree, inside in part.pieces or ():
             assert isinstance(tree, TREES)
-            degree = polynomial_degree(tree)
-            if degree is None or degree > QUADRATIC:
+            if not is_polynomial(tree, QUADRATIC):
                 yield tree, np.flatnonzero(mask if inside is None else mask & inside[facets.cells])
 
 
@@ -171,7 +170,7 @@ def _slopes_of_interpolant(tree: Tree, ends: Array, degree: int, step: float) ->
     nodes, powers = np.linspace(0.0, 1.0, degree + 1), np.arange(1, degree + 1)
     coefficients = np.linalg.inv(np.vander(nodes, increasing=True))[1:] * powers[:, None]
     near, far = (
-        values(tree, _named(_between(ends, np.broadcast_to(nodes + share * (0.5 - nodes), (len(ends), degree + 1)))))
+        values(tree, _between(ends, np.broadcast_to(nodes + share * (0.5 - nodes), (len(ends), degree + 1))))
         for share in (step, 2 * step)
     )
     return np.asarray((2 * near - far) @ coefficients.T)
@@ -186,7 +185,7 @@ def _derivatives(tree: Tree, ends: Array, at: Array, p: Array) -> tuple[Array, A
         at: τ.
         p: The coefficients of p' by the powers of τ.
     """
-    _, gradients = values_and_gradient(tree, _named(_between(ends, at)))
+    _, gradients = values_and_gradient(tree, _between(ends, at))
     rising = np.einsum("nqi,ni->nq", gradients, ends[:, 1] - ends[:, 0])
     return rising, rising - np.einsum("nqk,nk->nq", at[..., None] ** np.arange(p.shape[1]), p)
 
@@ -194,8 +193,3 @@ def _derivatives(tree: Tree, ends: Array, at: Array, p: Array) -> tuple[Array, A
 def _between(ends: Array, at: Array) -> Array:
     """Points between the ends of facets, from their τ, shape (facets, points, d)."""
     return np.asarray(ends[:, :1] + at[..., None] * (ends[:, 1:] - ends[:, :1]))
-
-
-def _named(x: Array) -> dict[str, Array]:
-    """Points by the names of their coordinates."""
-    return dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))

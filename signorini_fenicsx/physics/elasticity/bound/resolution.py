@@ -113,7 +113,7 @@ def _distances(
         share: Of the coefficients themselves; no better ρ is looked for below this.
     """
     rho, sizes = np.zeros((2, 4, len(cells)))
-    middle = dict(zip("xyz", np.moveaxis(vertices.mean(axis=1), -1, 0), strict=False))
+    middle = vertices.mean(axis=1)
     for young, with_young in material.young[0].pieces or ():
         for poisson, with_poisson in material.poisson[0].pieces or ():
             masks = [mask[cells] for mask in (with_young, with_poisson) if mask is not None]
@@ -272,7 +272,7 @@ def _of_strain(spaces: ElasticSpaces, strain: Strain) -> tuple[Array, Array]:
     size, dim = spaces.dim + 1, spaces.dim
     cells, vertices = np.repeat(np.arange(len(spaces.order)), size), split_vertices(spaces.vertices)
     vertices = vertices.reshape(-1, size, dim)
-    middle = dict(zip("xyz", np.moveaxis(vertices.mean(axis=1), -1, 0), strict=False))
+    middle = vertices.mean(axis=1)
     squares, largest = np.zeros((2, len(cells)))
     for datum, times in ((strain.datum, dim), (strain.beyond, 3 - dim)):
         for given, inside in datum.pieces or ():
