@@ -16,7 +16,7 @@ import typer
 from korn_constants import bound_of, lattice
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.physics.elasticity.bound.korn import regular_simplex, stretch
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells as Shapes
 from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
@@ -29,7 +29,7 @@ from signorini_fenicsx.rigorous.elasticity.stress import (
     wrench_of_load,
     wrenches,
 )
-from signorini_fenicsx.rigorous.simplices import at, root, simplices, stacked, total
+from signorini_fenicsx.rigorous.simplices import root, simplices, total
 
 LARGER = 1 + 1e-4
 """The bounds of c_h and t_h are larger by this factor than the floats found for them."""
@@ -74,8 +74,8 @@ class Loaded:
         dim, cells = self.dim, self.cells
         hats = (1 + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
         values = self._orthogonal(self.mesh.vertices, cells.measure, hats)
-        scaled = total(at(values, np.s_[..., None, :]) * hats, axis=-1)
-        moments = scaled * at(cells.measure, np.s_[:, None])
+        scaled = total(values[..., None, :] * hats, axis=-1)
+        moments = scaled * cells.measure[:, None]
         size = (*values.lo.shape, dim)
         none = enclosing(np.zeros((len(values.lo) * dim, *self.inside.shape, dim, dim)))
         return none, self._by_component(moments, size), self._products(values, moments)
@@ -88,7 +88,7 @@ class Loaded:
         hats = (1 + np.eye(dim)) / (dim * (dim + 1))
         share = enclosing(np.full(len(cell), 1.0))
         values = self._orthogonal(corners[cell, local][..., :-1], share, hats)  # those of q on each facet
-        scaled = total(at(values, np.s_[..., None, :]) * hats, axis=-1)
+        scaled = total(values[..., None, :] * hats, axis=-1)
         size = (*values.lo.shape, dim)
         on_facets = self._by_component(values, size)
         pulls = np.zeros((2, len(on_facets.lo), *self.inside.shape, dim, dim))
@@ -102,12 +102,12 @@ class Loaded:
         """A basis of the functions, linear on simplices, orthogonal to linear ones: (basis, simplices, vertices)."""
         count, corners, _ = places.shape
         linear = np.concatenate([np.ones((count, corners, 1)), places], axis=2)
-        weighted = total(enclosing(hats[..., None]) * linear[:, None], axis=2) * at(share, np.s_[:, None, None])
-        gram = total(total(at(weighted, np.s_[..., None]) * linear[:, :, None], axis=0), axis=0)
+        weighted = total(enclosing(hats[..., None]) * linear[:, None], axis=2) * share[:, None, None]
+        gram = total(total(weighted[..., None] * linear[:, :, None], axis=0), axis=0)
         flat = Interval(*(each.reshape(count * corners, -1) for each in (weighted.lo, weighted.hi)))
-        own = at(flat, np.s_[corners:])
+        own = flat[corners:]
         shares = solved(Interval(*(np.broadcast_to(e, (len(own.lo), *e.shape)) for e in (gram.lo, gram.hi))), own)
-        part = total(at(shares, np.s_[:, None, None]) * linear)
+        part = total(shares[:, None, None] * linear)
         unit = np.eye(count * corners)[corners:].reshape(-1, count, corners)
         return enclosing(unit) - part
 
@@ -123,11 +123,11 @@ class Loaded:
         number = len(values.lo)
         one, other = (Interval(*(x.reshape(number, -1) for x in (each.lo, each.hi))) for each in (values, weighted))
         scalar = product(one, Interval(other.lo.T, other.hi.T))
-        metric = total(at(self.map, np.s_[:, :, None]) * at(self.map, np.s_[:, None]), axis=0)
+        metric = total(self.map[:, :, None] * self.map[:, None], axis=0)
         lo, hi = (np.empty((number, self.dim, number, self.dim)) for _ in range(2))
         for i in range(self.dim):
             for j in range(self.dim):
-                block = scalar * at(metric, (i, j))
+                block = scalar * metric[i, j]
                 lo[:, i, :, j], hi[:, i, :, j] = block.lo, block.hi
         return Interval(*(each.reshape(number * self.dim, -1) for each in (lo, hi)))
 
@@ -168,7 +168,7 @@ class Loaded:
         roots[0, 0] = True
         x, closed = enclosing(mesh.vertices), np.zeros_like(self.inside)
         exact = [
-            along_tree(mesh, closed, roots, at(pulls, n) + near[n], wrench_of_load(x, at(moments, n), origin), origin)
+            along_tree(mesh, closed, roots, pulls[n] + near[n], wrench_of_load(x, moments[n], origin), origin)
             for n in range(len(near))
         ]
         return self._of(Interval(*(np.stack([getattr(each, end) for each in exact]) for end in ("lo", "hi"))), moments)
@@ -190,7 +190,7 @@ class Loaded:
         hats = np.linalg.cholesky((1 + np.eye(size)) / (size * (size + 1)))
         vectors = np.einsum("ncsve,vw->ncswe", (entries.lo + entries.hi) / 2, hats)
         x = enclosing(self.mesh.vertices)
-        on_facets = at(x, (slice(None), opposite(dim)))
+        on_facets = x[slice(None), opposite(dim)]
         wrench = total(wrenches(on_facets, pulls, origin), axis=2) + wrench_of_load(x, moments, origin)
         scale = np.sqrt(self.cells.measure.hi[0] / size)
         return vectors.reshape(count, -1) * scale, ((wrench.lo + wrench.hi) / 2).reshape(count, -1)
@@ -200,7 +200,7 @@ class Loaded:
         dim, columns = self.dim, []
         for i in range(dim):
             for j in range(i, dim):
-                factor = at(self.map, np.s_[i, :, None]) * at(self.map, np.s_[j, None, :])
+                factor = self.map[i, :, None] * self.map[j, None, :]
                 value = total(total(y * factor))
                 columns.append(value if i == j else value * root(enclosing(2.0)))
         return stacked(columns)
@@ -209,9 +209,8 @@ class Loaded:
         """(τ, τ') of all pairs."""
         size, entries = self.dim + 1, self._mapped(y)
         hats = (1 + np.eye(size)) / (size * (size + 1))
-        weighted = stacked([total(entries * hats[v][:, None], axis=-2) for v in range(size)], axis=-2) * at(
-            self.cells.measure / float(size), np.s_[:, None, None, None]
-        )
+        columns = [total(entries * hats[v][:, None], axis=-2) for v in range(size)]
+        weighted = stacked(columns, axis=-2) * (self.cells.measure / float(size))[:, None, None, None]
         one, other = (Interval(*(x.reshape(len(x), -1) for x in (each.lo, each.hi))) for each in (entries, weighted))
         return product(one, Interval(other.lo.T, other.hi.T))
 

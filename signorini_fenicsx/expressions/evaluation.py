@@ -48,7 +48,7 @@ CHOICES: dict[str, Callable[..., Conditional]] = {
 """Functions of the language that are choices."""
 
 
-class _Logic:
+class Logic:
     """Joins conditions by & | ~."""
 
     def both(self, left: Any, right: Any) -> Any:
@@ -61,7 +61,7 @@ class _Logic:
         return ~condition
 
 
-class Numeric(_Logic):
+class Numeric(Logic):
     """The algebra of arrays.
 
     What depends on NaN is NaN: also a power that IEEE makes 1, and a choice by a comparison with NaN.
@@ -99,7 +99,7 @@ class Numeric(_Logic):
     """The gradient of a choice between branches that may not meet."""
 
 
-class Intervals(_Logic):
+class Intervals(Logic):
     """The algebra of intervals."""
 
     def __init__(self, names: Mapping[str, Interval], elementary: Elementary):

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -55,6 +55,12 @@ class Interval:
     hi: Array
 
     __array_ufunc__ = None  # array + Interval is Interval.__radd__
+
+    def __getitem__(self, index: Any) -> Interval:
+        return Interval(self.lo[index], self.hi[index])
+
+    def __setitem__(self, index: Any, other: Interval) -> None:
+        self.lo[index], self.hi[index] = other.lo, other.hi
 
     def __neg__(self) -> Interval:
         return Interval(-self.hi, -self.lo)
@@ -141,6 +147,12 @@ def enclosing(value: Interval | float | Array) -> Interval:
     return Interval(array, array)
 
 
+def stacked(parts: Sequence[Interval], axis: int = -1) -> Interval:
+    """Intervals of one shape along a new axis."""
+    parts = [part.on(np.broadcast_shapes(*(other.lo.shape for other in parts))) for part in parts]
+    return Interval(np.stack([part.lo for part in parts], axis), np.stack([part.hi for part in parts], axis))
+
+
 WHOLE = Interval(np.asarray(-np.inf), np.asarray(np.inf))
 UNKNOWN = enclosing(np.nan)
 PI = Interval(np.asarray(np.pi), np.nextafter(np.pi, np.inf))
@@ -213,16 +225,13 @@ def log(elementary: Elementary, a: Interval) -> Interval:
     return UNKNOWN.where(a.lo < 0, monotone("log", elementary, a))
 
 
-def tanh(elementary: Elementary, a: Interval) -> Interval:
-    """The hyperbolic tangent."""
-    result = monotone("tanh", elementary, a)
+def _sigmoid(name: str, elementary: Elementary, a: Interval) -> Interval:
+    """Tanh or erf, which increase from −1 to 1."""
+    result = monotone(name, elementary, a)
     return Interval(np.maximum(result.lo, -1.0), np.minimum(result.hi, 1.0))
 
 
-def erf(elementary: Elementary, a: Interval) -> Interval:
-    """The error function."""
-    result = monotone("erf", elementary, a)
-    return Interval(np.maximum(result.lo, -1.0), np.minimum(result.hi, 1.0))
+tanh, erf = functools.partial(_sigmoid, "tanh"), functools.partial(_sigmoid, "erf")
 
 
 def sqrt(_: Elementary, a: Interval) -> Interval:
@@ -248,17 +257,9 @@ def larger(a: Interval, b: Interval) -> Interval:
     return Interval(np.maximum(a.lo, b.lo), np.maximum(a.hi, b.hi))
 
 
-def sin(elementary: Elementary, a: Interval) -> Interval:
-    """The sine; its maxima are at (1/4 + k) 2π and its minima at (3/4 + k) 2π."""
-    return _wave("sin", 0.25, elementary, a)
-
-
-def cos(elementary: Elementary, a: Interval) -> Interval:
-    """The cosine; its maxima are at k 2π and its minima at (1/2 + k) 2π."""
-    return _wave("cos", 0.0, elementary, a)
-
-
-def _wave(name: str, peak: float, elementary: Elementary, a: Interval) -> Interval:
+def _wave(name: str, elementary: Elementary, a: Interval) -> Interval:
+    """Sin or cos; the maxima of sin are at (1/4 + k) 2π, those of cos at k 2π, and minima half a turn from them."""
+    peak = 0.25 if name == "sin" else 0.0
     large = ~((a.lo > -LARGE) & (a.hi < LARGE))
     ends = [elementary.bounds(name, np.where(large, 0.0, end)) for end in (a.lo, a.hi)]
     turns = a / (2.0 * PI)
@@ -268,6 +269,9 @@ def _wave(name: str, peak: float, elementary: Elementary, a: Interval) -> Interv
     hi = np.where(highest, 1.0, np.minimum(np.maximum(ends[0][1], ends[1][1]), 1.0))
     unknown = np.where(np.isnan(a.lo) | np.isnan(a.hi), np.nan, 0.0)
     return Interval(lo + unknown, hi + unknown)
+
+
+sin, cos = functools.partial(_wave, "sin"), functools.partial(_wave, "cos")
 
 
 def _has_integer(a: Interval) -> Mask:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.expressions.differentiation import Differentiated, Dual
 from signorini_fenicsx.expressions.evaluation import Intervals
-from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth, enclosing
+from signorini_fenicsx.expressions.intervals import Elementary, Interval, Truth, enclosing, stacked
 from signorini_fenicsx.expressions.quadratics import edges
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 
@@ -114,7 +114,7 @@ class _OnSimplices(Differentiated):
         box, centre = (value.values[0].on(shape) for value in difference.values)
         slopes = [difference.gradient[name].values[0].on(shape) for name in difference.gradient]
         axes = [list(self._names).index(name) for name in difference.gradient]
-        along = changes(stacked(slopes), self._where.arms[:, :, axes], self._where.pad)
+        along = changes(stacked(slopes, axis=1), self._where.arms[:, :, axes], self._where.pad)
         all_values = box.meet(centre + _hull(along))
         change = np.fmax.reduce(np.maximum(along.lo, -along.hi), axis=1)
         varies = change > 0
@@ -129,11 +129,6 @@ class _OnSimplices(Differentiated):
                 holds, fails = (below, above) if sign[0] == "<" else (above, below)
                 truth_inside = Truth(truth.surely | (holds & ~fails), truth.possibly & ~(fails & ~holds))
         return (truth_inside,), at_centre
-
-
-def stacked(columns: Sequence[Interval]) -> Interval:
-    """Intervals as columns of one interval."""
-    return Interval(np.stack([a.lo for a in columns], axis=1), np.stack([a.hi for a in columns], axis=1))
 
 
 def changes(slope: Interval, arms: Array, pad: Array) -> Interval:
@@ -171,13 +166,13 @@ class Local:
     @staticmethod
     def of(dual: Dual, n: int, names: str) -> Local:
         def row(gradient: Mapping[str, Interval]) -> Interval:
-            return stacked([gradient.get(name, enclosing(0.0)).on((n,)) for name in names])
+            return stacked([gradient.get(name, enclosing(0.0)).on((n,)) for name in names], axis=1)
 
         derivatives = [dual.gradient.get(name, Dual((enclosing(0.0),), {})) for name in names]
         over_box, middle = dual.values
         return Local(
             over_box.values[0].on((n,)),
-            stacked([derivative.values[0].on((n,)) for derivative in derivatives]),
+            stacked([derivative.values[0].on((n,)) for derivative in derivatives], axis=1),
             [row(derivative.gradient) for derivative in derivatives],
             middle.values[0].on((n,)),
             row(middle.gradient),

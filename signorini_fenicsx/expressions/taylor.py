@@ -16,7 +16,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions import intervals
-from signorini_fenicsx.expressions.evaluation import COMPARISONS
+from signorini_fenicsx.expressions.evaluation import COMPARISONS, Logic
 from signorini_fenicsx.expressions.functions import FUNCTIONS
 from signorini_fenicsx.expressions.intervals import Interval, Truth, enclosing
 from signorini_fenicsx.expressions.series import (
@@ -114,7 +114,7 @@ def expanded(tree: Tree, regions: Regions) -> tuple[Series, Switch]:
         return evaluate(tree, algebra, {}), algebra.switch
 
 
-class _Taylor:
+class _Taylor(Logic):
     """The algebra of series on some regions."""
 
     def __init__(self, regions: Regions):
@@ -194,15 +194,6 @@ class _Taylor:
         for kept, now in ((switch.at, a.at), (switch.slope, slope), (switch.blur, rad.sum(axis=0))):
             kept[..., new] = np.broadcast_to(now, kept.shape)[..., new]
 
-    def both(self, left: _Condition, right: _Condition) -> _Condition:
-        return left & right
-
-    def either(self, left: _Condition, right: _Condition) -> _Condition:
-        return left | right
-
-    def opposite(self, condition: _Condition) -> _Condition:
-        return ~condition
-
     def choose(self, condition: _Condition, then: Series, otherwise: Series) -> Series:
         undecided = then.value.hull(otherwise.value)
         value = then.value.where(condition.surely, undecided.where(condition.possibly, otherwise.value))
@@ -242,16 +233,6 @@ class _Taylor:
         layers = [scaled(layer, 1 / order) for order, layer in enumerate(quotient[1:], 1)]
         smooth = x._with(y, at, value, layers)
         return self._chosen(apart, smooth, smooth, at, smooth.value, continuous=False)
-
-
-def _exponential(_: Interval, value: Interval) -> Iterator[Interval]:
-    for k in range(1, DEGREE + 1):
-        yield value * (1 / math.factorial(k))
-
-
-def _logarithm(a: Interval, _: Interval) -> Iterator[Interval]:
-    for k in range(1, DEGREE + 1):
-        yield intervals.power(NUMPY, a, enclosing(-float(k))) * (-((-1) ** k) / k)
 
 
 def _wave(quarter: int) -> Callable[[Interval, Interval], Iterator[Interval]]:
@@ -296,8 +277,10 @@ def _error_function(a: Interval, _: Interval) -> Iterator[Interval]:
 
 
 _DERIVATIVES: Mapping[str, Callable[[Interval, Interval], Iterator[Interval]]] = {
-    "exp": _exponential,
-    "log": _logarithm,
+    "exp": lambda _, value: (value * (1 / math.factorial(k)) for k in range(1, DEGREE + 1)),
+    "log": lambda a, _: (
+        intervals.power(NUMPY, a, enclosing(-float(k))) * (-((-1) ** k) / k) for k in range(1, DEGREE + 1)
+    ),
     "sin": _wave(0),
     "cos": _wave(1),
     "tan": _tangent(1.0),

@@ -28,7 +28,7 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
     cells, width = facets.shape
     surplus = load
     for i in range(width):
-        surplus = surplus + Interval(fluxes.lo[:, i], fluxes.hi[:, i])
+        surplus = surplus + fluxes[:, i]
     order, parents, through = _tree(facets, outlets)
     depth = np.zeros(cells + 1, dtype=np.int64)
     for cell in order[1:]:
@@ -38,7 +38,7 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
     inner = order[1:]
     for level in range(int(depth.max(initial=0)), 0, -1):
         chosen = inner[depth[inner] == level]
-        leaving = Interval(carried.lo[chosen], carried.hi[chosen])
+        leaving = carried[chosen]
         _add(lo, hi, (chosen, through[chosen]), leaving)
         if level == 1:
             break
@@ -48,7 +48,7 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
         for place in range(width):  # the children of one parent, one after the other
             rank = _rank_among_equals(above)
             now = rank == place
-            part = Interval(leaving.lo[now], leaving.hi[now])
+            part = leaving[now]
             _add(carried.lo, carried.hi, (above[now],), part)
     return Interval(lo, hi)
 

@@ -20,7 +20,6 @@ from signorini_fenicsx.rigorous.enclosures import enclose
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
     Simplices,
-    at,
     root,
     squared,
     total,
@@ -138,7 +137,7 @@ def _in_nodes(p: Quadratic, vertices: Array, x: Interval) -> Interval:
     """Enclosures of a polynomial, whose coefficients are floats, in the nodes of P2."""
     arms = x - vertices.mean(axis=1)[:, None]
     linear = total(arms * p.gradient[:, None])
-    bent = total(total(at(arms, np.s_[..., :, None]) * at(arms, np.s_[..., None, :]) * (p.hessian / 2)[:, None]))
+    bent = total(total(arms[..., :, None] * arms[..., None, :] * (p.hessian / 2)[:, None]))
     return linear + bent + p.value[:, None]
 
 

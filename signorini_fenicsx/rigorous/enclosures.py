@@ -25,9 +25,9 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions import Tree
-from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, Interval, enclosing
+from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, Interval, enclosing, stacked
 from signorini_fenicsx.expressions.quadratics import Quadratic, edges
-from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack, stacked
+from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack
 
 CAP = 1000
 """Largest number of boxes for one simplex."""
@@ -201,7 +201,7 @@ def _known(tree: Tree, parts: Parts, simplices: Array, p: Quadratic, elementary:
     arch = (1 + ROUNDING) * arch.sum(axis=1) / 2
 
     # ∇d, d(c) and d
-    curved = stacked([places.all_changes(h - enclosing(hessian[:, i])) for i, h in enumerate(e.hessian)])
+    curved = stacked([places.all_changes(h - enclosing(hessian[:, i])) for i, h in enumerate(e.hessian)], axis=1)
     G = (e.gradient - slope - turn).meet(e.middle_gradient - slope + curved)
     at_centre = e.middle - p_here
     d = (e.value - p_here - places.all_changes(slope) - Interval(-arch, arch)).meet(at_centre + places.all_changes(G))

@@ -7,35 +7,22 @@ nodes of P2: vertices first, then the midpoints of the edges in Basix's order. T
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 
 EDGES = {1: ((0, 1),), 2: ((1, 2), (0, 2), (0, 1)), 3: ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))}
 """Vertices of each edge of an interval, a triangle and a tetrahedron, as Basix numbers them."""
-
-
-def at(a: Interval, index: Any) -> Interval:
-    """The interval with some of the entries."""
-    return Interval(a.lo[index], a.hi[index])
 
 
 def total(a: Interval, axis: int = -1) -> Interval:
     """Sum over an axis."""
     parts = [Interval(lo, hi) for lo, hi in zip(np.moveaxis(a.lo, axis, 0), np.moveaxis(a.hi, axis, 0), strict=True)]
     return sum(parts[1:], parts[0])
-
-
-def stacked(parts: Sequence[Interval], axis: int = -1) -> Interval:
-    """Intervals of one shape along a new axis."""
-    parts = [part.on(np.broadcast_shapes(*(other.lo.shape for other in parts))) for part in parts]
-    return Interval(np.stack([part.lo for part in parts], axis), np.stack([part.hi for part in parts], axis))
 
 
 def root(a: Interval) -> Interval:
@@ -85,7 +72,7 @@ class Simplices:
 
     def some(self, which: Indices) -> Simplices:
         """The geometry of some of the cells."""
-        return Simplices(self.vertices[which], at(self.measure, which), at(self.gradients, which))
+        return Simplices(self.vertices[which], self.measure[which], self.gradients[which])
 
 
 def simplices(vertices: Array) -> Simplices:
@@ -96,9 +83,9 @@ def simplices(vertices: Array) -> Simplices:
     """
     dim = vertices.shape[2]
     x = enclosing(vertices)
-    edges = [at(x, np.s_[:, k]) - at(x, np.s_[:, 0]) for k in range(1, dim + 1)]
+    edges = [x[:, k] - x[:, 0] for k in range(1, dim + 1)]
     if dim == 2:
-        (a, b), (c, d) = (_components(edge) for edge in edges)
+        (a, b), (c, d) = ((edge[..., 0], edge[..., 1]) for edge in edges)
         determinant = a * d - b * c
         normals = [stacked([d, -c]), stacked([-b, a])]
     else:
@@ -106,7 +93,7 @@ def simplices(vertices: Array) -> Simplices:
         determinant = total(edges[0] * normals[0])
     if ((determinant.lo <= 0) & (determinant.hi >= 0)).any():
         raise InputError("a cell of the mesh is flat up to rounding")
-    across = at(determinant, np.s_[:, None])
+    across = determinant[:, None]
     gradients = [normal / across for normal in normals]
     size = Interval(np.minimum(abs(determinant.lo), abs(determinant.hi)), determinant.largest)
     return Simplices(
@@ -116,19 +103,15 @@ def simplices(vertices: Array) -> Simplices:
     )
 
 
-def _components(a: Interval) -> list[Interval]:
-    return [at(a, np.s_[..., i]) for i in range(a.lo.shape[-1])]
-
-
 def _cross(a: Interval, b: Interval) -> Interval:
-    (a0, a1, a2), (b0, b1, b2) = _components(a), _components(b)
+    (a0, a1, a2), (b0, b1, b2) = ([each[..., i] for i in range(3)] for each in (a, b))
     return stacked([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def facet_measures(corners: Array) -> Interval:
     """|e| of facets with these vertices, shape (facets, d, d)."""
     x = enclosing(corners)
-    spans = [at(x, np.s_[:, k]) - at(x, np.s_[:, 0]) for k in range(1, corners.shape[1])]
+    spans = [x[:, k] - x[:, 0] for k in range(1, corners.shape[1])]
     if len(spans) == 1:
         return root(total(squared(spans[0])))
     return root(total(squared(_cross(*spans)))) / 2.0
@@ -137,20 +120,20 @@ def facet_measures(corners: Array) -> Interval:
 def with_midpoints(vertices: Interval) -> Interval:
     """Values of linear functions in the nodes of P2, from those in the vertices (axis 1)."""
     dim = vertices.lo.shape[1] - 1
-    middle = [(at(vertices, np.s_[:, i]) + at(vertices, np.s_[:, j])) / 2.0 for i, j in EDGES[dim]]
-    return stacked([*(at(vertices, np.s_[:, k]) for k in range(dim + 1)), *middle], axis=1)
+    middle = [(vertices[:, i] + vertices[:, j]) / 2.0 for i, j in EDGES[dim]]
+    return stacked([*(vertices[:, k] for k in range(dim + 1)), *middle], axis=1)
 
 
 def gradient_in_vertices(cells: Simplices, values: Interval) -> Interval:
     """∇v in the vertices, shape (cells, d + 1, d), of a quadratic with these values in the nodes of P2."""
     dim = cells.dim
-    slopes = [at(cells.gradients, np.s_[:, i]) for i in range(dim + 1)]
+    slopes = [cells.gradients[:, i] for i in range(dim + 1)]
     columns = []
     for k in range(dim + 1):
-        terms = [at(values, np.s_[:, i, None]) * slopes[i] * (3.0 if i == k else -1.0) for i in range(dim + 1)]
+        terms = [values[:, i, None] * slopes[i] * (3.0 if i == k else -1.0) for i in range(dim + 1)]
         for number, (i, j) in enumerate(EDGES[dim]):
             if k in (i, j):
-                terms.append(at(values, np.s_[:, dim + 1 + number, None]) * slopes[j if i == k else i] * 4.0)
+                terms.append(values[:, dim + 1 + number, None] * slopes[j if i == k else i] * 4.0)
         columns.append(sum(terms[1:], terms[0]))
     return stacked(columns, axis=1)
 
@@ -163,10 +146,8 @@ def flux_in_vertices(cells: Simplices, fluxes: Interval) -> Interval:
     x = enclosing(cells.vertices)
     columns = []
     for k in range(cells.dim + 1):
-        arms = at(x, np.s_[:, k, None, :]) - x
-        columns.append(
-            total(at(fluxes, np.s_[:, :, None]) * arms, axis=1) / at(cells.measure * float(cells.dim), np.s_[:, None])
-        )
+        arms = x[:, k, None, :] - x
+        columns.append(total(fluxes[:, :, None] * arms, axis=1) / (cells.measure * float(cells.dim))[:, None])
     return stacked(columns, axis=1)
 
 
@@ -192,19 +173,19 @@ def _mass(dim: int) -> Array:
 def square_norm(cells: Simplices, nodes: Interval) -> Interval:
     """∫|q|² per cell, for a quadratic q, scalar or with components as last axis, from its values in the nodes of P2."""
     if nodes.lo.ndim == 2:
-        nodes = at(nodes, np.s_[..., None])
+        nodes = nodes[..., None]
     mass, scale = _mass(cells.dim), {2: 180.0, 3: 420.0}[cells.dim]
     square = enclosing(np.zeros(len(nodes.lo)))
     for i in range(len(mass)):
         row = total(nodes * mass[i][:, None], axis=1)
-        square = square + total(at(nodes, np.s_[:, i]) * row)
+        square = square + total(nodes[:, i] * row)
     positive = Interval(np.maximum(square.lo, 0.0), np.maximum(square.hi, 0.0))
     return positive * cells.measure / scale
 
 
 def mean(nodes: Interval, dim: int) -> Interval:
     """Mean of a quadratic over simplices of this dimension, 1, 2 or 3, from its values in the nodes of P2."""
-    vertices, middle = total(at(nodes, np.s_[:, : dim + 1])), total(at(nodes, np.s_[:, dim + 1 :]))
+    vertices, middle = total(nodes[:, : dim + 1]), total(nodes[:, dim + 1 :])
     if dim == 1:
         return (vertices + middle * 4.0) / 6.0
     return middle / 3.0 if dim == 2 else (middle * 4.0 - vertices) / 20.0
@@ -212,9 +193,8 @@ def mean(nodes: Interval, dim: int) -> Interval:
 
 def bernstein(nodes: Interval, dim: int) -> Interval:
     """Bernstein coefficients of a quadratic: its values in the vertices, and 2q_m − (q_i + q_j)/2 for each edge."""
-    columns = [at(nodes, np.s_[:, k]) for k in range(dim + 1)]
+    columns = [nodes[:, k] for k in range(dim + 1)]
     columns += [
-        at(nodes, np.s_[:, dim + 1 + number]) * 2.0 - (columns[i] + columns[j]) / 2.0
-        for number, (i, j) in enumerate(EDGES[dim])
+        nodes[:, dim + 1 + number] * 2.0 - (columns[i] + columns[j]) / 2.0 for number, (i, j) in enumerate(EDGES[dim])
     ]
     return Interval(np.column_stack([c.lo for c in columns]), np.column_stack([c.hi for c in columns]))

@@ -10,7 +10,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, larger
-from signorini_fenicsx.rigorous.simplices import Simplices, at, root, squared, total, with_midpoints
+from signorini_fenicsx.rigorous.simplices import Simplices, root, squared, total, with_midpoints
 
 
 class Tensor:
@@ -44,7 +44,7 @@ class Tensor:
         lower = np.linalg.inv(np.linalg.cholesky(middle))
         self._half = enclosing(np.swapaxes(lower, -1, -2))
         self._half_size = total(total(squared(self._half)))
-        scaled = _product(_product(enclosing(lower[:, None]), corners), at(self._half, np.s_[:, None]))
+        scaled = _product(_product(enclosing(lower[:, None]), corners), self._half[:, None])
         if size == 1:
             least = scaled.lo[..., 0, 0].min(axis=1)
         else:
@@ -79,7 +79,7 @@ class Tensor:
         """ĥ: the longest edge in the coordinates Lᵀx."""
         x = self.half(enclosing(self._cells.vertices))
         pairs = itertools.combinations(range(self._cells.dim + 1), 2)
-        squares = [total(squared(at(x, np.s_[:, i]) - at(x, np.s_[:, j]))) for i, j in pairs]
+        squares = [total(squared(x[:, i] - x[:, j])) for i, j in pairs]
         return root(functools.reduce(larger, squares))
 
 
@@ -90,12 +90,12 @@ def near(vertices: Array, values: Array) -> str:
 
 def _product(a: Interval, b: Interval) -> Interval:
     """The product of matrices in the last two axes, one column of the first after another, for the sake of memory."""
-    terms = (at(a, np.s_[..., :, k, None]) * at(b, np.s_[..., None, k, :]) for k in range(a.lo.shape[-1]))
+    terms = (a[..., :, k, None] * b[..., None, k, :] for k in range(a.lo.shape[-1]))
     return functools.reduce(Interval.__add__, terms)
 
 
 def _applied(matrix: Interval, vector: Interval) -> Interval:
     """A matrix times a vector; a 1 × 1 matrix is a scalar."""
     if matrix.lo.shape[-1] == 1:
-        return at(matrix, np.s_[..., 0]) * vector
-    return at(_product(matrix, at(vector, np.s_[..., None])), np.s_[..., 0])
+        return matrix[..., 0] * vector
+    return _product(matrix, vector[..., None])[..., 0]

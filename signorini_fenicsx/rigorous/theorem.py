@@ -33,7 +33,6 @@ from signorini_fenicsx.rigorous.discrete import DIRICHLET, INSIDE, NEUMANN, SIGN
 from signorini_fenicsx.rigorous.proven import Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
-    at,
     bernstein,
     flux_in_vertices,
     gradient_in_vertices,
@@ -98,7 +97,7 @@ def _load(cells: Simplices, constant: Interval, given: Given) -> tuple[Interval,
     f = deviation(given.f, cells.vertices, given.elementary, by="mean", name="f")
     nodes = f.nodes
     middle = mean(nodes, cells.dim)
-    spread = root(square_norm(cells, nodes - at(middle, np.s_[:, None])))
+    spread = root(square_norm(cells, nodes - middle[:, None]))
     return cells.measure * (middle + f.mean), constant * (spread + root(cells.measure) * f.norm)
 
 
@@ -161,7 +160,7 @@ def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
     if len(least.lo) == 0:
         return enclosing(0.0)
     place = np.nonzero(discrete.kinds == SIGNORINI)
-    flux = at(y, place)
+    flux = y[place]
     more = flux - least
     same = (flux.lo == least.lo) & (flux.hi == least.hi)  # y·n is q_S exactly
     if not (same | (more.lo >= 0)).all():
@@ -172,4 +171,4 @@ def _excess(discrete: Discrete, y: Interval, least: Interval) -> Interval:
 def _trace_constant(cells: Simplices, kappa: Tensor, facets: Facets) -> Interval:
     """The constant C_e of `physics/diffusion/bound/local_fields`, with ĥ in place of δ_T."""
     factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
-    return root(facets.measure / at(cells.measure, facets.cells) * factor) * at(kappa.diameter, facets.cells)
+    return root(facets.measure / cells.measure[facets.cells] * factor) * kappa.diameter[facets.cells]

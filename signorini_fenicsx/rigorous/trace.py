@@ -25,7 +25,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import difference, values
-from signorini_fenicsx.expressions.intervals import Interval, enclosing, larger
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, larger, stacked
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, places, smallest
 from signorini_fenicsx.rigorous.discrete import (
     DIRICHLET,
@@ -39,14 +39,12 @@ from signorini_fenicsx.rigorous.discrete import (
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
     Simplices,
-    at,
     bernstein,
     gradient_in_vertices,
     mean,
     root,
     square_norm,
     squared,
-    stacked,
     total,
     with_midpoints,
 )
@@ -86,7 +84,7 @@ def admissible(discrete: Discrete, cells: Simplices, given: Given) -> Trace:
     lifts = _lifts(discrete.corners[facets.cells[:, None], facets.nodes[:, : dim + 1]], fixed, spare, discrete.corners)
     rise = [enclosing(lifts[discrete.corners[:, k]]) for k in range(discrete.dim + 1)]
     lift = stacked([*rise, *((rise[i] + rise[j]) / 2.0 for i, j in EDGES[discrete.dim])])
-    above = q + at(lift, (facets.cells[:, None], facets.nodes))
+    above = q + lift[facets.cells[:, None], facets.nodes]
     beside = np.where(fixed.any(axis=1), correction.size[facets.cells], 0.0)
     height = mean(above, dim) - psi.mean + beside
     highest = enclosing(bernstein(above, dim).hi.max(axis=1)) + psi.largest + beside
@@ -127,7 +125,7 @@ def _dirichlet(discrete: Discrete, cells: Simplices, given: Given, on_dirichlet:
         enclosed = deviation(given.u_D, vertices, given.elementary, name="u_D", by="tilt", wanted=wanted)
         missed = enclosing(wanted) - enclosed.nodes
         chi = on_dirichlet[near, : dim + 1]
-        hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * at(cells.gradients, near)
+        hats = enclosing(np.where(chi[..., None], 1.0, 0.0)) * cells.gradients[near]
         steep = root(total(squared(total(hats, axis=1))))
         steep = Interval(steep.lo, np.where(chi.all(axis=1), 0.0, steep.hi))  # χ = 1 on these
         near_cells = cells.some(near)
@@ -168,7 +166,7 @@ def _spare(facets: Facets, fixed: Mask, q: Interval, psi: Deviation, correction:
     dim = fixed.shape[1] - 1
     edges = EDGES[dim]
     coefficients = bernstein(q, dim)
-    column = [at(coefficients, np.s_[:, k]) for k in range(coefficients.lo.shape[1])]
+    column = [coefficients[:, k] for k in range(coefficients.lo.shape[1])]
     of_pair = {(k, k): column[k] for k in range(dim + 1)} | {edge: column[dim + 1 + n] for n, edge in enumerate(edges)}
     share = fixed / np.maximum(fixed.sum(axis=1, keepdims=True), 1)  # exact but for thirds, which need all fixed
     to = [[np.where(fixed[:, k], float(k == j), share[:, j]) for j in range(dim + 1)] for k in range(dim + 1)]
@@ -210,7 +208,7 @@ def _lifts(vertices: Indices, fixed: Mask, spare: Interval, corners: Indices) ->
         np.maximum.at(lifts, vertices[:, k], np.where(fixed[:, k], 0.0, lack[:, k]))
     for number, (i, j) in enumerate(EDGES[dim]):
         ends = (enclosing(np.maximum(spare.lo[:, k], 0.0)) for k in (i, j))
-        lacking = np.maximum((-at(spare, np.s_[:, dim + 1 + number]) - part * root(next(ends) * next(ends))).hi, 0.0)
+        lacking = np.maximum((-spare[:, dim + 1 + number] - part * root(next(ends) * next(ends))).hi, 0.0)
         for k, other in ((i, j), (j, i)):
             needed = lacking * np.where(fixed[:, other], 2.0, 1.0)
             np.maximum.at(lifts, vertices[:, k], np.where(fixed[:, k], 0.0, needed))

@@ -17,7 +17,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import Tree, interval, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
-from signorini_fenicsx.rigorous.simplices import EDGES, at, bernstein, facet_measures, total, with_midpoints
+from signorini_fenicsx.rigorous.simplices import EDGES, bernstein, facet_measures, total, with_midpoints
 
 ROUNDS = 20
 """Rounds in which nodes are moved off foundations."""
@@ -41,7 +41,7 @@ class Displacement:
     def values(self) -> Interval:
         """Values in the nodes of P2."""
         dim, c = self.coefficients.lo.shape[-1], self.coefficients
-        columns = [at(c, np.s_[:, :, k]) for k in range(c.lo.shape[2])]
+        columns = [c[:, :, k] for k in range(c.lo.shape[2])]
         for number, (i, j) in enumerate(EDGES[dim]):
             columns[dim + 1 + number] = columns[dim + 1 + number] / 2.0 + (columns[i] + columns[j]) / 4.0
         return Interval(*(np.stack([getattr(each, end) for each in columns], axis=2) for end in ("lo", "hi")))
@@ -88,20 +88,20 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
         lo, hi = g.lo.copy(), g.hi.copy()
         lo[where], hi[where] = gap.lo, gap.hi
         g = Interval(lo, hi)
-    wide = g * at(facet_measures(x), np.s_[:, None])
+    wide = g * facet_measures(x)[:, None]
     for _ in range(ROUNDS):
         jump = _jump(at_nodes, nodes, touching, other)
-        off = wide - total(jump * at(areas, np.s_[:, None]))
+        off = wide - total(jump * areas[:, None])
         if (off.lo >= 0).all():
-            return Displacement(at(at_nodes, numbers), off, jump)
+            return Displacement(at_nodes[numbers], off, jump)
         at_nodes = at_nodes - _moves(off, nodes, areas, fixed, x)
     raise InputError("v cannot be moved off the foundation")
 
 
 def _jump(at_nodes: Interval, nodes: Indices, touching: Mask, other: Indices) -> Interval:
     """The coefficients of v on the facets of Γ_C, where two bodies touch of the jump."""
-    coefficients = at(at_nodes, nodes)
-    jump = at(coefficients, touching) - at(at_nodes, other)
+    coefficients = at_nodes[nodes]
+    jump = coefficients[touching] - at_nodes[other]
     lo, hi = coefficients.lo.copy(), coefficients.hi.copy()
     lo[touching], hi[touching] = jump.lo, jump.hi
     return Interval(lo, hi)
@@ -120,7 +120,7 @@ def _on_facets(
     cells, local = np.nonzero(mask)
     nodes = numbers[cells[:, None], local[:, None], nodes_on_facet(discrete.dim)]
     x = with_midpoints(enclosing(discrete.facet_vertices(mask)))
-    point = {axis: at(x, np.s_[..., k]) for k, axis in enumerate("xyz"[: discrete.dim])}
+    point = {axis: x[..., k] for k, axis in enumerate("xyz"[: discrete.dim])}
     return nodes, bernstein(interval(tree, point, given.elementary).on(nodes.shape), discrete.dim - 1)
 
 
@@ -131,11 +131,11 @@ def _give(at_nodes: Interval, fixed: Mask, component: int, nodes: Indices, value
         InputError: If it was set before, and is not certainly the same.
     """
     before = fixed[nodes, component]
-    already = Interval(at_nodes.lo[nodes, component], at_nodes.hi[nodes, component])
+    already = at_nodes[nodes, component]
     same = (already.lo == already.hi) & (already.lo == values.lo) & (already.lo == values.hi)
     if (before & ~same).any():
         raise InputError("where parts with different u_D meet, it is not certain that these are the same")
-    at_nodes.lo[nodes, component], at_nodes.hi[nodes, component] = values.lo, values.hi
+    at_nodes[nodes, component] = values
     fixed[nodes, component] = True
 
 

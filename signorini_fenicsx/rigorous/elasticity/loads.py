@@ -18,18 +18,16 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import Tree, interval
-from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import polynomial_degree
 from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
     Simplices,
-    at,
     bernstein,
     root,
     squared,
-    stacked,
     total,
     with_midpoints,
 )
@@ -62,7 +60,7 @@ class Moments:
         dim, degree = vertices.shape[1] - 1, polynomial_degree(tree)
         if degree is not None and degree <= 2:
             x = with_midpoints(enclosing(vertices))
-            point = {axis: at(x, np.s_[..., k]) for k, axis in enumerate("xyz"[: vertices.shape[2]])}
+            point = {axis: x[..., k] for k, axis in enumerate("xyz"[: vertices.shape[2]])}
             nodes, none = interval(tree, point, given.elementary).on(x.lo.shape[:2]), np.zeros(len(vertices))
             mean, norm = enclosing(none), none
         else:
@@ -72,15 +70,15 @@ class Moments:
         ends = _ends(dim)
         weights = np.array([[1.0 + end.count(a) for end in ends] for a in range(dim + 1)])
         share = float((dim + 3) * math.comb(dim + 2, dim))
-        exact = total(at(quadratic, np.s_[:, None]) * weights) / share
+        exact = total(quadratic[:, None] * weights) / share
         spread = root(enclosing(dim / (dim + 2.0))).hi * norm / (dim + 1) * (1 + 1e-14)
         rest = mean / float(dim + 1) + Interval(-spread, spread)
-        return cls(exact + at(rest, np.s_[:, None]), quadratic, enclosing(norm), degree)
+        return cls(exact + rest[:, None], quadratic, enclosing(norm), degree)
 
     def linear(self) -> Interval:
         """Values at the vertices of Π₁ of it."""
         size = self.hats.lo.shape[1]
-        return (self.hats * float(size + 1) - at(total(self.hats), np.s_[:, None])) * float(size)
+        return (self.hats * float(size + 1) - total(self.hats)[:, None]) * float(size)
 
     def off_linear(self) -> Interval:
         """A bound of the root mean square of it less Π₁."""
@@ -89,9 +87,9 @@ class Moments:
         size = self.hats.lo.shape[1]
         weights = np.array([[1.0 + end.count(a) for end in _ends(size - 1)] for a in range(size)])
         share = float((size + 2) * math.comb(size + 1, size - 1))
-        hats = total(at(self.quadratic, np.s_[:, None]) * weights) / share
-        linear = (hats * float(size + 1) - at(total(hats), np.s_[:, None])) * float(size)
-        columns = [at(linear, np.s_[:, k]) for k in range(size)]
+        hats = total(self.quadratic[:, None] * weights) / share
+        linear = (hats * float(size + 1) - total(hats)[:, None]) * float(size)
+        columns = [linear[:, k] for k in range(size)]
         raised = stacked([(columns[i] + columns[j]) / 2.0 for i, j in _ends(size - 1)])
         return root(mean_square(self.quadratic - raised, size - 1)) + self.beyond
 
@@ -111,7 +109,7 @@ def mean_square(coefficients: Interval, dim: int) -> Interval:
             powers = [one.count(a) + other.count(a) for a in range(dim + 1)]
             products = math.prod(math.factorial(power) for power in powers)
             weights.append(float(products * (1 + (one[0] != one[1])) * (1 + (other[0] != other[1]))))
-        square = square + at(coefficients, np.s_[:, row]) * total(coefficients * np.array(weights))
+        square = square + coefficients[:, row] * total(coefficients * np.array(weights))
     return Interval(np.maximum(square.lo, 0.0), np.maximum(square.hi, 0.0)) / share
 
 
@@ -123,22 +121,22 @@ def force(discrete: ElasticDiscrete, given: Given, cells: Simplices) -> tuple[In
     for k in range(dim):
         for tree, mask in given.each(discrete.force[:, k]):
             enclosed = Moments.of(tree, discrete.vertices[mask], given, "f")
-            moments.lo[mask, :, k], moments.hi[mask, :, k] = enclosed.hats.lo, enclosed.hats.hi
+            moments[mask, :, k] = enclosed.hats
             if enclosed.degree == 0:
                 continue
             size = root(off_subcells(enclosed, dim)) + enclosed.beyond * (2 + MOMENTS[dim])
-            more = at(squares, mask) + squared(size)
-            squares.lo[mask], squares.hi[mask] = more.lo, more.hi
-    return moments * at(cells.measure, np.s_[:, None, None]), root(squares * cells.measure)
+            more = squares[mask] + squared(size)
+            squares[mask] = more
+    return moments * cells.measure[:, None, None], root(squares * cells.measure)
 
 
 def off_subcells(moments: Moments, dim: int) -> Interval:
     """The mean square of P − QP on cells."""
     size = dim + 1
     weights = np.array([[1.0 + end.count(a) for end in _ends(dim)] for a in range(size)])
-    hats = total(at(moments.quadratic, np.s_[:, None]) * weights) / float((dim + 3) * math.comb(dim + 2, dim))
+    hats = total(moments.quadratic[:, None] * weights) / float((dim + 3) * math.comb(dim + 2, dim))
     middle = total(hats)
-    columns = {end: at(moments.quadratic, np.s_[:, n]) for n, end in enumerate(_ends(dim))}
+    columns = {end: moments.quadratic[:, n] for n, end in enumerate(_ends(dim))}
 
     def blossom(one: int, other: int) -> Interval:
         """The polar form at two vertices, of which `size` is the centroid."""
@@ -150,7 +148,7 @@ def off_subcells(moments: Moments, dim: int) -> Interval:
     squares = []
     for subcell in range(size):
         corners = [k for k in range(size) if k != subcell] + [size]
-        constant = middle * float(dim + 2) - at(hats, np.s_[:, subcell]) * float(size**2)
+        constant = middle * float(dim + 2) - hats[:, subcell] * float(size**2)
         own = stacked([blossom(*sorted((corners[i], corners[j]))) - constant for i, j in _ends(dim)])
         squares.append(mean_square(own, dim))
     return sum(squares[1:], squares[0]) / float(size)
@@ -168,9 +166,9 @@ def constants(cells: Simplices) -> tuple[Interval, Interval]:
     half = root(enclosing(3.0)) / 2.0
     one, zero = enclosing(1.0), enclosing(0.0)
     edges = stacked([stacked([one, one / 2.0]), stacked([zero, half])], axis=0)  # of the regular simplex, as columns
-    slopes = at(cells.gradients, np.s_[:, 1:])
-    inverse = total(at(edges, np.s_[None, :, :, None]) * at(slopes, np.s_[:, None]), axis=2)  # F⁻¹
-    products = total(at(inverse, np.s_[:, :, None]) * at(inverse, np.s_[:, None]))
+    slopes = cells.gradients[:, 1:]
+    inverse = total(edges[None, :, :, None] * slopes[:, None], axis=2)  # F⁻¹
+    products = total(inverse[:, :, None] * inverse[:, None])
     sizes = eigenvalues(products)
     stretch = root(enclosing(sizes.hi)) / enclosing(sizes.lo)
     return stretch * korn, stretch * root(half / 2.0) * trace
@@ -183,12 +181,12 @@ def eigenvalues(matrices: Interval) -> Interval:
     """
     _, vectors = np.linalg.eigh((matrices.lo + matrices.hi) / 2)
     v = enclosing(vectors)
-    image = total(at(matrices, np.s_[..., None]) * at(v, np.s_[:, None]), axis=2)
-    turned = total(at(v, np.s_[:, :, :, None]) * at(image, np.s_[:, :, None]), axis=1)
-    unit = total(at(v, np.s_[:, :, :, None]) * at(v, np.s_[:, :, None]), axis=1) - np.eye(vectors.shape[-1])
+    image = total(matrices[..., None] * v[:, None], axis=2)
+    turned = total(v[:, :, :, None] * image[:, :, None], axis=1)
+    unit = total(v[:, :, :, None] * v[:, :, None], axis=1) - np.eye(vectors.shape[-1])
     near = total(enclosing(unit.largest)).hi.max(axis=1)
     size = matrices.lo.shape[-1]
-    diagonal = at(turned, np.s_[:, range(size), range(size)])
+    diagonal = turned[:, range(size), range(size)]
     beside = total(enclosing(np.where(np.eye(size, dtype=bool), 0.0, turned.largest)))
     least, most = (diagonal - beside).lo.min(axis=1), (diagonal + beside).hi.max(axis=1)
     lo = (enclosing(least) / (1.0 + enclosing(near))).lo

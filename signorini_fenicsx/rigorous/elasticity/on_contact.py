@@ -15,9 +15,9 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions.intervals import Interval, absolute, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, absolute, enclosing, stacked
 from signorini_fenicsx.physics.elasticity.boundary_nodes import HALVINGS
-from signorini_fenicsx.rigorous.simplices import EDGES, at, root, squared, stacked, total
+from signorini_fenicsx.rigorous.simplices import EDGES, root, squared, total
 
 SHORTER = 1 - 1e-14
 """Tractions are made shorter by this factor, so that rounding does not make them longer than the bound."""
@@ -25,7 +25,7 @@ SHORTER = 1 - 1e-14
 
 def tangential(areas: Interval, w: Interval) -> Interval:
     """N×w, in the plane JN w, shape (…, d), from N of shape (…, d) and w of shape (…, d), in the plane (…, 1)."""
-    n, each = ([at(a, np.s_[..., i]) for i in range(a.lo.shape[-1])] for a in (areas, w))
+    n, each = ([a[..., i] for i in range(a.lo.shape[-1])] for a in (areas, w))
     if len(n) == 2:
         return stacked([-n[1] * each[0], n[0] * each[0]])
     return stacked([n[(i + 1) % 3] * each[(i + 2) % 3] - n[(i + 2) % 3] * each[(i + 1) % 3] for i in range(3)])
@@ -53,7 +53,7 @@ def reactions(areas: Interval, sticks: Mask) -> Interval:
     """Matrices from a vector to a traction along N, and where facets stick to any traction, shape (…, d, d)."""
     dim, middle = areas.lo.shape[-1], (areas.lo + areas.hi) / 2
     middle = middle / np.maximum((middle**2).sum(axis=-1, keepdims=True), np.finfo(float).tiny)
-    along = at(areas, np.s_[..., None]) * middle[..., None, :]
+    along = areas[..., None] * middle[..., None, :]
     columns = []
     for unit in np.eye(dim):
         w = (middle[..., 0] * unit[1] - middle[..., 1] * unit[0])[..., None] if dim == 2 else np.cross(unit, middle)
@@ -77,10 +77,10 @@ def changed(
     Raises:
         InputError: If a pressure may be < 0, or a shear above its bound.
     """
-    across = at(areas, np.s_[:, None])
+    across = areas[:, None]
     normal = total(more * across) / total(squared(across))
     pressures = enclosing(pressure) - normal
-    beside = more - at(normal, np.s_[..., None]) * across
+    beside = more - normal[..., None] * across
     wide = root(total(squared(enclosing(w)))) + root(total(squared(beside)) / total(squared(across)))
     moved = sticks[:, None] & ~beside.is_zero.all(axis=2)
     beside = beside.where(moved[..., None], enclosing(np.zeros(beside.lo.shape)))
@@ -106,16 +106,16 @@ def rubbed(areas: Interval, bound: Interval, shear: Interval, v: Interval) -> In
     dim = v.lo.shape[2]
     work = enclosing(np.zeros(len(v.lo)))
     for i in range(dim):
-        work = work + _integral(at(shear, np.s_[..., i]), at(v, np.s_[..., i]))
+        work = work + _integral(shear[..., i], v[..., i])
     corners, on_parts = _parts(dim)
     for corner, part in zip(corners, on_parts, strict=True):
-        there = total(enclosing(part[..., None]) * at(v, np.s_[:, None]), axis=2)
+        there = total(enclosing(part[..., None]) * v[:, None], axis=2)
         if dim == 2:
-            turned = stacked([-at(areas, np.s_[:, 1]), at(areas, np.s_[:, 0])])
-            size = absolute(total(there * at(turned, np.s_[:, None])))
+            turned = stacked([-areas[:, 1], areas[:, 0]])
+            size = absolute(total(there * turned[:, None]))
         else:
-            size = root(total(squared(tangential(at(areas, np.s_[:, None]), there))))
-        most = total(enclosing(corner) * at(bound, np.s_[:, None]))
+            size = root(total(squared(tangential(areas[:, None], there))))
+        most = total(enclosing(corner) * bound[:, None])
         work = work + _integral(most, size) / float(len(corners))
     return Interval(np.maximum(work.lo, 0.0), np.maximum(work.hi, 0.0))
 
@@ -126,7 +126,7 @@ def _integral(linear: Interval, quadratic: Interval) -> Interval:
     ends = [(k,) for k in range(dim)] + list(EDGES[dim - 1])
     share = (dim + 2) * math.comb(dim + 1, dim - 1)
     weights = np.array([[1.0 + (2 if len(end) == 1 else 1) * (a in end) for end in ends] for a in range(dim)])
-    return total(quadratic * total(at(linear, np.s_[..., None]) * weights, axis=1)) / float(share)
+    return total(quadratic * total(linear[..., None] * weights, axis=1)) / float(share)
 
 
 @lru_cache

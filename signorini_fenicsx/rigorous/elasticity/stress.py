@@ -27,13 +27,13 @@ from scipy.sparse.csgraph import connected_components
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.discrete import Cells
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE
-from signorini_fenicsx.rigorous.simplices import Simplices, at, stacked, total
+from signorini_fenicsx.rigorous.simplices import Simplices, total
 
 
 def facet_mass(dim: int) -> Array:
@@ -96,23 +96,23 @@ def stresses_of(cells: Simplices, pulls: Interval, moments: Interval) -> Interva
     coefficients = _coefficients(dim)
     hatted = enclosing(np.zeros((count, len(coefficients.lo))))
     for n in range(inputs.lo.shape[1]):
-        column = at(coefficients, np.s_[:, n])
+        column = coefficients[:, n]
         some = np.flatnonzero((column.lo != 0) | (column.hi != 0))
-        more = at(hatted, np.s_[:, some]) + at(inputs, np.s_[:, n, None]) * at(column, some)
+        more = hatted[:, some] + inputs[:, n, None] * column[some]
         lo, hi = hatted.lo.copy(), hatted.hi.copy()
         lo[:, some], hi[:, some] = more.lo, more.hi
         hatted = Interval(lo, hi)
     entries = pairs(dim)
     hatted = Interval(*(each.reshape(count, dim + 1, dim + 1, len(entries)) for each in (hatted.lo, hatted.hi)))
     x = enclosing(cells.vertices)
-    arms = [at(x, np.s_[:, k]) - at(x, np.s_[:, 0]) for k in range(1, dim + 1)]
+    arms = [x[:, k] - x[:, 0] for k in range(1, dim + 1)]
     columns: dict[tuple[int, int], Interval] = {}
     for i, j in entries:
         terms = []
         for n, (k, m) in enumerate(entries):
-            factor = at(arms[k], np.s_[:, i]) * at(arms[m], np.s_[:, j])
-            factor = factor if k == m else factor + at(arms[m], np.s_[:, i]) * at(arms[k], np.s_[:, j])
-            terms.append(at(hatted, np.s_[..., n]) * at(factor, np.s_[:, None, None]))
+            factor = arms[k][:, i] * arms[m][:, j]
+            factor = factor if k == m else factor + arms[m][:, i] * arms[k][:, j]
+            terms.append(hatted[..., n] * factor[:, None, None])
         columns[i, j] = columns[j, i] = sum(terms[1:], terms[0])
     rows = [stacked([columns[i, j] for j in range(dim)]) for i in range(dim)]
     return stacked(rows, axis=-2)
@@ -122,11 +122,11 @@ def _tractions(cells: Simplices, pulls: Interval) -> list[Interval]:
     """ŷ∇̂λ_i at the vertices of facets, one column for each facet, vertex and component."""
     dim = cells.dim
     across = cells.measure * -float(dim)
-    slopes = [at(cells.gradients, np.s_[:, k]) for k in range(1, dim + 1)]
+    slopes = [cells.gradients[:, k] for k in range(1, dim + 1)]
     columns = []
     for i in range(dim + 1):
         for a in range(dim):
-            pull = at(pulls, np.s_[:, i, a])
+            pull = pulls[:, i, a]
             columns += [total(slope * pull) / across for slope in slopes]
     return columns
 
@@ -136,14 +136,14 @@ def _means(cells: Simplices, pulls: Interval, moments: Interval) -> list[Interva
     dim, mass, facets = cells.dim, facet_mass(cells.dim) / 1.0, opposite(cells.dim)
     of_hats = []
     for l_ in range(1, dim + 1):
-        force = at(moments, np.s_[:, l_])
+        force = moments[:, l_]
         for i in range(dim + 1):
             if i != l_:
                 b = facets[i].tolist().index(l_)
-                pulled = total(at(pulls, np.s_[:, i]) * mass[b][:, None], axis=1)
+                pulled = total(pulls[:, i] * mass[b][:, None], axis=1)
                 force = force + pulled / float(dim * (dim + 1))
         of_hats.append(force)
-    slopes = [at(cells.gradients, np.s_[:, k]) for k in range(1, dim + 1)]
+    slopes = [cells.gradients[:, k] for k in range(1, dim + 1)]
     columns = []
     for k, m in pairs(dim):
         both = total(slopes[k] * of_hats[m]) + total(slopes[m] * of_hats[k])
@@ -167,7 +167,7 @@ def wrenches(x: Interval, pulls: Interval, origin: Array) -> Interval:
     arms = x - origin
     sums = total(arms, axis=-2)
     # ∫ r q over a simplex with k vertices, of measure 1, is (Σ_a r_a q_a + Σ_a r_a Σ_b q_b)/(k(k + 1))
-    columns = [at(force, np.s_[..., i]) for i in range(dim)]
+    columns = [force[..., i] for i in range(dim)]
     for i, j in combinations(range(dim), 2):
         own = total(_turning(arms, pulls, i, j))
         together = _turning(sums, force * float(corners), i, j)
@@ -177,7 +177,7 @@ def wrenches(x: Interval, pulls: Interval, origin: Array) -> Interval:
 
 def _turning(arm: Interval, force: Interval, i: int, j: int) -> Interval:
     """The component ij of the moment of a force."""
-    return at(arm, np.s_[..., i]) * at(force, np.s_[..., j]) - at(arm, np.s_[..., j]) * at(force, np.s_[..., i])
+    return arm[..., i] * force[..., j] - arm[..., j] * force[..., i]
 
 
 def pulls_with(x: Interval, wrench: Interval, origin: Array) -> Interval:
@@ -191,26 +191,26 @@ def pulls_with(x: Interval, wrench: Interval, origin: Array) -> Interval:
     dim = x.lo.shape[-1]
     turns = list(combinations(range(dim), 2))
     middle = total(x, axis=1) / float(dim)
-    arms = x - at(middle, np.s_[:, None])
-    force = at(wrench, np.s_[:, :dim])
+    arms = x - middle[:, None]
+    force = wrench[:, :dim]
     lever = middle - origin
-    moments = [at(wrench, np.s_[:, dim + n]) - _turning(lever, force, i, j) for n, (i, j) in enumerate(turns)]
+    moments = [wrench[:, dim + n] - _turning(lever, force, i, j) for n, (i, j) in enumerate(turns)]
 
     def turned(n: int) -> Interval:
         """The field of the turn n alone: its component j is r_i, its component i −r_j."""
         i, j = turns[n]
         zero = enclosing(np.zeros(arms.lo.shape[:2]))
         columns = [zero] * dim
-        columns[i], columns[j] = -at(arms, np.s_[..., j]), at(arms, np.s_[..., i])
+        columns[i], columns[j] = -arms[..., j], arms[..., i]
         return stacked(columns)
 
     fields = [turned(n) for n in range(len(turns))]
     share = float(dim * (dim + 1))
     rows = [stacked([total(_turning(arms, field, i, j)) / share for field in fields]) for i, j in turns]
     rates = solved(stacked(rows, axis=1), stacked(moments))
-    pulls = at(force, np.s_[:, None])
+    pulls = force[:, None]
     for n, field in enumerate(fields):
-        pulls = pulls + field * at(rates, np.s_[:, n, None, None])
+        pulls = pulls + field * rates[:, n, None, None]
     return pulls
 
 
@@ -228,9 +228,9 @@ def solved(matrix: Interval, right: Interval) -> Interval:
     inverse = np.linalg.inv(np.where(regular[..., None, None], middle, np.eye(middle.shape[-1])))
     near = np.einsum("...ij,...j->...i", inverse, (right.lo + right.hi) / 2)
     left = right - total(matrix * near[..., None, :])
-    off = total(enclosing(inverse[..., None]) * at(matrix, np.s_[..., None, :, :]), axis=-2) - np.eye(middle.shape[-1])
+    off = total(enclosing(inverse[..., None]) * matrix[..., None, :, :], axis=-2) - np.eye(middle.shape[-1])
     norm = total(enclosing(off.largest)).hi.max(axis=-1)
-    moved = total(enclosing(inverse) * at(left, np.s_[..., None, :])).largest.max(axis=-1)
+    moved = total(enclosing(inverse) * left[..., None, :]).largest.max(axis=-1)
     if not (regular & (norm < 1)).all():
         raise InputError("a cell is too flat, or what is given of u and contact do not hold the body")
     radius = (enclosing(moved) / (1.0 - enclosing(norm))).hi[..., None]
@@ -268,11 +268,11 @@ def equilibrated(
         nearer = level[bodies[across[..., 0]]] < level[body]
         outer &= (pair == NONE) | nearer
         place = np.nonzero(outer)
-        more = _in_balance(cells_of_mesh, bodies == body, place, holds, pulls, at(load, mine), origin)
+        more = _in_balance(cells_of_mesh, bodies == body, place, holds, pulls, load[mine], origin)
         touching = pair[place] != NONE
         pulls = _added(pulls, place, more)
         other = across[place][touching]
-        pulls = _added(pulls, (other[:, 0], other[:, 1]), -at(more, touching))
+        pulls = _added(pulls, (other[:, 0], other[:, 1]), -more[touching])
         roots[np.argmax(mine), 0] = True
     return along_tree(cells_of_mesh, outlets, roots, pulls, load, origin)
 
@@ -290,12 +290,12 @@ def along_tree(
         load: Force and moment of the load of each cell, shape (cells, d + d(d − 1)/2).
         origin: The point about which moments are.
     """
-    on_facets = at(enclosing(cells_of_mesh.vertices), np.s_[:, opposite(cells_of_mesh.dim)])
+    on_facets = enclosing(cells_of_mesh.vertices)[:, opposite(cells_of_mesh.dim)]
     surplus = total(wrenches(on_facets, pulls, origin), axis=1) + load
     none = enclosing(np.zeros((*outlets.shape, surplus.lo.shape[1])))
     lacking = balanced(cells_of_mesh.facets, outlets | roots, none, surplus)
     changed = np.nonzero(~lacking.is_zero.all(axis=2) & ~roots)  # what leaves at a root is 0
-    return _added(pulls, changed, pulls_with(at(on_facets, changed), at(lacking, changed), origin))
+    return _added(pulls, changed, pulls_with(on_facets[changed], lacking[changed], origin))
 
 
 def _across(pair: Indices) -> Indices:
@@ -337,7 +337,7 @@ def bodies_of(cells_of_mesh: Cells) -> Indices:
 def _added(pulls: Interval, place: tuple[Indices, ...], more: Interval) -> Interval:
     """The tractions with more at some facets."""
     lo, hi = pulls.lo.copy(), pulls.hi.copy()
-    sums = at(pulls, place) + more
+    sums = pulls[place] + more
     lo[place], hi[place] = sums.lo, sums.hi
     return Interval(lo, hi)
 
@@ -360,18 +360,18 @@ def _in_balance(
     motions = [enclosing(np.broadcast_to(each, corners.shape)) for each in np.eye(dim)]
     for i, j in combinations(range(dim), 2):
         columns = [enclosing(np.zeros(corners.shape[:2]))] * dim
-        columns[i], columns[j] = -at(arms, np.s_[..., j]), at(arms, np.s_[..., i])
+        columns[i], columns[j] = -arms[..., j], arms[..., i]
         motions.append(stacked(columns))
-    hold = at(holds, place)
-    answers = [total(at(hold, np.s_[:, None]) * at(motion, np.s_[..., None, :])) for motion in motions]
+    hold = holds[place]
+    answers = [total(hold[:, None] * motion[..., None, :]) for motion in motions]
     matrix = stacked([total(wrenches(x, each, origin), axis=0) / scale for each in answers])
     outer = np.nonzero(body[:, None] & (np.bincount(facets.ravel())[facets] == 1))
     around = enclosing(cells_of_mesh.vertices[outer[0][:, None], opposite(dim)[outer[1]]])
-    lacking = total(wrenches(around, at(pulls, outer), origin), axis=0) + total(load, axis=0)
+    lacking = total(wrenches(around, pulls[outer], origin), axis=0) + total(load, axis=0)
     rates = solved(matrix, -lacking / scale)
     more = enclosing(np.zeros(corners.shape))
     for n, answer in enumerate(answers):
-        more = more + answer * at(rates, n)
+        more = more + answer * rates[n]
     return more
 
 
@@ -379,6 +379,6 @@ def wrench_of_load(x: Interval, moments: Interval, origin: Array) -> Interval:
     """Force and moment of loads with these moments against the hats."""
     dim = x.lo.shape[-1]
     arms = x - origin
-    columns = [total(at(moments, np.s_[..., i])) for i in range(dim)]
+    columns = [total(moments[..., i]) for i in range(dim)]
     columns += [total(_turning(arms, moments, i, j)) for i, j in combinations(range(dim), 2)]
     return stacked(columns)

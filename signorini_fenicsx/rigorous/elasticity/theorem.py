@@ -26,7 +26,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import Binary, Tree, interval, is_polynomial
-from signorini_fenicsx.expressions.intervals import Interval, enclosing
+from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import Negative, exactly
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, opposite, split_vertices
@@ -40,7 +40,6 @@ from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, stresses_
 from signorini_fenicsx.rigorous.proven import Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
-    at,
     facet_measures,
     gradient_in_vertices,
     root,
@@ -48,7 +47,6 @@ from signorini_fenicsx.rigorous.simplices import (
     simplices,
     square_norm,
     squared,
-    stacked,
     total,
     total_above,
     with_midpoints,
@@ -72,10 +70,10 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     cells = simplices(discrete.vertices)
     subcells = _split(cells)
     compliance = _compliance(discrete, given, subcells)
-    areas = cells.gradients * at(cells.measure, np.s_[:, None, None]) * -float(cells.dim)  # |e|n
+    areas = cells.gradients * cells.measure[:, None, None] * -float(cells.dim)  # |e|n
     moments, off = force(discrete, given, cells)
     contact = discrete.gap != NONE
-    normal = at(areas, contact)
+    normal = areas[contact]
     bound = _bound(discrete, given)
     pulls, off_facets = _loads(discrete, given, areas)
     pulls, pressures, shear = _on_contact(discrete, areas, bound, pulls)
@@ -84,7 +82,7 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     holds = _holds(discrete, areas, pressures, sticks)
     in_balance = equilibrated(discrete, discrete.pair, outlets, holds, pulls, moments)
     y = stresses_of(cells, in_balance, moments)
-    more = _difference(at(pulls, contact), at(in_balance, contact))
+    more = _difference(pulls[contact], in_balance[contact])
     pressure, rubbing = changed(normal, bound, pressures[contact], shear, more, sticks[contact])
     v = admissible(discrete, given, normal)
 
@@ -94,7 +92,7 @@ def prove(discrete: ElasticDiscrete, given: Given) -> Proven:
     left = _energy(compliance, subcells, y_entries - _entries(enclosing(discrete.stresses)))
     on_contact = pressed(pressure, v.off)
     rough = bound.hi.any(axis=1)
-    on_rough = rubbed(at(normal, rough), at(bound, rough), at(rubbing, rough), at(v.on_contact, rough))
+    on_rough = rubbed(normal[rough], bound[rough], rubbing[rough], v.on_contact[rough])
     twice_the_gap = total_above(np.concatenate([squared(mismatch).hi, 2 * on_contact.hi, 2 * on_rough.hi]))
     remainder = root_above(total_above(squared(left).hi))
     square = total_above(squared(_oscillation(compliance, cells, off, off_facets)).hi)
@@ -127,8 +125,8 @@ def _split(cells: Simplices) -> Simplices:
     dim, facets = cells.dim, opposite(cells.dim)
     gradients = []
     for i in range(dim + 1):
-        own = at(cells.gradients, np.s_[:, i])
-        hats = [at(cells.gradients, np.s_[:, k]) - own for k in facets[i]]
+        own = cells.gradients[:, i]
+        hats = [cells.gradients[:, k] - own for k in facets[i]]
         gradients.append(stacked([*hats, own * float(dim + 1)], axis=1))
     shape = len(cells.vertices) * (dim + 1), dim + 1, dim
     joined = stacked(gradients, axis=1)
@@ -160,10 +158,10 @@ def _compliance(discrete: ElasticDiscrete, given: Given, subcells: Simplices) ->
                 enclosed = deviation(
                     tree, discrete.vertices[chosen], given.elementary, name="young or poisson", degree=1
                 )
-                hats = at(enclosed.nodes, np.s_[:, : dim + 1])
+                hats = enclosed.nodes[:, : dim + 1]
                 for i, j in places:
-                    more = at(corners, np.s_[chosen, :, i, j]) + hats
-                    corners.lo[chosen, :, i, j], corners.hi[chosen, :, i, j] = more.lo, more.hi
+                    more = corners[chosen, :, i, j] + hats
+                    corners[chosen, :, i, j] = more
                     deviations[chosen, i, j] += enclosed.largest * (1 + 1e-15)
     deviations = root(total(total(squared(enclosing(deviations))))).hi
     return Tensor(
@@ -192,8 +190,8 @@ def _own_strain(discrete: ElasticDiscrete, given: Given) -> tuple[Interval, Arra
     for k, tree, mask in terms:
         found = deviation(tree, discrete.vertices[mask], given.elementary, name="eigenstrain", degree=1)
         weight = enclosing(1.0) if k < dim else root(enclosing(2.0))
-        more = at(corners, np.s_[mask, :, k]) + at(found.nodes, np.s_[:, : dim + 1]) * weight
-        corners.lo[mask, :, k], corners.hi[mask, :, k] = more.lo, more.hi
+        more = corners[mask, :, k] + found.nodes[:, : dim + 1] * weight
+        corners[mask, :, k] = more
         deviations[mask, k] += found.largest * weight.hi * (1 + 1e-15)
     return _on_subcells(corners), np.repeat(root(total(squared(enclosing(deviations)))).hi, dim + 1)
 
@@ -202,7 +200,7 @@ def _on_subcells(corners: Interval) -> Interval:
     """Linear functions on cells at the vertices of subcells, shape (subcells, d + 1, …)."""
     dim = corners.lo.shape[1] - 1
     middle = total(corners, axis=1) / float(dim + 1)
-    on_subcells = [stacked([*(at(corners, np.s_[:, k]) for k in each), middle], axis=1) for each in opposite(dim)]
+    on_subcells = [stacked([*(corners[:, k] for k in each), middle], axis=1) for each in opposite(dim)]
     whole = stacked(on_subcells, axis=1)
     shape = -1, *corners.lo.shape[1:]
     return Interval(whole.lo.reshape(shape), whole.hi.reshape(shape))
@@ -247,17 +245,17 @@ def _loads(discrete: ElasticDiscrete, given: Given, areas: Interval) -> tuple[In
     for k in range(dim):
         for tree, mask in given.each(np.where(free[..., k], NONE, discrete.traction[..., k])):
             data = Moments.of(tree, x[mask], given, "g_N")
-            pull = data.linear() * at(facet_measures(x[mask]), np.s_[:, None])
-            pulls.lo[mask, :, k], pulls.hi[mask, :, k] = pull.lo, pull.hi
-            more = at(squares, mask) + squared(data.off_linear())
-            squares.lo[mask], squares.hi[mask] = more.lo, more.hi
+            pull = data.linear() * facet_measures(x[mask])[:, None]
+            pulls[mask, :, k] = pull
+            more = squares[mask] + squared(data.off_linear())
+            squares[mask] = more
     for tree, mask in given.each(discrete.pressure):
         data = Moments.of(tree, x[mask], given, "pressure")
-        pull = at(-data.linear(), np.s_[..., None]) * at(areas, np.s_[mask, None])
-        pull = at(pulls, mask).where(free[mask][:, None], pull)
-        pulls.lo[mask], pulls.hi[mask] = pull.lo, pull.hi
+        pull = (-data.linear())[..., None] * areas[mask, None]
+        pull = pulls[mask].where(free[mask][:, None], pull)
+        pulls[mask] = pull
         more = squared(data.off_linear())
-        squares.lo[mask], squares.hi[mask] = more.lo, more.hi
+        squares[mask] = more
     measures = facet_measures(x.reshape(-1, dim, dim))
     return pulls, root(squares * Interval(*(each.reshape(inside.shape) for each in (measures.lo, measures.hi))))
 
@@ -272,9 +270,9 @@ def _on_contact(
     pressure[pressure < PRESSED * pressure.max(initial=0.0)] = 0.0
     normals = outer[contact] / np.linalg.norm(outer[contact], axis=1, keepdims=True)
     at_vertices = np.einsum("naij,nj->nai", discrete.stresses[:, :, :dim][contact], normals)
-    shear, across = shear_near(at_vertices, normals, bound.lo), at(areas, np.s_[contact, None])
+    shear, across = shear_near(at_vertices, normals, bound.lo), areas[contact, None]
     traction = enclosing(-pressure[contact][..., None]) * across + tangential(across, enclosing(shear))
-    pulls.lo[contact], pulls.hi[contact] = traction.lo, traction.hi
+    pulls[contact] = traction
     touching, other = discrete.pairs
     pulls.lo[other], pulls.hi[other] = -traction.hi[touching], -traction.lo[touching]
     pressure[other] = pressure[contact][touching]
@@ -334,7 +332,7 @@ def _entries(matrices: Interval) -> Interval:
     """The entries of symmetric matrices at the vertices of subcells, shape (subcells, d + 1, entries)."""
     dim = matrices.lo.shape[-1]
     twice = root(enclosing(2.0))
-    columns = [at(matrices, np.s_[..., i, j]) * (1.0 if i == j else twice) for i, j in pairs(dim)]
+    columns = [matrices[..., i, j] * (1.0 if i == j else twice) for i, j in pairs(dim)]
     entries = stacked(columns)
     shape = -1, dim + 1, len(columns)
     return Interval(entries.lo.reshape(shape), entries.hi.reshape(shape))
@@ -344,12 +342,9 @@ def _strains(subcells: Simplices, values: Interval) -> Interval:
     """The entries of ε(v) at the vertices of subcells, from values of v in the nodes of P2."""
     dim = subcells.dim
     flat = Interval(*(each.reshape(len(subcells.vertices), -1, dim) for each in (values.lo, values.hi)))
-    slopes = [gradient_in_vertices(subcells, at(flat, np.s_[..., i])) for i in range(dim)]
+    slopes = [gradient_in_vertices(subcells, flat[..., i]) for i in range(dim)]
     half = root(enclosing(2.0)) / 2.0
-    columns = [
-        at(slopes[i], np.s_[..., i]) if i == j else (at(slopes[i], np.s_[..., j]) + at(slopes[j], np.s_[..., i])) * half
-        for i, j in pairs(dim)
-    ]
+    columns = [slopes[i][..., i] if i == j else (slopes[i][..., j] + slopes[j][..., i]) * half for i, j in pairs(dim)]
     return stacked(columns)
 
 
