@@ -13,7 +13,7 @@ from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable
-from signorini_fenicsx.meshes.domain import Domain, facet_vertices, membership
+from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_vertices, membership
 from signorini_fenicsx.output.sample import Sample
 from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.solved import Solved
@@ -27,11 +27,13 @@ class Boundary:
         kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`; `PARTLY_FIXED` of an elastic body.
         u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
         vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
+        middles: The middle of the cell of each facet, shape (facets, dim).
     """
 
     kind: npt.NDArray[np.int64]
     u: Array
     vertices: Indices
+    middles: Array
 
 
 @dataclass(frozen=True)
@@ -111,13 +113,20 @@ def sample_of(spaces: MeshSpaces) -> Sample:
 
 def _boundary(mesh: dolfinx.mesh.Mesh, drawn: Drawn) -> Boundary | None:
     columns = [
-        np.column_stack([np.full(len(facets), kind), values, facet_vertices(mesh, facets)])
+        np.column_stack([np.full(len(facets), kind), values, facet_vertices(mesh, facets), _middles(mesh, facets)])
         for kind, (facets, values) in drawn.boundary.items()
     ]
     rows = gather_rows(mesh.comm, np.concatenate(columns))
     if rows is None:
         return None
-    return Boundary(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2:].astype(np.int64))
+    dim = mesh.topology.dim
+    return Boundary(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2:-dim].astype(np.int64), rows[:, -dim:])
+
+
+def _middles(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
+    """The middle of the cell behind each facet."""
+    nodes = mesh.geometry.dofmaps[0][cells_behind(mesh, facets)]
+    return mesh.geometry.x[nodes, : mesh.topology.dim].mean(axis=1).reshape(-1, mesh.topology.dim)
 
 
 def _fields(domain: Domain, drawn: Drawn, sample: Sample, indicator: fem.Function | None) -> Fields | None:

@@ -33,6 +33,7 @@ def test_pulled_bar(dim: int):
     assert (summary["reason"], summary["iterations"]) == ("without a law the problem is linear, and solved", 1)
     assert "contact" not in solution.fields()
     assert "contact" not in solution.lines(summary)
+    assert "prediction" not in solution.timings
 
 
 def test_rates_and_bounds():

@@ -152,19 +152,16 @@ def best_view(seen: Array, groups: Sequence[Mask], views: Array) -> int:
 
 
 def outward(scene: Scene, triangles: Indices) -> Array:
-    """Unit normals of triangles of the boundary, out of their cells; 0 where a cell is not among those drawn."""
-    points, cells = scene.fields.points, scene.fields.cells
-    sides = np.concatenate([np.delete(cells, corner, axis=1) for corner in range(4)])
-    both = np.concatenate([np.sort(triangles, axis=1), np.sort(sides, axis=1)])
-    _, number = np.unique(both, axis=0, return_inverse=True)
-    wanted, of_cells = number.ravel()[: len(triangles)], number.ravel()[len(triangles) :]
-    cell_of = np.full(number.max() + 1 if number.size else 0, -1)
-    cell_of[of_cells] = np.tile(np.arange(len(cells)), 4)
-    corners, cell = points[triangles], cell_of[wanted]
+    """Unit normals of triangles of the boundary, out of their cells."""
+    points, boundary = scene.fields.points, scene.boundary
+    both = np.sort(np.concatenate([boundary.vertices, triangles]), axis=1)
+    _, first, number = np.unique(both, axis=0, return_index=True, return_inverse=True)
+    middles = boundary.middles[first[number.ravel()[len(boundary.vertices) :]]]
+    corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    away = np.sum(normals * (corners.mean(axis=1) - points[cells[cell]].mean(axis=1)), axis=1)
-    return normals * (np.sign(away) * (cell >= 0))[:, None]
+    away = np.sum(normals * (corners.mean(axis=1) - middles), axis=1)
+    return normals * np.sign(away)[:, None]
 
 
 def seen_from(scene: Scene, view: Array) -> Array:

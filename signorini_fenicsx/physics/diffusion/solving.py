@@ -89,7 +89,7 @@ class System:
             on_step=wish.on_step,
             backend=partial(self._kept_backend, options),
             start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,
-            predict=options.predict,
+            predict=options.predict and (in_cells or len(spaces.part_names) > 0),  # else the problem is linear
             coarser=remesh and partial(_coarser, remesh, self.boundary, problem, options.tuning),
             tuning=options.tuning,
             watch=wish.watch,

@@ -151,7 +151,8 @@ class ElasticRun:
         options, watch, start = self.wish.options, self.wish.watch, self.wish.start
         with watch.phase("assembly"):
             self.backend = backend = ElasticBackend(self.spaces, self.data, options.tuning, self.motions)
-        large = options.predict and options.tuning.predicts(backend.dofs, PREDICT_FROM)
+        predict = options.predict and len(self.spaces.part_names) > 0  # else the problem is linear
+        large = predict and options.tuning.predicts(backend.dofs, PREDICT_FROM)
         if start is None and self.wish.remesh is not None and large:
             with watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
