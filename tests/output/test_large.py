@@ -4,6 +4,7 @@ import itertools
 import os
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet
 import pytest
 from commands import read_rows
@@ -13,9 +14,11 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.output import checkpoint_writing
+from signorini_fenicsx.output import checkpoint_writing, sample
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
+from signorini_fenicsx.output.pictures import gathered_scene
+from signorini_fenicsx.output.pictures.cuts import outward
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -49,6 +52,17 @@ def test_methods_of_one_rank_are_refused():
     for algorithm, most in (("psor", "10 cells"), ("qp", "10 cells"), ("mixed-uzawa-h12", "5 facets of Γ_S")):
         with pytest.raises(InputError, match=f"{algorithm} works on one rank, with at most {most}"):
             solve_case(case.with_values({"solve.algorithm": algorithm}), COMM, tuning=small)
+
+
+@pytest.mark.parallel([2])
+def test_normals_where_few_cells_are_drawn(monkeypatch: pytest.MonkeyPatch):
+    """All facets of a cube have their outer normal, although the cells behind most of them are not in the sample."""
+    monkeypatch.setattr(sample, "MOST_CELLS", {2: 0, 3: 500})
+    cube = gathered_scene(solve_case(load_case("cube").with_values({"solve.h": 0.25}), COMM))
+    if cube is not None:
+        triangles = cube.boundary.vertices
+        away = cube.fields.points[triangles].mean(axis=1) - 0.5
+        np.testing.assert_allclose(np.sum(outward(cube, triangles) * away, axis=1), 0.5, atol=1e-12)
 
 
 def checkpoints() -> tuple[Solution, Solution]:

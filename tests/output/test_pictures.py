@@ -360,16 +360,6 @@ def test_cuts_show_the_contact_set():
     assert np.ptp(np.asarray(edges.points)[:, 0]) > 1.8  # Γ_S is cut from one end to the other
 
 
-@pytest.mark.parallel([1])
-def test_normals_where_few_cells_are_drawn(monkeypatch: pytest.MonkeyPatch):
-    """All facets of a cube have their outer normal, although the cells behind most of them are not in the sample."""
-    monkeypatch.setattr(sample, "MOST_CELLS", {2: 0, 3: 500})
-    cube = scene("cube", h=0.25)
-    triangles = cube.boundary.vertices
-    away = cube.fields.points[triangles].mean(axis=1) - 0.5
-    np.testing.assert_allclose(np.sum(outward(cube, triangles) * away, axis=1), 0.5, atol=1e-12)
-
-
 def test_facets_that_would_hide_a_cut_are_left_out():
     """Of two walls before a cut the one that stands before the domain itself is not drawn."""
     cut = Cut(np.array([0.0, -1.0, 0.0]), np.zeros(3), np.array([0.6, -0.8, 0.0]))
