@@ -1,10 +1,16 @@
-"""Which rigid motions nothing prevents, against one linear programme with all rows."""
+"""Which rigid motions nothing prevents: one linear programme with all rows, limits of loads by hand, sentences."""
+
+import contextlib
 
 import numpy as np
 import pytest
+from elastic import box
 from mpi4py import MPI
 from scipy.optimize import linprog
 
+from signorini_fenicsx.api import Contact, Dirichlet, Elasticity, Neumann, Tresca, solve
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.laws import Regulator
 from signorini_fenicsx.physics.elasticity.rigid_motions import Limits, _in_words
 
 COMM = MPI.COMM_WORLD
@@ -50,3 +56,63 @@ def test_motions_are_told_without_rounding():
     assert _in_words(np.array([0, 7e-17, 1, 0, 0, 3e-16]), np.zeros(3), 1.0)[0] == "along (0, 0, 1)"
     turn = _in_words(np.array([1e-15, 0.5, 0, -2e-17, 3e-15, 1]), np.array([0.5, 0, 0]), 1.0)[0]
     assert turn == "about an axis along (0, 0, 1) through (0, 0, 0)"
+
+
+ON_MESH = "prevent that on this mesh; a finer one may"
+NEAR = 2e-3
+"""How near to its limit a load is, as a share."""
+
+
+def is_held(n: int, dim: int, conditions: list) -> bool:
+    """Whether a unit square or cube with n cells along its edges has a solution; if not it is refused."""
+    with contextlib.suppress(InputError):
+        return solve(box(COMM, n, [0.0] * dim, [1.0] * dim), Elasticity(1.0, 0.3, conditions=conditions)).converged
+    return False
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_a_tool_tips_over_the_last_facet(n: int):
+    """A linear pressure ≥ 0 on facets has its centre at most h/3 from the edge: there a tool begins to tip over."""
+    sides = [Dirichlet("y0", 0), Neumann(["x0", "x1"])]
+    most = 0.1 * (0.5 - 1 / (3 * n))
+    for share in (1 - NEAR, 1 + NEAR):
+        tool = Contact("y1", force={"y": -0.1}, moment={"z": share * most})
+        assert is_held(n, 2, [*sides, tool]) == (share < 1)
+    for moment, finer in ((1.01 * most, True), (0.051, False)):
+        tool = Contact("y1", force={"y": -0.1}, moment={"z": moment})
+        with pytest.raises(InputError, match=r"about the point .*, that is the tool on 'y1'") as refused:
+            solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), Elasticity(1.0, 0.3, conditions=[*sides, tool]))
+        assert (ON_MESH in str(refused.value)) == finer
+
+
+def test_a_tool_that_friction_alone_holds():
+    """Under Tresca's law a tool turns when the moment is above Σ w g |r_t|, r_t in means, and shifts above g."""
+    corners = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [0, 1], [1, 1]]]) - 0.5
+    means = (corners + corners.sum(axis=1, keepdims=True)) / 4
+    most = 0.1 / 6 * np.linalg.norm(means, axis=2).sum()
+    sides = [Dirichlet("z0", 0), Neumann(["x0", "x1", "y0", "y1"])]
+    for share in (1 - NEAR, 1 + NEAR):
+        moved = {"force": {"z": -0.1, "x": 0.0, "y": 0.0}, "moment": {"z": share * most}}
+        assert is_held(1, 3, [*sides, Contact("z1", friction=Tresca(0.1), **moved)]) == (share < 1)
+    tool = Contact("z1", friction=Tresca(0.1), force={"z": -0.1, "x": 0.12})
+    told = r"along \(1, 0, 0\), that is the tool on 'z1': .* the loads do the work 0\.12 on it, and friction .* 0\.1$"
+    with pytest.raises(InputError, match=told):
+        solve(box(COMM, 1, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=[*sides, tool]))
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_at_the_end_of_regulators(n: int):
+    """Two regulators that push and pull by at most 0.2 hold a moment up to what a linear programme tells."""
+    ends = np.linspace(0, 1, n + 1)
+    x = np.stack([2 * ends[:-1] + ends[1:], ends[:-1] + 2 * ends[1:]], axis=1).ravel() / 3  # the means at the sites
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    motions = np.concatenate([np.stack([zero, one, x], axis=1), np.stack([one, zero, -x], axis=1)])
+    own = np.eye(len(motions))
+    rows = np.block([[motions, -own], [-motions, -own]])
+    cost, turns = np.append(np.zeros(3), np.full(len(own), 0.2 / (2 * n))), np.append([0, 0, 1], np.zeros(len(own)))
+    bounds = [(None, None)] * 3 + [(0, None)] * len(own)
+    most = linprog(cost, A_ub=rows, b_ub=np.zeros(len(rows)), A_eq=turns[None], b_eq=[1], bounds=bounds).fun
+    laws = [Regulator([part], k=4, g_low=-0.2, g_high=0.2) for part in ("x0", "y0")]
+    for share in (1 - NEAR, 1 + NEAR):
+        load = Neumann("y1", ["0", f"{12 * share * most}*(x - 0.5)"])
+        assert is_held(n, 2, [*laws, Neumann("x1"), load]) == (share < 1)

@@ -379,7 +379,7 @@ class ElasticBackend(PlainBackend):
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
         stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self._data.lift)
-        if refine and not self._sprung:
+        if refine:
             stresses, displacements = self._refined(conditions, stresses, displacements)
         p, flux = self._cleaned(conditions, self._beside_tools(self._x), self._data.reactions(spaces, stresses))
         self._largest = self._extent(np.abs(displacements), np.abs(stresses))
@@ -389,7 +389,8 @@ class ElasticBackend(PlainBackend):
         """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
 
         The stress that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much
-        less than rounding. Corrections are small, so that their own errors are.
+        less than rounding. Corrections are small, so that their own errors are. Where weak springs hold it, forces
+        are those without them: a correction is a step of the proximal point method, after which they pull no more.
         """
         contact, spaces = conditions.kind == Condition.ZERO_TRACE, self.spaces
         correction, before = self._x.duplicate(), np.inf

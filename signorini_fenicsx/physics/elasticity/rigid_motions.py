@@ -26,6 +26,7 @@ from signorini_fenicsx.physics.elasticity.tools import (
     means_at_sites,
     moves_along,
     normal_and_tangential,
+    tools_at,
 )
 
 FREE = 1e-8
@@ -42,13 +43,41 @@ MOST_CUTS = 200
 """For each direction; far more than were ever seen."""
 
 
+@dataclass(frozen=True)
+class Unprevented:
+    """A rigid motion that nothing prevents.
+
+    Attributes:
+        words: The motion in words.
+        loads: What the loads do on it, if it is a unit translation or the rotation by a unit angle.
+        holds: What friction and laws take of it at most.
+        on_mesh: Whether it is prevented on finer meshes, as far as values at vertices tell.
+    """
+
+    words: str
+    loads: float
+    holds: float
+    on_mesh: bool
+
+    def why(self) -> str:
+        """What is missing, in words."""
+        finer = " on this mesh; a finer one may" if self.on_mesh else ""
+        works = f"; the loads do the work {self.loads:.4g} on it, and friction and laws take at most {self.holds:.4g}"
+        return f"{self.words}: {HELD_BY}{finer}{works if self.holds > 0 else ''}"
+
+
 def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     """Make sure that each rigid motion is prevented, by what is given of u or by contact under the loads (collective).
 
-    Each body has motions of its own. For a motion r that what is given of u lets free, and that does not go into the
-    foundation, r_n ≤ 0 on Γ_C, the work of the loads must be negative, with friction less than ∫ g|r_t|: then contact
-    holds the bodies against it. Where two bodies touch, r is the jump of both motions. Coulomb's g is not known, and
-    counts as ∞ before the first solve; if it is too small, see `slides`.
+    Each body has motions of its own, and each tool under a given force. For a motion r that what is given of u lets
+    free, and that does not go into the foundation, r_n ≤ 0 on Γ_C, the work of the loads must be negative, with
+    friction less than ∫ g|r_t|: then contact holds the bodies against it. Where two bodies touch, r is the jump of both
+    motions. Coulomb's g is not known, and counts as ∞ before the first solve; if it is too small, see `slides`.
+
+    It is the means of r_n and r_t at the sites that count, as in the discrete problem, which has a solution exactly
+    then. More motions have r_n ≤ 0 in means, and ∫ g|r_t| is more than its sum of means: where the resultant of the
+    loads is within a facet of the edge of contact, or a moment is near the limit, the exact problem may have a solution
+    and the discrete one none.
 
     Returns:
         The motions that contact has to prevent, a basis: means of r_n at the sites, and of r_t at those with friction,
@@ -59,7 +88,7 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     """
     means, motion = _motions_of_contact(spaces, data)
     if motion is not None:
-        raise InputError(f"the body can move rigidly, {motion[0]}: {HELD_BY}")
+        raise InputError(f"the body can move rigidly, {motion.why()}")
     return means
 
 
@@ -68,45 +97,44 @@ def slides(spaces: ElasticSpaces, data: ElasticData) -> str:
     _, motion = _motions_of_contact(spaces, data)
     if motion is None:
         return ""
-    words, loads, holds = motion
     return (
-        f"the body slides away, {words}: on this motion the loads do the work {loads:.4g}, and friction under the last "
-        f"pressure takes at most {holds:.4g}; with less load, or more friction, it rests"
+        f"the body slides away, {motion.words}: on this motion the loads do the work {motion.loads:.4g}, and friction "
+        f"under the last pressure takes at most {motion.holds:.4g}; with less load, or more friction, it rests"
     )
 
 
-def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, tuple[str, float, float] | None]:
-    """What `check_rigid_motions` returns, and a motion that is not prevented: in words, the work, and what is rubbed.
-
-    Collective. Both are those of a unit translation, or of the rotation by a unit angle.
-    """
+def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, Unprevented | None]:
+    """What `check_rigid_motions` returns, and a motion that is not prevented (collective)."""
     bodies = Bodies.of(spaces, data.tools)
     free = bodies.not_given(data.supports)
     if free.shape[1] == 0:
         return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0)), None
     work, most = bodies.work(data)
     work = work @ free / most
-    into, along = normal_and_tangential(spaces, lambda directions: bodies.relative(directions) @ free)
-    slips = along.reshape(-1, spaces.dim - 1, free.shape[1])
-    shears = ((spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most).ravel()
-    limits, work = _limits(spaces, data, work, into.reshape(-1, free.shape[1]), slips, shears, most)
-    motion, told = limits.unprevented(), None
-    if motion is not None:
-        words, unit = bodies.in_words(free @ motion)
-        rubbed = float(limits.shears @ np.linalg.norm(limits.slips @ motion, axis=1)) if len(limits.shears) else 0.0
-        told = words, float(work @ motion) * most / unit, spaces.mesh.comm.allreduce(rubbed) * most / unit
-    return means_at_sites(into, along), told
+    moves = normal_and_tangential(spaces, lambda directions: bodies.relative(directions) @ free)
+    means = means_at_sites(*moves)
+    limits = _limits(spaces, data, work, means, most)
+    motion = limits.unprevented()
+    if motion is None:
+        return means, None
+    at_vertices = np.concatenate([each.reshape(-1, free.shape[1]) for each in moves])
+    on_mesh = _limits(spaces, data, work, at_vertices, most).unprevented() is None
+    words, unit = bodies.in_words(free @ motion)
+    loads = float(work @ motion)
+    holds = loads - float(limits.work @ motion) + limits.rubbed(motion)
+    return means, Unprevented(words, loads * most / unit, holds * most / unit, on_mesh)
 
 
-def _limits(
-    spaces: ElasticSpaces, data: ElasticData, work: Array, into: Array, slips: Array, shears: Array, most: float
-) -> tuple[Limits, Array]:
-    """The limits of motions, and the work of the loads on them with that of the least pressures (collective).
+def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array, most: float) -> Limits:
+    """The limits of motions that have these values at the sites, shape (sites, motions) (collective).
 
     A law whose pressure is between two numbers is overcome by more; it does not keep a motion from going on. What it
     takes is ∫ λ r_n with the largest pressure λ where the motion closes and with the least one where it opens: as
     friction, their mean with r_n and half their difference with |r_n|.
     """
+    into, along = np.split(moves, [len(spaces.sites)])
+    slips = along.reshape(-1, spaces.dim - 1, moves.shape[1])
+    shears = ((spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most).ravel()
     low, high = (end + data.laws.pressure for end in data.laws.chains.extent()[2:])
     shuts, opens = np.isfinite(high), np.isfinite(low)
     constant = np.where(shuts & opens, np.where(shuts, high, 0.0) + np.where(opens, low, 0.0), 0.0) / 2
@@ -118,7 +146,7 @@ def _limits(
     rubbing = np.zeros((np.count_nonzero(between), spaces.dim - 1, into.shape[1]))
     rubbing[:, 0] = into[between]
     slips, shears = np.concatenate([slips[: len(shears)], rubbing]), np.append(shears, half)
-    return Limits(spaces.mesh.comm, work, rows, slips, shears), work
+    return Limits(spaces.mesh.comm, work, rows, slips, shears)
 
 
 HELD_BY = "neither the parts where u is given nor springs nor contact under these loads prevent that"
@@ -253,9 +281,9 @@ class Bodies:
         """The motion of the body that moves most, in words, and its length or its angle (collective)."""
         motion, of_tools = np.split(motion, [len(motion) - len(loads_of(self.tools))])
         if np.abs(of_tools).max(initial=0.0) > np.abs(motion).max(initial=0.0):
-            ends = np.cumsum([len(tool.load) for tool in self.tools])[:-1]
-            largest = [float(np.abs(each).max()) for each in np.split(of_tools, ends)]
-            return f"that is the tool on '{self.tools[int(np.argmax(largest))].part}'", max(largest)
+            tool = max(tools_at(self.tools, of_tools, anew=True), key=lambda tool: np.abs(tool.moved).max())
+            words, unit = _in_words(tool.as_of_body(), tool.middle, tool.size)
+            return f"{words}, that is the tool on '{tool.part}'", unit
         by_body = motion.reshape(self.number, -1)
         body = int(np.abs(by_body).max(axis=1).argmax())
         words, unit = _in_words(by_body[body], self.middle, self.size)
@@ -292,8 +320,7 @@ class Limits:
 
     def unprevented(self) -> Array | None:
         """A motion with an entry 1 or −1, or None (collective)."""
-        sticks = self.shears > STICKS / 1e100
-        stuck = self.slips[sticks].reshape(-1, len(self.work))
+        stuck = self.slips[self._sticks].reshape(-1, len(self.work))
         sizes, vectors = np.linalg.eigh(self.comm.allreduce(stuck.T @ stuck))
         still = vectors[:, sizes > FREE**2].T
         cuts = np.empty((0, len(self.work)))
@@ -303,17 +330,26 @@ class Limits:
                 motion = on_root(self.comm, partial(_farthest, objective, cuts, still))
                 if motion is None or objective @ motion < 0.5:
                     break
-                more = self._violated(motion, ~sticks)
+                more = self._violated(motion)
                 if len(more) == 0:
                     return np.asarray(motion)
                 cuts = np.concatenate([cuts, more])
         return None
 
-    def _violated(self, motion: Array, slides: Mask) -> Array:
+    @property
+    def _sticks(self) -> Mask:
+        return self.shears > STICKS / 1e100
+
+    def rubbed(self, motion: Array) -> float:
+        """Σ shears |slips·r| where it may slip (collective)."""
+        lengths = np.linalg.norm(self.slips @ motion, axis=1)
+        return self.comm.allreduce(float(np.where(self._sticks, 0.0, self.shears) @ lengths))
+
+    def _violated(self, motion: Array) -> Array:
         """Rows c for c·r ≤ 0 that this motion does not meet: at most one of each rank, and one (collective)."""
         off = self.into @ motion
         worst = self.into[np.argmax(off)][None] if off.max(initial=0.0) > SLACK else self.into[:0]
-        slips, shears = self.slips[slides], self.shears[slides]
+        slips, shears = self.slips[~self._sticks], self.shears[~self._sticks]
         moved = slips @ motion
         size = np.linalg.norm(moved, axis=1)[:, None]
         pulls = shears[:, None] * np.divide(moved, size, out=np.zeros_like(moved), where=size > 0)

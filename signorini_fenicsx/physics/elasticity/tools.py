@@ -62,6 +62,12 @@ class Tool:
             motions += [np.cross(np.eye(3)[AXES.index(axis)], beside) for axis in self.about]
         return np.stack(motions, axis=-1)
 
+    def as_of_body(self) -> Array:
+        """How it has moved as a body does: along all axes, then about all of them, in space three, in the plane one."""
+        axes, turns = AXES[: len(self.middle)], AXES if len(self.middle) == 3 else "z"
+        moved = dict(zip([*self.along, *(f"about {axis}" for axis in self.about)], self.moved, strict=True))
+        return np.array([moved.get(name, 0.0) for name in [*axes, *(f"about {axis}" for axis in turns)]])
+
     def motion(self) -> dict[str, Any]:
         """The motion of the tool for summaries: lengths along axes, angles about axes through the middle."""
         lengths, angles = np.split(self.moved, [len(self.along)])
