@@ -20,6 +20,7 @@ def identity_with(
     columns: npt.NDArray[np.integer],
     values: Array,
     ignored: npt.NDArray[np.integer] | None = None,
+    block: int = 1,
 ) -> PETSc.Mat:
     """The identity with more entries (collective).
 
@@ -30,13 +31,14 @@ def identity_with(
         columns: Their columns, numbered over all ranks.
         values: Their values.
         ignored: Rows of this rank, from 0, whose entry on the diagonal is 0, but stored.
+        block: Size of the blocks in which PETSc sees it.
     """
     first = int(comm.exscan(size) or 0)
     diagonal, every = np.ones(size), first + np.arange(size)
     diagonal[[] if ignored is None else ignored] = 0.0
     rows, columns = (np.append(every, each).astype(PETSc.IntType) for each in (rows, columns))
     matrix = PETSc.Mat().create(comm)
-    matrix.setSizes([(size, PETSc.DETERMINE)] * 2)
+    matrix.setSizes([(size, PETSc.DETERMINE)] * 2, bsize=block)
     matrix.setType("aij")
     matrix.setPreallocationCOO(rows, columns)
     matrix.setValuesCOO(np.append(diagonal, values))

@@ -191,7 +191,7 @@ class KeptFactors:
 
         def product(values: Array) -> Array:
             self._x.array_w[:] = values
-            self._natural.mult(self._x, self._b)
+            self._operator.mult(self._x, self._b)
             image = np.array(self._b.array_r)
             image[self._unknowns] += self._pulls(imposed, values[self._unknowns], image[self._unknowns])
             image[essential] = 0.0

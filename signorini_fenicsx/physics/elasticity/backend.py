@@ -92,7 +92,7 @@ class ElasticBackend(PlainBackend):
         matrix = self._operator.matrix
         self.dofs = matrix.getSize()[0]
         large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
-        make = partial(of_facets, spaces, matrix, data.stiffness_of_volume(spaces) >= STIFF) if large else None
+        make = partial(of_facets, spaces, self._operator, data.stiffness_of_volume(spaces) >= STIFF) if large else None
         prefix = "certificate_" if direct else "facet_"
         self._solver = FacetSolver(matrix, prefix, DEFAULTS[spaces.dim], make, MOST_ITERATIONS)
         self._near, self._pressing = _neighbours(spaces)

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
 from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals
@@ -67,6 +68,7 @@ class ElasticCoarse:
         pc: PETSc.PC,
         *,
         normals: bool = False,
+        in_blocks: PETSc.Mat | None = None,
     ):
         """Make `pc` a two-level multigrid with a smoother on blocks (collective).
 
@@ -77,6 +79,7 @@ class ElasticCoarse:
             interpolation: From these to the system.
             pc: The preconditioner.
             normals: Whether the coarse space has the normals of the facets, too.
+            in_blocks: The copy in blocks, if it has the conditions as the system has them; otherwise it is made anew.
         """
         self._system, self._normals, self._space, self._pc = system, normals, space, pc
         system.setVariableBlockSizes(np.full(system.getLocalSize()[0] // size, size, dtype=PETSc.IntType))
@@ -88,7 +91,7 @@ class ElasticCoarse:
         if normals:
             set_direct(self._levels.coarse, "cholesky")
         self._matrix: PETSc.Mat | None = None
-        self._in_blocks = PETSc.Mat()
+        self._in_blocks, self._converts = in_blocks or PETSc.Mat(), in_blocks is None
         pc.setUseAmat(True)
 
     def update(self, fixed: npt.NDArray[np.int32], essential: npt.NDArray[np.int32]) -> None:
@@ -99,7 +102,8 @@ class ElasticCoarse:
             essential: Those fixed under these.
         """
         self._system.setOption(PETSc.Mat.Option.SYMMETRIC, True)  # PETSc forgets it where entries were added
-        self._in_blocks = self._system.convert("sbaij", self._in_blocks)
+        if self._converts:
+            self._in_blocks = self._system.convert("sbaij", self._in_blocks)
         self._pc.setOperators(self._in_blocks, self._system)
         first = self._matrix is None
         self._matrix = self._galerkin(fixed if first and not self._normals else essential)
@@ -153,11 +157,12 @@ class ElasticCoarse:
         return PETSc.NullSpace().createRigidBody(coordinates)
 
 
-def of_facets(spaces: ElasticSpaces, system: PETSc.Mat, normals: bool, pc: PETSc.PC) -> ElasticCoarse:
+def of_facets(spaces: ElasticSpaces, operator: ConstrainedMatrix, normals: bool, pc: PETSc.PC) -> ElasticCoarse:
     """Make a preconditioner a multigrid of the facet system, perhaps with normals in the coarse space (collective)."""
     space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
     interpolation = trace_interpolation(spaces, space, normals=normals)
-    return ElasticCoarse(system, spaces.dim**2, space, interpolation, pc, normals=normals)
+    in_blocks = operator.in_blocks()
+    return ElasticCoarse(operator.matrix, spaces.dim**2, space, interpolation, pc, normals=normals, in_blocks=in_blocks)
 
 
 def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace, *, normals: bool) -> PETSc.Mat:

@@ -265,7 +265,7 @@ def jumps_to_sides(spaces: ElasticSpaces, *, back: bool = False) -> PETSc.Mat | 
     numbers, size = spaces.traces.dofmap.index_map, spaces.dim**2
     named, across = (size * numbers.local_range[0] + each for each in spaces.sides)
     values = np.full(len(named), -1.0 if back else 1.0)
-    return identity_with(spaces.mesh.comm, size * numbers.size_local, named, across, values)
+    return identity_with(spaces.mesh.comm, size * numbers.size_local, named, across, values, block=size)
 
 
 def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.int32]) -> None:
