@@ -212,14 +212,18 @@ class Cells:
         normals = facet_normals(split_vertices(shapes).reshape(-1, self.dim + 1, self.dim))
         return -normals.reshape(len(shapes), self.dim + 1, self.dim + 1, self.dim) / self.dim
 
+    @cached_property
+    def mapped(self) -> Array:
+        """The entries of Fτ̂Fᵀ/|det F| from those of τ̂, shape (cells, entries, entries)."""
+        dim, pairs = self.dim, entries(self.dim)
+        scaled = self.derivative / np.sqrt(self.determinant)[:, None, None]
+        matrices = np.einsum("nij,jkb,nlk->nilb", scaled, symmetric(np.eye(len(pairs)), dim), scaled, optimize=True)
+        weights = [1 if i == j else np.sqrt(2) for i, j in pairs]
+        return np.stack([w * matrices[:, i, j] for w, (i, j) in zip(weights, pairs, strict=True)], axis=1)
+
     def stresses(self, basis: Array) -> Array:
         """τ = Fτ̂Fᵀ/|det F| of stresses on the reference simplex, shape (cells, (d + 1)², entries, basis)."""
-        dim, F = self.dim, self.derivative
-        scaled = F / np.sqrt(self.determinant)[:, None, None]
-        matrices = symmetric(basis, dim)
-        mapped = np.einsum("nij,vjkb,nlk->nvilb", scaled, matrices, scaled, optimize=True)
-        weight = [1 if i == j else np.sqrt(2) for i, j in entries(dim)]
-        return np.stack([w * mapped[:, :, i, j] for w, (i, j) in zip(weight, entries(dim), strict=True)], axis=2)
+        return self.mapped[:, None] @ basis
 
     def tractions(self, basis: Array) -> Array:
         """⟨φ_a e_r, τn⟩ = F ⟨φ_a, τ̂n̂⟩, shape (cells, (d + 1) d², basis), from those on the reference simplex."""

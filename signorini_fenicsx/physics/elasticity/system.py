@@ -36,6 +36,7 @@ class Eliminated:
 
     Attributes:
         cells: Which cells.
+        geometry: Their vertices.
         matrix: Shape (cells, n, n).
         load: What f adds to the right side, shape (cells, n).
         stress: Coefficients of the stress for each unknown, shape (cells, basis, n).
@@ -45,6 +46,7 @@ class Eliminated:
     """
 
     cells: npt.NDArray[np.int32]
+    geometry: Cells
     matrix: Array
     load: Array
     stress: Array
@@ -89,6 +91,7 @@ def eliminate(
     rest = np.zeros((count, balance.shape[1], stress.shape[2]))
     return Eliminated(
         cells=numbers,
+        geometry=cells,
         matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
         load=load,
         stress=np.concatenate([stress, rest], axis=1),
@@ -214,17 +217,16 @@ class ElasticSystem:
         sigma = np.empty((len(spaces.order), dim + 1, dim + 1, dim, dim))
         u = np.empty((len(spaces.order), dim + 1, dim))
         for block in self._blocks if blocks is None else blocks:
-            unknowns, cells = x[self._unknowns(block.cells)], Cells(spaces.vertices[block.cells])
+            unknowns, cells = x[self._unknowns(block.cells)], block.geometry
             coefficients = np.einsum("nbi,ni->nb", block.stress, unknowns) + with_f * block.stress_of_f
-            on_reference = np.einsum("veb,nb->nve", self.element.stresses, coefficients)
-            F = cells.derivative[:, None]
-            mapped = F @ to_matrices(on_reference) @ F.swapaxes(2, 3) / cells.determinant[:, None, None, None]
+            on_reference = np.tensordot(coefficients, self.element.stresses, (1, 2))
+            mapped = to_matrices(on_reference @ cells.mapped.swapaxes(1, 2))
             sigma[block.cells] = mapped.reshape(-1, dim + 1, dim + 1, dim, dim)
             pulled = np.einsum("nmi,ni->nm", block.displacement, unknowns) + with_f * block.displacement_of_f
             u[block.cells] = np.linalg.solve(
                 cells.derivative.transpose(0, 2, 1), pulled.reshape(-1, dim + 1, dim).transpose(0, 2, 1)
             ).transpose(0, 2, 1)
-        return (sigma + sigma.swapaxes(3, 4)) / 2, u
+        return sigma, u
 
     def everywhere(self, owned: Array) -> Array:
         """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
