@@ -33,7 +33,7 @@ class ConstrainedMatrix:
         self._copies = [(self.natural, self.matrix)]
 
     def in_blocks(self) -> PETSc.Mat:
-        """A copy of a symmetric `matrix`, one triangle in blocks, that has the same conditions from now on (collective).
+        """A copy of a symmetric `matrix`, one triangle in blocks, that takes all conditions from now on (collective).
 
         Products take half of the time, also those with `natural`, which is not to be renewed then.
         """

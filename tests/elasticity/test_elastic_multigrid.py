@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 from elastic import box
@@ -13,8 +14,20 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.data import elastic_data
+from signorini_fenicsx.physics.elasticity.problem import (
+    Contact,
+    Dirichlet,
+    ElasticBoundary,
+    Elasticity,
+    ElasticProblem,
+    Neumann,
+)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
+from signorini_fenicsx.physics.elasticity.system import ElasticSystem
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
@@ -105,3 +118,32 @@ def test_sets_that_do_not_hold_the_body(tuning: Tuning):
     assert [step.zero_trace for step in solution.outcome.history] == [4, 2, 1, 4, 3, 2]
     assert solution.outcome.linear_solver == ("cg+mg" if tuning is MULTIGRID else "preonly+cholesky+mumps")
     assert np.abs(solution.resultants()["sum"]).max() < 1e-12
+
+
+@pytest.mark.parallel(3)
+def test_the_copy_in_blocks_takes_new_conditions():
+    """With two bodies it has the blocks of the traces, and under one set after another, with springs, the products."""
+    mesh = dolfinx.mesh.create_rectangle(COMM, [[0.0, 0.0], [1.0, 1.0]], [4, 4])
+    parts = {name: lambda x, y=y: np.isclose(x[1], y) for name, y in (("low", 0.0), ("joint", 0.5), ("high", 1.0))}
+    parts["sides"] = lambda x: np.isclose(x[0] * (1 - x[0]), 0.0)
+    domain = domain_of(mesh, parts, inner=["joint"])
+    conditions = [Dirichlet("low", ["0", "0"]), Contact("joint"), Neumann("high", ["0", "-1"]), Neumann("sides")]
+    boundary, problem = Elasticity(1.0, 0.3, conditions=conditions).on(domain)
+    spaces = build_elastic_spaces(domain, boundary, problem.rough)
+    operator = ConstrainedMatrix(ElasticSystem(spaces, elastic_data(spaces, problem)).matrix, PETSc.Mat.Option.SPD)
+    copy, sites = operator.in_blocks(), spaces.sites
+    assert copy.getBlockSizes() == (4, 4)
+    x, expected, found = (operator.matrix.createVecLeft() for _ in range(3))
+    x.array_w[:] = np.random.default_rng(COMM.rank).random(len(x.array_r))
+    for held in (sites[::2], sites[:0]):
+        rows, columns = sites[:-1:2], sites[1::2]
+        springs = np.arange(1.0, len(rows) + 1)
+        both = np.append(rows, columns), np.append(springs, springs), np.append(columns, rows)
+        operator.impose(held, *both)
+        for matrix, product in ((operator.matrix, expected), (copy, found)):
+            matrix.mult(x, product)
+        np.testing.assert_allclose(found.array_r, expected.array_r, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(found.array_r[held], x.array_r[held])
+    operator.mult(x, found)
+    operator.natural.mult(x, expected)
+    np.testing.assert_allclose(found.array_r, expected.array_r, rtol=1e-12, atol=1e-12)
