@@ -9,7 +9,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.cases.case import Case, load_case
 from signorini_fenicsx.meshes.checks import faces
-from signorini_fenicsx.meshes.grids import Share, cube_grid, square_grid
+from signorini_fenicsx.meshes.grids import Share, tetrahedron_grid, triangle_grid
 
 type Lines = dict[str, tuple[int, float, float]]
 
@@ -19,7 +19,7 @@ LINES: Lines = {"fault": (1, 0, 1), "cross": (0, 0, 1)}
 
 def crossed_square(folder: Path, n: int, text: str, lines: Lines | None = None) -> Case:
     """A case on a square of n × n squares cut in halves, by the text of its file without geometry and sides."""
-    points, cells = square_grid(2**0.5 / n, "right", Share())
+    points, cells = triangle_grid(2**0.5 / n, "right", Share())
     edges = np.unique(faces(cells), axis=0)
     x = points[edges]
     names = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (1, 0.0), "top": (1, 1.0)}
@@ -38,7 +38,7 @@ def crossed_square(folder: Path, n: int, text: str, lines: Lines | None = None) 
 
 def cut_cube(folder: Path, n: int, text: str) -> Case:
     """A case on a cube of n³ cubes with "fault", z = 1/2, by the text of its file without geometry and sides."""
-    points, cells = cube_grid(3**0.5 / n, "right", Share())
+    points, cells = tetrahedron_grid(3**0.5 / n, "right", Share())
     facets = np.unique(faces(cells), axis=0)
     fault = facets[(points[facets][:, :, 2] == 0.5).all(axis=1)]
     return _case(folder / f"{n}", points, cells, {"fault": fault}, text, {"fault": [0, 0, 1]})

@@ -247,12 +247,10 @@ class Area:
 
     def _listed(self, place: Path) -> set[str]:
         """The files of a place, see `listed`; none if there is no such folder."""
-        with contextlib.suppress(FileNotFoundError), folder_below(self._parent, self._from_parent(place)) as folder:
+        path = place.relative_to(self.target.parent).as_posix()
+        with contextlib.suppress(FileNotFoundError), folder_below(self._parent, path) as folder:
             return listed(folder, place)
         return set()
-
-    def _from_parent(self, place: Path) -> str:
-        return place.relative_to(self.target.parent).as_posix()
 
     def _clear(self, place: Path) -> None:
         with contextlib.suppress(FileNotFoundError), folder_below(self._parent) as parent:

@@ -23,7 +23,7 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "", 
     place = "".join(f"[{section}] " for section in sections[:1]) + ".".join([*sections[1:], last])
     if any(isinstance(step, int) for step in first["loc"]):  # of a list of sections, such as [[law]]
         place = ".".join([*sections, last])
-    owner = f" {of}" if of else _place_of_key(sections)
+    owner = f" {of}" if of else f" in [{sections[0]}]" if sections else ""
     match first["type"]:
         case "extra_forbidden":
             keys = _known_keys(root, sections[len(above) :], last)
@@ -54,10 +54,6 @@ def shown(value: object) -> str:
     except (ValueError, RecursionError):  # integers of many digits, deep lists
         text = f"this {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _place_of_key(sections: list[str]) -> str:
-    return f" in [{sections[0]}]" if sections else ""
 
 
 def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:

@@ -149,18 +149,15 @@ def text_by_region(value: object) -> object:
     return texts if isinstance(value, dict) else texts[""]
 
 
-def _text_by_part(value: object) -> object:
-    """A table with a number or text per part."""
-    if not isinstance(value, dict):
-        raise ValueError('must be a table with one expression per part, such as {top = "0.1"}')
-    return {part: _expression(entry) for part, entry in value.items()}
+def _by_part(read: Callable[[object], object], what: str) -> BeforeValidator:
+    """A table whose value for each part is read by a function."""
 
+    def check(value: object) -> object:
+        if not isinstance(value, dict):
+            raise ValueError(f"must be a table with {what}")
+        return {part: read(entry) for part, entry in value.items()}
 
-def _stiffness_by_part(value: object) -> object:
-    """A table with a number or text, a list of them, or a matrix per part."""
-    if not isinstance(value, dict):
-        raise ValueError("must be a table with a stiffness per part, such as {bottom = [10, 5]}")
-    return {part: _stiffness(entry) for part, entry in value.items()}
+    return BeforeValidator(check)
 
 
 def _stiffness(value: object) -> object:
@@ -189,9 +186,9 @@ Vector = Annotated[list[str], BeforeValidator(_vector)]
 VectorByPart = Annotated[list[str] | dict[str, list[str]], BeforeValidator(_vector_by_part)]
 Entries = Annotated[list[Any], BeforeValidator(_entries)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
-ExpressionByPart = Annotated[dict[str, str], BeforeValidator(_text_by_part)]
+ExpressionByPart = Annotated[dict[str, str], _by_part(_expression, 'one expression per part, such as {top = "0.1"}')]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]
 Conductivity = Annotated[ConductivityText, _in_regions(_matrix_or_text)]
 Moduli = Annotated[str | list[str] | dict[str, str | list[str]], _in_regions(_modulus)]
-Stiffnesses = Annotated[dict[str, Text], BeforeValidator(_stiffness_by_part)]
+Stiffnesses = Annotated[dict[str, Text], _by_part(_stiffness, "a stiffness per part, such as {bottom = [10, 5]}")]
 Directions = Annotated[list[list[str]] | dict[str, list[list[str]]], _in_regions(_directions)]

@@ -121,7 +121,7 @@ def solve_in_time(
         write_evolution(folder.path, steps, last, quantities, plot=plot)
         folder.publish()
         steps.remove()
-        summary = on_root(comm, lambda: _read_summary(folder.target))
+        summary = on_root(comm, lambda: json.loads((folder.target / "summary.json").read_text(encoding="utf-8")))
         report.finished(last.solution, summary, quantities, certified=certify_steps)
         report.published(folder.target)
 
@@ -175,8 +175,3 @@ def _go_on(
         raise
     assert last is not None
     return last, quantities
-
-
-def _read_summary(target: Path) -> dict[str, Any]:
-    summary: dict[str, Any] = json.loads((target / "summary.json").read_text(encoding="utf-8"))
-    return summary

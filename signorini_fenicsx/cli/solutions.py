@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from signorini_fenicsx.certificate.certificate import Certificate
     from signorini_fenicsx.contact.history import Step
     from signorini_fenicsx.quantities import Quantity
-    from signorini_fenicsx.rigorous.proof import Proof
     from signorini_fenicsx.solving.solved import Solved
 
 MIN_THETA = 1e-3
@@ -114,7 +113,10 @@ def solve(
             start = None if start_from is None else load_solution(start_from, comm)
             solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
             certificate = certify(solution, for_signorini=for_signorini or rigorous)
-            proof = _proof(solution, certificate) if rigorous else None
+            if rigorous:
+                from signorini_fenicsx.rigorous.proof import proof_of  # whose library takes a second to load
+
+            proof = proof_of(solution, certificate.v) if rigorous else None
             quantities = quantities_of(solution)
         write(solution, folder.path, certificate=certificate, proof=proof, quantities=quantities)
         folder.publish()
@@ -152,13 +154,6 @@ def _refuse_lacking(about: "CaseFile | Solved", options: Mapping[str, object]) -
         if name in lacks:
             raise InputError(f"{name}: there is no such option for {about.approach}")
         check_installed(name)
-
-
-def _proof(solution: Any, certificate: "Certificate") -> "Proof":
-    """The proof of a bound, whose library takes a second to load (collective)."""
-    from signorini_fenicsx.rigorous.proof import proof_of
-
-    return proof_of(solution, certificate.v)
 
 
 def _check_provable(case: "CaseFile") -> None:

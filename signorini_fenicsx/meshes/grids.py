@@ -20,26 +20,6 @@ class Share:
     ranks: int = 1
 
 
-def square_grid(h: float, diagonal: str, share: Share) -> Simplices:
-    """The unit square: triangles of diameter at most h."""
-    return _triangle_grid(h, diagonal, share, side=1)
-
-
-def lshape_grid(h: float, diagonal: str, share: Share) -> Simplices:
-    """The L-shape (0, 2)² without the notch [1, 2)²: triangles of diameter at most h."""
-    return _triangle_grid(h, diagonal, share, side=2)
-
-
-def cube_grid(h: float, _diagonal: str, share: Share) -> Simplices:
-    """The unit cube: tetrahedra of diameter at most h."""
-    return _tetrahedron_grid(h, share, side=1)
-
-
-def lprism_grid(h: float, _diagonal: str, share: Share) -> Simplices:
-    """The L-shape of height 1: tetrahedra of diameter at most h."""
-    return _tetrahedron_grid(h, share, side=2)
-
-
 def rectangle_grid(low: Array, high: Array, h: float, diagonal: str, share: Share) -> Simplices:
     """The rectangle with these lower left and upper right corners: triangles of diameter at most h."""
     across, up = (math.ceil(side * _per_unit(h, diagonal) * (1 - 1e-12)) for side in (high - low).tolist())
@@ -81,8 +61,8 @@ def _places(rows: Indices, lengths: Indices) -> tuple[Indices, Indices]:
     return np.repeat(rows, lengths), np.arange(lengths.sum()) - np.repeat(ends - lengths, lengths)
 
 
-def _triangle_grid(h: float, diagonal: str, share: Share, *, side: int) -> Simplices:
-    """A unit square (side 1), or an L of three (side 2)."""
+def triangle_grid(h: float, diagonal: str, share: Share, *, side: int = 1) -> Simplices:
+    """The unit square, or for side 2 the L-shape (0, 2)² without [1, 2)²: triangles of diameter at most h."""
     per_unit = math.ceil(_per_unit(h, diagonal) * (1 - 1e-12))
     points, triangles = _cut_squares(_Rows(_l_shape(side, per_unit), share), diagonal)
     return points / per_unit, triangles
@@ -109,8 +89,11 @@ def _cut_squares(rows: _Rows, diagonal: str) -> Simplices:
     return np.stack([x, y], axis=1), np.concatenate([np.stack(t, axis=1) for t in triangles])
 
 
-def _tetrahedron_grid(h: float, share: Share, *, side: int) -> Simplices:
-    """Cubes of a grid of height 1, each cut into six tetrahedra along the same space diagonal (Kuhn)."""
+def tetrahedron_grid(h: float, _diagonal: str, share: Share, *, side: int = 1) -> Simplices:
+    """The unit cube, or for side 2 the L-shape of height 1: tetrahedra of diameter at most h.
+
+    Each cube of a grid is cut into six of them, along the same space diagonal (Kuhn).
+    """
     per_unit = math.ceil(math.sqrt(3) / h * (1 - 1e-12))
     rows = _Rows(_l_shape(side, per_unit), share)  # a row is a layer here, and has columns of points
     column = per_unit + 1

@@ -17,15 +17,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.expressions import parse_number
 from signorini_fenicsx.meshes.domain import Part, other_side
-from signorini_fenicsx.meshes.grids import (
-    Share,
-    Simplices,
-    cube_grid,
-    lprism_grid,
-    lshape_grid,
-    rectangle_grid,
-    square_grid,
-)
+from signorini_fenicsx.meshes.grids import Share, Simplices, rectangle_grid, tetrahedron_grid, triangle_grid
 
 TINY = np.finfo(np.float64).tiny
 SAME = 1e-6
@@ -194,7 +186,7 @@ SHAPES: Mapping[str, Shape] = {
         math.sqrt(2),
         {"left": _plane(0, 0), "right": _plane(0, 1), "bottom": _plane(1, 0), "top": _plane(1, 1)},
         _polygon((0, 0), (1, 0), (1, 1), (0, 1)),
-        square_grid,
+        triangle_grid,
     ),
     "lshape": Shape(
         2,
@@ -208,7 +200,7 @@ SHAPES: Mapping[str, Shape] = {
             **NOTCH,
         },
         _polygon(*L_CORNERS),
-        lshape_grid,
+        functools.partial(triangle_grid, side=2),
     ),
     "slit": Shape(
         2,
@@ -241,7 +233,7 @@ SHAPES: Mapping[str, Shape] = {
             "top": _plane(2, 1),
         },
         _cube,
-        cube_grid,
+        tetrahedron_grid,
     ),
     "lprism": Shape(
         3,
@@ -257,7 +249,7 @@ SHAPES: Mapping[str, Shape] = {
             "top": _plane(2, 1),
         },
         _polygon(*L_CORNERS, height=1.0),
-        lprism_grid,
+        functools.partial(tetrahedron_grid, side=2),
     ),
     "ball": Shape(3, 4 / 3 * math.pi, 2.0, {"lower": _hemisphere(-1), "upper": _hemisphere(1)}, _ball),
 }

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, ValidationError
 
@@ -338,10 +337,7 @@ def _wrong_value(checkpoint: Checkpoint) -> str:
     for name, number in checkpoint.keeping.codes.items():
         if not np.isin(checkpoint.arrays[name], range(number)).all():
             return f"is damaged: {name} has a value that is no {name.removeprefix('facet_')}"
-    if "together" in checkpoint.arrays and not _are_rows(checkpoint.arrays["together"], checkpoint.headers["cells"]):
+    together = checkpoint.arrays.get("together", np.empty(0))
+    if not ((together >= 0) & (together < checkpoint.headers["cells"].shape[0])).all():
         return "is damaged: together has a number that is no cell"
     return ""
-
-
-def _are_rows(numbers: npt.NDArray, of: Header) -> bool:
-    return bool(np.all((numbers >= 0) & (numbers < of.shape[0])))

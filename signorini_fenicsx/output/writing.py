@@ -17,7 +17,6 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
-from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import CaseFile
@@ -37,15 +36,6 @@ from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
-
-
-def write_results(
-    solution: Solved, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
-) -> None:
-    """Write all files of a solution into a folder, completely or not at all, see `Solved.write` (collective)."""
-    with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
-        write_solution(solution, place.path, certificate=certificate, plot=plot, html=html)
-        place.publish()
 
 
 @collector_off()

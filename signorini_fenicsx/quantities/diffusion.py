@@ -33,7 +33,7 @@ from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
 from signorini_fenicsx.quantities.diffusion_energy import reason_of
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind
-from signorini_fenicsx.quantities.shifts import Posed, with_flux, with_load, with_trace
+from signorini_fenicsx.quantities.shifts import Posed, in_regions, with_flux, with_trace
 
 WEIGHT = "weight by quadrature"
 """Why the flux with a weight that is no polynomial is not guaranteed."""
@@ -72,7 +72,8 @@ def _moved(domain: Domain, posed: Posed, kind: Flux | Integral, tau: float) -> P
         return with_trace(domain, posed, kind.parts, kind.weight, tau)
     if kind.parts:
         return with_flux(domain, posed, kind.weight, kind.parts, tau)
-    return with_load(domain, posed, kind.weight, kind.region, tau)
+    boundary, problem = posed
+    return boundary, replace(problem, f=in_regions(domain, problem.f, kind.weight, kind.region, tau))
 
 
 def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> Half:

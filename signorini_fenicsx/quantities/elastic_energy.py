@@ -88,7 +88,8 @@ def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function)
     if given.f is not None:
         form -= ufl.dot(_vector(solution, given.f), v) * dx
     n = ufl.FacetNormal(mesh)
-    loads = {name: _vector(solution, _given_for(given.g_N, name)) for name in data.g_N if name not in given.pressure}
+    of_parts = given.g_N if isinstance(given.g_N, Mapping) else dict.fromkeys(data.g_N, given.g_N)
+    loads = {name: _vector(solution, of_parts[name]) for name in data.g_N if name not in given.pressure}
     loads |= {name: -_scalar(solution, pressure) * n for name, pressure in given.pressure.items()}
     for name, load in loads.items():
         for part in [name] if name else [*spaces.boundary.neumann, *spaces.boundary.fixed]:
@@ -104,10 +105,6 @@ def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function)
     total += float(problem.rubbed(v).sum())
     on_tools = sum(float(tool.load @ tool.moved) for tool in data.tools)
     return float(spaces.mesh.comm.allreduce(total)) - on_tools
-
-
-def _given_for(given: Any, name: str) -> Any:
-    return given[name] if isinstance(given, Mapping) else given
 
 
 def _scalar(solution: ElasticSolution, given: Any) -> Expr:

@@ -55,16 +55,6 @@ def added(domain: Domain, one: Given, other: Given, factor: float) -> Given:
     return combined(one, other, factor, "data of a problem with quantities")
 
 
-def with_load(domain: Domain, posed: Posed, weight: Given, region: Sequence[str], factor: float) -> Posed:
-    """The problem whose load is larger by a multiple of a weight in some regions, none for all of Ω.
-
-    Raises:
-        InputError: If a region is unknown.
-    """
-    boundary, problem = posed
-    return boundary, replace(problem, f=in_regions(domain, problem.f, weight, region, factor))
-
-
 def in_regions(
     domain: Domain, f: Given | Mapping[str, Given], weight: Given, region: Sequence[str], factor: float
 ) -> Given | Mapping[str, Given]:

@@ -15,6 +15,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
@@ -350,9 +351,11 @@ class Solved(ABC):
         Raises:
             InputError: If the folder cannot be written or contains other files.
         """
-        from signorini_fenicsx.output.writing import write_results
+        from signorini_fenicsx.output.writing import write_solution
 
-        write_results(cast(Any, self), folder, certificate=certificate, plot=plot, html=html)
+        with ResultsFolder(self.spaces.mesh.comm, folder) as place:
+            write_solution(self, place.path, certificate=certificate, plot=plot, html=html)
+            place.publish()
 
     @collector_off()
     def summary(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.cut import Side, opened
 from signorini_fenicsx.meshes.domain import Boundary, other_side
-from signorini_fenicsx.meshes.grids import Share, cube_grid, square_grid
+from signorini_fenicsx.meshes.grids import Share, tetrahedron_grid, triangle_grid
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
@@ -100,7 +100,7 @@ def test_a_slit_that_is_closed_over_its_whole_length():
 
 def in_square(sides: dict[str, Side], **lines: tuple[int, float, float]) -> FileMesh:
     """A square of 4 × 4 cells cut in halves, with inner parts: lines x_i = 1/2 from one end to another."""
-    points, cells = square_grid(math.sqrt(2) / 4, "right", Share())
+    points, cells = triangle_grid(math.sqrt(2) / 4, "right", Share())
     everything = np.unique(faces(cells), axis=0)
     parts = {}
     for name, (axis, begin, end) in lines.items():
@@ -133,7 +133,7 @@ def test_cut():
 
 def test_cut_in_space():
     """A facet with all vertices at the edge of the cut stays closed; the others open."""
-    points, cells = cube_grid(math.sqrt(3) / 4, "right", Share())
+    points, cells = tetrahedron_grid(math.sqrt(3) / 4, "right", Share())
     everything = np.unique(faces(cells), axis=0)
     x = points[everything]
     inside = np.isclose(x[:, :, 2], 0.5) & (np.abs(x[:, :, :2] - 0.5).max(axis=2) < 0.3)

@@ -130,7 +130,7 @@ def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
     cube = scene("cube", h=0.5)
     tables = [replace(cube.facets, condition=np.roll(cube.facets.condition, 20 * step)) for step in range(5)]
-    draw_sets(tmp_path / "contact.png", cube, tables, [1.0, 2.0, 3.0, 4.0, 5.0])
+    draw_sets(tmp_path, cube, tables, [1.0, 2.0, 3.0, 4.0, 5.0], [{}])
     (sheet,) = drawn
     assert_apart(sheet)
     assert [axes.get_title() for axes in sheet.axes] == ["$t = 1$", "$t = 3$", "$t = 5$", "sets"]

@@ -20,7 +20,7 @@ from signorini_fenicsx.output.pictures.evolution import (
     animate,
     chosen_for_fronts,
     draw_fronts,
-    draw_sets_over_time,
+    draw_sets,
     shown,
 )
 from signorini_fenicsx.output.pictures.scene import UNNAMED, Scene
@@ -50,7 +50,7 @@ OF_PHYSICS = {"elasticity": elastic}
 """Physics whose pictures are others than those of `plane_files` and `space_files`: modules with the same functions."""
 
 
-STEPS_OF = {"diffusion": draw_sets_over_time, "elasticity": load_steps.draw_steps}
+STEPS_OF = {"diffusion": draw_sets, "elasticity": load_steps.draw_steps}
 """What draws the pictures of a run in time, for each physics."""
 
 

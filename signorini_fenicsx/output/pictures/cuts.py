@@ -51,11 +51,6 @@ class Cut:
         """Mask of the points on the side of the eye."""
         return (x - self.origin) @ self.normal > 0
 
-    def shadow(self, x: Array) -> Array:
-        """The points of the plane that are seen in the direction of other points."""
-        height = (x - self.origin) @ self.normal / (self.view @ self.normal)
-        return x - height[:, None] * self.view
-
     def shown_from_inside(self, corners: Array, normals: Array, is_inside: Inside) -> Mask:
         """Which triangles before the plane, or across it, turn their inner side to the eye and hide nothing of the cut.
 
@@ -66,7 +61,8 @@ class Cut:
         """
         nearest = corners[np.arange(len(corners)), np.argmax(corners @ self.normal, axis=1)]
         turned = self.is_before(nearest) & (normals @ self.view < 0)
-        turned[turned] = ~is_inside(self.shadow(nearest[turned]))
+        height = (nearest[turned] - self.origin) @ self.normal / (self.view @ self.normal)
+        turned[turned] = ~is_inside(nearest[turned] - height[:, None] * self.view)  # their shadows on the plane
         return turned
 
 

@@ -34,30 +34,15 @@ type Frame = tuple[float, Array, FacetTable]
 """The time, u_h in the cells of the scene, and Γ_S."""
 
 
-def draw_sets_over_time(
-    folder: Path,
-    scene: Scene,
-    tables: Sequence[FacetTable],
-    times: Sequence[float],
-    rows: Sequence[Mapping[str, Any]],
-) -> None:
-    """Draw `contact.png` (rank 0)."""
-    in_cells = {name: [row[key] for row in rows] for key, name in scene.columns.items() if key in rows[-1]}
-    draw_sets(folder / "contact.png", scene, tables, times, in_cells)
-
-
 @mpl.rc_context(style.STYLE)
 def draw_sets(
-    path: Path,
-    scene: Scene,
-    tables: Sequence[FacetTable],
-    times: Sequence[float],
-    in_cells: Mapping[str, Sequence[float]] | None = None,
+    folder: Path, scene: Scene, tables: Sequence[FacetTable], times: Sequence[float], rows: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Draw the sets on each part of Γ_S over time; in space at three times, and their measures over time (rank 0).
+    """Draw `contact.png`: the sets on each part of Γ_S over time; in space at three times, and their measures (rank 0).
 
-    With laws in Ω, `in_cells` has the measure of the cells in each of their states, which has a panel of its own.
+    The cells in each state of laws in Ω, whose measures are in the rows, have a panel of their own.
     """
+    in_cells = {name: [row[key] for row in rows] for key, name in scene.columns.items() if key in rows[-1]}
     scenes = [replace(scene, facets=replace(table, vertices=scene.facets.vertices)) for table in tables]
     ends, groups, plane = [0.0, *times], _groups(scenes), scene.dim == 2
     of_parts = [2.4] * len(scene.labels) if plane else [2.5, 2.4] if scene.labels else []
@@ -83,7 +68,7 @@ def draw_sets(
         axes.set(xlabel="$t$", ylabel="area" if plane else "volume", title=r"cells by the laws in $\Omega$")
     handles = [Line2D([], [], color=colour, linewidth=6, label=name) for name, colour in groups.items()]
     sheet.legend_below(handles)
-    sheet.save(path)
+    sheet.save(folder / "contact.png")
 
 
 @mpl.rc_context(style.STYLE)

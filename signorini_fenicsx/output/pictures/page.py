@@ -136,7 +136,7 @@ def _space(scene: Scene) -> tuple[list, list[Sheet]]:
         for group in scene.groups
         if group.facets[rows].any()
     ]
-    cuts = space.slices().triangulate()
+    cuts = space.grid.slice_orthogonal().combine().extract_surface(algorithm=None).triangulate()
     cut_points, cut_triangles = np.asarray(cuts.points, dtype=np.float64), cuts.regular_faces.astype(np.int64)
     cut_triangles, _ = thinned(cut_points, cut_triangles, MOST_TRIANGLES)
     if len(edge := scene.free_boundary()) > 0:

@@ -120,10 +120,6 @@ class Space:
         """Mask of the points in the domain."""
         return np.atleast_1d(self.grid.find_containing_cell(x)) >= 0 if len(x) else np.zeros(0, dtype=bool)
 
-    def slices(self) -> pyvista.PolyData:
-        """Three cuts through the middle, at right angles."""
-        return self.grid.slice_orthogonal().combine().extract_surface(algorithm=None)
-
     @cached_property
     def streamlines(self) -> pyvista.PolyData:
         """Streamlines of σ_h through points spread over the domain; VTK finds them in single precision, near 0."""

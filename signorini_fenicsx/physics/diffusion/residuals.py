@@ -218,7 +218,9 @@ def _is_at_rest(spaces: Spaces, data: Data) -> bool:
 def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing = np.zeros(len(k)) if data.inside is not None else _missing_mass(spaces, data, in_cells, u)
+    missing = np.zeros(len(k))
+    if data.inside is None:
+        missing = spaces.cell_diameters * (in_cells.divergence + owned_values(data.source(u)))
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [
@@ -226,11 +228,6 @@ def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.F
         for w, v in ((k, k[n]), (1.0, 1.0))
     ]
     return np.sqrt(spaces.mesh.comm.allreduce(np.array(squares)))
-
-
-def _missing_mass(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
-    """h_T (∇·σ + s) on each owned cell."""
-    return spaces.cell_diameters * (sigma.divergence + owned_values(data.source(u)))
 
 
 def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Function, data: Data) -> Array:

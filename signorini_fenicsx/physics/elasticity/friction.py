@@ -89,7 +89,8 @@ class FrictionBounds:
     def chains(self) -> Chains:
         """The law of each site, between u_t and σ_t; in space between their components, stick or a given σ_t."""
         if self.slipping is None:
-            return friction_chains(self.bound.ravel())
+            g, none = self.bound.ravel(), np.zeros(self.bound.size)
+            return Chains.through(np.column_stack([none, none]), np.column_stack([g, -g]), none, none)
         sticks, force = np.repeat(self.sticks.ravel(), 2), self.forces.ravel()
         p, flux, slope = np.where(sticks, 0.0, STICKS), np.where(sticks, -STICKS, force), np.where(sticks, np.inf, 0.0)
         return Chains.through(p[:, None], flux[:, None], slope, slope)
@@ -252,12 +253,6 @@ class FromBefore:
     friction: FrictionBounds | None = None
     moved: Sequence[Tool] = ()
     pulls: Mapping[str, GivenVector | Given] = field(default_factory=dict)
-
-
-def friction_chains(g: Array) -> Chains:
-    """The law |σ·n| ≤ g, p = 0 where it is less, at sites with these g."""
-    none = np.zeros_like(g)
-    return Chains.through(np.column_stack([none, none]), np.column_stack([g, -g]), none, none)
 
 
 def shortened(vectors: Array, longest: Array) -> Array:

@@ -313,10 +313,6 @@ class ElasticSpaces(MeshSpaces):
         at_vertices = stresses[facets.cells, facets.local, : self.dim]
         return np.einsum("naij,nj->nai", at_vertices, facets.normals)
 
-    def normal_stress(self, stresses: Array) -> Array:
-        """σ_nn at the sites."""
-        return np.einsum("nai,ni->na", self.tractions(self.contact, stresses), self.contact.normals).ravel()
-
     def shear(self, stresses: Array) -> Array:
         """σ_t at the sites with friction."""
         return np.einsum("nai,nki->nak", self.tractions(self.rough, stresses), self.tangents).ravel()

@@ -36,11 +36,6 @@ from signorini_fenicsx.rigorous.elasticity.discrete import NONE
 from signorini_fenicsx.rigorous.simplices import Simplices, total
 
 
-def facet_mass(dim: int) -> Array:
-    """The means of φ_a φ_b over a facet of a simplex of this dimension, times d(d + 1)."""
-    return 1.0 + np.eye(dim)
-
-
 @lru_cache
 def _coefficients(dim: int) -> Interval:
     """ŷ at the vertices of subcells from ŷ∇̂λ_i at the vertices of facets and the entries of ∫ŷ/|T̂|.
@@ -133,7 +128,7 @@ def _tractions(cells: Simplices, pulls: Interval) -> list[Interval]:
 
 def _means(cells: Simplices, pulls: Interval, moments: Interval) -> list[Interval]:
     """The entries of ∫ŷ/|T̂|, one column each."""
-    dim, mass, facets = cells.dim, facet_mass(cells.dim) / 1.0, opposite(cells.dim)
+    dim, mass, facets = cells.dim, 1.0 + np.eye(cells.dim), opposite(cells.dim)
     of_hats = []
     for l_ in range(1, dim + 1):
         force = moments[:, l_]

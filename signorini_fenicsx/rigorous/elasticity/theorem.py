@@ -147,14 +147,11 @@ def _compliance(discrete: ElasticDiscrete, given: Given, subcells: Simplices) ->
     for young, with_young in given.each(discrete.material[:, 0]):
         for poisson, with_poisson in given.each(discrete.material[:, 1]):
             chosen = np.flatnonzero(with_young & with_poisson)
-            beside = range(dim)
-            for tree, places in (
-                (_of_shear(young, poisson), [(k, k) for k in range(len(entries))]),
-                (
-                    _of_volume(young, poisson, in_strain=dim == 2 and given.in_strain),
-                    [(i, j) for i in beside for j in beside],
-                ),
-            ):
+            longer = Binary("+", exactly(1), poisson)
+            across = Binary("*", poisson, longer) if dim == 2 and given.in_strain else poisson
+            on_diagonal, beside = [(k, k) for k in range(len(entries))], list(np.ndindex(dim, dim))
+            for of_young, places in ((longer, on_diagonal), (Negative(across), beside)):
+                tree = Binary("/", of_young, young)
                 enclosed = deviation(
                     tree, discrete.vertices[chosen], given.elementary, name="young or poisson", degree=1
                 )
@@ -204,16 +201,6 @@ def _on_subcells(corners: Interval) -> Interval:
     whole = stacked(on_subcells, axis=1)
     shape = -1, *corners.lo.shape[1:]
     return Interval(whole.lo.reshape(shape), whole.hi.reshape(shape))
-
-
-def _of_shear(young: Tree, poisson: Tree) -> Tree:
-    return Binary("/", Binary("+", exactly(1), poisson), young)
-
-
-def _of_volume(young: Tree, poisson: Tree, *, in_strain: bool) -> Tree:
-    """−ν/E, in plane strain −ν(1 + ν)/E."""
-    factor = Binary("*", poisson, Binary("+", exactly(1), poisson)) if in_strain else poisson
-    return Negative(Binary("/", factor, young))
 
 
 def _bound(discrete: ElasticDiscrete, given: Given) -> Interval:

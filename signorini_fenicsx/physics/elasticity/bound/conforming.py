@@ -129,7 +129,7 @@ class BestDisplacement:
         Bounds of the friction that are rounding are left out.
         """
         contact, (rough, in_rough), dim = self.contact, self.rough, self.spaces.dim
-        weights = self._rubbing_weights()
+        weights = self._in_coefficients(self.data.friction.bound[in_rough], contact.facets.measure[rough])  # ∫ g B
         rubs = weights > ROUNDING * self.comm.allreduce(weights.max(initial=0.0), MPI.MAX)
         on, at, sides, corners, most = self._kinks()
         touching, of_rough = len(on), np.nonzero(rubs)
@@ -401,11 +401,6 @@ class BestDisplacement:
         """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
         integrals: Array = measure[:, None] * (values @ self.moments)
         return integrals
-
-    def _rubbing_weights(self) -> Array:
-        """∫ g B over the facets with friction for the B of each of their nodes, shape (facets, nodes)."""
-        rough, in_rough = self.rough
-        return self._in_coefficients(self.data.friction.bound[in_rough], self.contact.facets.measure[rough])
 
     def _slipped(self) -> Array:
         """The slip of the last step in time and of tools on the facets with friction, by its coefficients.
