@@ -8,28 +8,18 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.shipped import case_names
+from signorini_fenicsx.cli import options as option
 from signorini_fenicsx.cli.common import any_case
-from signorini_fenicsx.cli.options import (
-    AlgorithmName,
-    BackendName,
-    CaseName,
-    Epsilon,
-    Json,
-    MeshSize,
-    Quiet,
-    Rho,
-    Settings,
-)
 from signorini_fenicsx.cli.report import Report
 
 
 def info(
-    case: CaseName,
-    algorithm: AlgorithmName = None,
-    h: MeshSize = None,
-    backend: BackendName = None,
-    settings: Settings = None,
-    as_json: Json = False,
+    case: option.CaseName,
+    algorithm: option.AlgorithmName = None,
+    h: option.MeshSize = None,
+    backend: option.BackendName = None,
+    settings: option.Settings = None,
+    as_json: option.Json = False,
 ) -> None:
     """Show sizes and boundary parts of a case, and estimate memory and time of a run; solve nothing.
 
@@ -49,14 +39,14 @@ def info(
 
 
 def check(
-    case: CaseName,
-    algorithm: AlgorithmName = None,
-    h: MeshSize = None,
-    rho: Rho = None,
-    eps: Epsilon = None,
-    backend: BackendName = None,
-    settings: Settings = None,
-    quiet: Quiet = False,
+    case: option.CaseName,
+    algorithm: option.AlgorithmName = None,
+    h: option.MeshSize = None,
+    rho: option.Rho = None,
+    eps: option.Epsilon = None,
+    backend: option.BackendName = None,
+    settings: option.Settings = None,
+    quiet: option.Quiet = False,
 ) -> None:
     """Check a case without solving it: read it, make or read its mesh, find its parts, evaluate its data.
 
@@ -110,7 +100,7 @@ def methods() -> None:
         report.line(f"{name:<{names}}  {algorithm.title:<{titles}}  {algorithm.reference}")
 
 
-def version(as_json: Json = False) -> None:
+def version(as_json: option.Json = False) -> None:
     """Show the versions of this program and of all software that can change a result."""
     from signorini_fenicsx.base.versions import versions
 

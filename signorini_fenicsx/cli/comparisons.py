@@ -10,19 +10,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
+from signorini_fenicsx.cli import options as option
 from signorini_fenicsx.cli.common import any_case, results_place
-from signorini_fenicsx.cli.options import (
-    AlgorithmName,
-    BackendName,
-    CaseName,
-    Epsilon,
-    Json,
-    MeshSize,
-    OutputFolder,
-    Quiet,
-    Rho,
-    Settings,
-)
 
 MAX_LEVEL = 30
 
@@ -30,9 +19,9 @@ MAX_LEVEL = 30
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A", help="Results folder of a run.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Results folder of another run on the same domain.")],
-    output: OutputFolder = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    output: option.OutputFolder = None,
+    quiet: option.Quiet = False,
+    as_json: option.Json = False,
 ) -> None:
     """Compare two runs on one domain, on any meshes: contact sets, and norms of the differences.
 
@@ -61,19 +50,19 @@ def compare(
 
 
 def convergence(
-    case: CaseName,
+    case: option.CaseName,
     vary: Annotated[str, typer.Option("--vary", help="h; eps (same mesh); eps=h or eps=h^2 (both vary).")] = "h",
     levels: Annotated[str, typer.Option("--levels", help="FIRST:LAST of h = 2^-level, or of eps = 10^-level.")] = "2:6",
     reference: Annotated[int, typer.Option("--reference", help="Level of the reference; unused by --vary eps.")] = 8,
-    algorithm: AlgorithmName = None,
-    h: MeshSize = None,
-    rho: Rho = None,
-    eps: Epsilon = None,
-    backend: BackendName = None,
-    settings: Settings = None,
-    output: OutputFolder = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    algorithm: option.AlgorithmName = None,
+    h: option.MeshSize = None,
+    rho: option.Rho = None,
+    eps: option.Epsilon = None,
+    backend: option.BackendName = None,
+    settings: option.Settings = None,
+    output: option.OutputFolder = None,
+    quiet: option.Quiet = False,
+    as_json: option.Json = False,
 ) -> None:
     """Measure errors against a fine solution, or errors of the penalty; write results/<case>-convergence/.
 

@@ -15,30 +15,8 @@ from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
+from signorini_fenicsx.cli import options as option
 from signorini_fenicsx.cli.common import any_case, failure_kept, refuse_idle, results_place
-from signorini_fenicsx.cli.options import (
-    AlgorithmName,
-    BackendName,
-    CaseName,
-    CertifySteps,
-    Epsilon,
-    ForSignorini,
-    Html,
-    Json,
-    MeshSize,
-    OutputFolder,
-    Plot,
-    Predict,
-    Quiet,
-    Restart,
-    Rho,
-    Rigorous,
-    Settings,
-    StartFrom,
-    Verbose,
-    overrides,
-    positive,
-)
 
 if TYPE_CHECKING:
     from typing import TypeGuard
@@ -53,25 +31,25 @@ MIN_THETA = 1e-3
 
 
 def solve(
-    case: CaseName,
-    algorithm: AlgorithmName = None,
-    h: MeshSize = None,
-    rho: Rho = None,
-    eps: Epsilon = None,
-    backend: BackendName = None,
-    predict: Predict = True,
-    settings: Settings = None,
-    start_from: StartFrom = None,
-    rigorous: Rigorous = False,
-    for_signorini: ForSignorini = False,
-    restart: Restart = False,
-    certify_steps: CertifySteps = False,
-    output: OutputFolder = None,
-    plot: Plot = False,
-    html: Html = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-    as_json: Json = False,
+    case: option.CaseName,
+    algorithm: option.AlgorithmName = None,
+    h: option.MeshSize = None,
+    rho: option.Rho = None,
+    eps: option.Epsilon = None,
+    backend: option.BackendName = None,
+    predict: option.Predict = True,
+    settings: option.Settings = None,
+    start_from: option.StartFrom = None,
+    rigorous: option.Rigorous = False,
+    for_signorini: option.ForSignorini = False,
+    restart: option.Restart = False,
+    certify_steps: option.CertifySteps = False,
+    output: option.OutputFolder = None,
+    plot: option.Plot = False,
+    html: option.Html = False,
+    quiet: option.Quiet = False,
+    verbose: option.Verbose = False,
+    as_json: option.Json = False,
 ) -> None:
     """Solve a case and write its results, by default into results/<case>/.
 
@@ -171,7 +149,7 @@ def _check_provable(case: "CaseFile") -> None:
 
 
 def adapt(
-    case: CaseName,
+    case: option.CaseName,
     target: Annotated[
         str | None, typer.Option("--target", help="Relative certified error to reach, such as 1e-2.")
     ] = None,
@@ -182,17 +160,17 @@ def adapt(
     width: Annotated[str | None, typer.Option("--width", help="Length of its interval to reach.")] = None,
     theta: Annotated[str, typer.Option("--theta", help="Share of the squared error to refine; 1 is uniform.")] = "0.5",
     uniform: Annotated[bool, typer.Option("--uniform", help="Refine uniformly as well, for comparison.")] = False,
-    algorithm: AlgorithmName = None,
+    algorithm: option.AlgorithmName = None,
     h: Annotated[str | None, typer.Option("--h", help="h of the first mesh; default 1/8 of the diameter.")] = None,
-    rho: Rho = None,
-    eps: Epsilon = None,
-    backend: BackendName = None,
-    settings: Settings = None,
-    output: OutputFolder = None,
-    plot: Plot = False,
-    html: Html = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    rho: option.Rho = None,
+    eps: option.Epsilon = None,
+    backend: option.BackendName = None,
+    settings: option.Settings = None,
+    output: option.OutputFolder = None,
+    plot: option.Plot = False,
+    html: option.Html = False,
+    quiet: option.Quiet = False,
+    as_json: option.Json = False,
 ) -> None:
     """Refine where the certified error is large until it is small; write results/<case>-adapt/.
 
@@ -210,7 +188,7 @@ def adapt(
     wanted, part, narrow = _checked(target, max_cells, theta, quantity, width)
     most = max_cells or DEFAULT_MAX_CELLS
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
-    values = overrides(settings, **options)
+    values = option.overrides(settings, **options)
     problem = on_root(comm, lambda: _on_first_mesh(case, values))
     refuse_idle(problem, **options)
     _refuse_lacking(problem, {"--html": html})
@@ -292,13 +270,13 @@ def _checked(
         raise InputError("adapt: --quantity and --width, the length of its interval to reach, belong together")
     if target is None and max_cells is None and width is None:
         raise InputError("adapt: give --target, the relative error to reach, --max-cells, or --quantity with --width")
-    wanted = None if target is None else positive("--target", target)
-    part = positive("--theta", theta)
+    wanted = None if target is None else option.positive("--target", target)
+    part = option.positive("--theta", theta)
     if not MIN_THETA <= part <= 1:
         raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
     if max_cells is not None and max_cells < 1:
         raise InputError(f"--max-cells {max_cells}: must be at least 1")
-    return wanted, part, None if width is None else positive("--width", width)
+    return wanted, part, None if width is None else option.positive("--width", width)
 
 
 def _on_first_mesh(name: str, values: dict[str, object]) -> "CaseFile":
@@ -315,12 +293,12 @@ def _on_first_mesh(name: str, values: dict[str, object]) -> "CaseFile":
 
 def export(
     results: Annotated[Path, typer.Argument(help="Results folder of an earlier run, or of a run of a study.")],
-    for_signorini: ForSignorini = False,
-    output: OutputFolder = None,
-    plot: Plot = False,
-    html: Html = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    for_signorini: option.ForSignorini = False,
+    output: option.OutputFolder = None,
+    plot: option.Plot = False,
+    html: option.Html = False,
+    quiet: option.Quiet = False,
+    as_json: option.Json = False,
 ) -> None:
     """Write fields, tables and pictures of an earlier solution again without solving, by default into its folder.
 

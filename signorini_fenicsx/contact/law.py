@@ -111,6 +111,8 @@ class Law(OnParts, metaclass=Placed):
         region: Names of the regions where it holds, given by `region=` in the place of `parts`: a name or a list of
             names; "all" is all of Ω. Empty for a law on parts.
         segments: Names of the segments of its graph, in the order of ascending u.
+        levels: For each of them the name of the datum with which u varies on it, if it is vertical or steep; None if it
+            is not one datum. Empty if all are None.
         weights: For data whose mean is weighted by others: their names, each with that of its weight.
         places: Where it may hold: "parts", "region" or both.
         word: What case files call it; empty for laws of one's own.
@@ -118,6 +120,7 @@ class Law(OnParts, metaclass=Placed):
 
     region: tuple[str, ...] = field(default=(), init=False)
     segments: ClassVar[Sequence[str]] = ()
+    levels: ClassVar[Sequence[str | None]] = ()
     weights: ClassVar[Mapping[str, str]] = {}
     places: ClassVar[Sequence[str]] = ("parts", "region")
     word: ClassVar[str] = ""
@@ -154,8 +157,8 @@ class Law(OnParts, metaclass=Placed):
         return np.minimum(segment, len(self.segments) - 1)
 
     def level_of(self, segment: int) -> str | None:
-        """The name of the datum with which u varies on a vertical or steep segment; None if it is not one datum."""
-        return None
+        """The name of the datum with which u varies on a vertical or steep segment, see `levels`."""
+        return self.levels[segment] if self.levels else None
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """What the data must not be, in words, and where they are: a number > 0 there.

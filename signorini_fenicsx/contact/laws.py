@@ -30,6 +30,7 @@ class Dirichlet(Law):
     value: Given = 0.0
     components: str | None = None
     segments = ("given",)
+    levels = ("value",)
     places = ("parts",)
 
     def _data_names(self) -> list[str]:
@@ -39,10 +40,6 @@ class Dirichlet(Law):
         """A vertical line."""
         point = values["value"], np.zeros_like(values["value"])
         return Graph(point, [point], np.inf, np.inf)
-
-    def level_of(self, segment: int) -> str | None:
-        """The name of the value."""
-        return "value"
 
 
 @dataclass(frozen=True)
@@ -77,6 +74,7 @@ class Signorini(Law):
     psi: Given = 0.0
     q_S: Given = 0.0
     segments = ("contact", "open")
+    levels = ("psi", None)
     places = ("parts",)
     word = "signorini"
 
@@ -84,10 +82,6 @@ class Signorini(Law):
         """The corner is the reference."""
         corner = values["psi"], values["q_S"]
         return Graph(corner, [corner], before=np.inf)
-
-    def level_of(self, segment: int) -> str | None:
-        """The name of ψ, in contact."""
-        return "psi" if segment == 0 else None
 
 
 @dataclass(frozen=True)
@@ -129,6 +123,7 @@ class TwoSided(Law):
     psi: Given = 0.0
     q_S: Given = 0.0
     segments = ("lower", "open", "upper")
+    levels = ("psi", None, "psi_upper")
     places = ("parts",)
     word = "two-sided"
 
@@ -136,10 +131,6 @@ class TwoSided(Law):
         """The reference is the lower corner."""
         lower = values["psi"], values["q_S"]
         return Graph(lower, [lower, (values["psi_upper"], values["q_S"])], np.inf, np.inf)
-
-    def level_of(self, segment: int) -> str | None:
-        """The bound that holds u."""
-        return ("psi", None, "psi_upper")[segment]
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """Tell where the bounds are in the wrong order."""
@@ -159,6 +150,7 @@ class Wall(Law):
     beta: Given
     level: Given = 0.0
     segments = ("inflow", "closed")
+    levels = ("level", None)
     places = ("parts",)
     word = "wall"
     weights: ClassVar[Mapping[str, str]] = {"level": "beta"}
@@ -167,10 +159,6 @@ class Wall(Law):
         """The corner is the reference."""
         corner = values["level"], np.zeros_like(values["level"])
         return Graph(corner, [corner], before=values["beta"])
-
-    def level_of(self, segment: int) -> str | None:
-        """The level outside, where water flows in."""
-        return "level" if segment == 0 else None
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """Tell where β is negative."""
@@ -194,6 +182,7 @@ class Regulator(Law):
     g_high: Given
     a: Given = 0.0
     segments = ("high", "regulated", "low")
+    levels = (None, "a", None)
     places = ("parts",)
     word = "regulator"
     weights: ClassVar[Mapping[str, str]] = {"a": "k"}
@@ -203,10 +192,6 @@ class Regulator(Law):
         k, a, low, high = (values[name] for name in ("k", "a", "g_low", "g_high"))
         flux = np.clip(0.0, low, high)
         return Graph((a - flux / k, flux), [(a - high / k, high), (a - low / k, low)])
-
-    def level_of(self, segment: int) -> str | None:
-        """The temperature that is wanted, where the regulator is not at a limit."""
-        return "a" if segment == 1 else None
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """A k that is not positive, bounds in the wrong order."""
@@ -229,6 +214,7 @@ class Seepage(Law):
     rain: Given = 0.0
     level: Given = 0.0
     segments = ("open", "seepage")
+    levels = (None, "level")
     places = ("parts",)
     word = "seepage"
 
@@ -236,10 +222,6 @@ class Seepage(Law):
         """The corner is the reference."""
         corner = values["level"], values["rain"]
         return Graph(corner, [corner], beyond=np.inf)
-
-    def level_of(self, segment: int) -> str | None:
-        """The level where water may leave."""
-        return "level" if segment == 1 else None
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,9 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_nodes, function_of, number_of_cells, owned_cells
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
-from signorini_fenicsx.discrete.inner_facets import InnerFacets, inner_facets
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.expressions.cutting import Frame
-from signorini_fenicsx.meshes.domain import Domain, cells_behind
+from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_pairs
 
 type Names = Sequence[str]
 
@@ -291,3 +290,35 @@ def assembled(form: ufl.Form | fem.Form, entity_maps: Sequence[dolfinx.mesh.Enti
     vector = fem.assemble_vector(fenicsx.form(form, entity_maps=entity_maps))
     vector.scatter_reverse(la.InsertMode.add)
     return vector.array
+
+
+@dataclass(frozen=True)
+class InnerFacets:
+    """The facets of Γ_S that are inside the domain, and on each of them a second one, of the cell on the other side.
+
+    There p is the jump of u, and σ·n is the flux out of the named side, which is that into the other.
+
+    Attributes:
+        rows: Rows of `Spaces.facets`.
+        facets: The mesh facets of the other side.
+        present: Whether any rank has such facets.
+    """
+
+    rows: npt.NDArray[np.intp]
+    facets: npt.NDArray[np.int32]
+    present: bool
+
+
+def inner_facets(domain: Domain, facets: npt.NDArray[np.int32], inner: Sequence[str]) -> InnerFacets:
+    """The Γ_S facets of this rank that are on inner parts, each with the one that lies on it (collective).
+
+    Raises:
+        InputError: If the two sides of an inner part do not consist of the same facets on each rank.
+    """
+    rows, across = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.int32)]
+    for name in inner:
+        named, other = facet_pairs(domain, name)
+        order = np.argsort(facets)
+        rows.append(order[np.searchsorted(facets[order], named)])
+        across.append(other)
+    return InnerFacets(np.concatenate(rows), np.concatenate(across), bool(inner))

@@ -1,4 +1,8 @@
-"""Points in cells and boundary facets, and what functions are there, as NumPy arrays; see `jets`."""
+"""Points in cells and boundary facets, and what functions are there, as NumPy arrays.
+
+A *jet* is the value of a function and, where it is wanted, its gradient: an array whose last axis has 1 or 1 + dim
+entries. Jets are added as arrays are.
+"""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import Any
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, holding
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.quantities import diffusion, diffusion_energy, elastic_energy, elasticity
+from signorini_fenicsx.quantities import diffusion, elasticity
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Quantity
 from signorini_fenicsx.quantities.kinds import Energy, Integral, Kind
@@ -36,11 +36,8 @@ class OfPhysics:
 
 
 QUANTITIES = {
-    name: OfPhysics(physics.check, energy, physics.Integrals, physics.Fluxes, physics.named_for)
-    for name, physics, energy in (
-        ("diffusion", diffusion, diffusion_energy.energy),
-        ("elasticity", elasticity, elastic_energy.energy),
-    )
+    name: OfPhysics(physics.check, physics.energy, physics.Integrals, physics.Fluxes, physics.named_for)
+    for name, physics in (("diffusion", diffusion), ("elasticity", elasticity))
 }
 """The physics that have quantities."""
 
