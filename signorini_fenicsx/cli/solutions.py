@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from signorini_fenicsx.certificate.certificate import Certificate
     from signorini_fenicsx.contact.history import Step
     from signorini_fenicsx.quantities import Quantity
+    from signorini_fenicsx.rigorous.proof import Proof
     from signorini_fenicsx.solving.solved import Solved
 
 MIN_THETA = 1e-3
@@ -91,10 +92,7 @@ def solve(
             start = None if start_from is None else load_solution(start_from, comm)
             solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
             certificate = certify(solution, for_signorini=for_signorini or rigorous)
-            if rigorous:
-                from signorini_fenicsx.rigorous.proof import proof_of  # whose library takes a second to load
-
-            proof = proof_of(solution, certificate.v) if rigorous else None
+            proof = _proof(solution, certificate) if rigorous else None
             quantities = quantities_of(solution)
         write(solution, folder.path, certificate=certificate, proof=proof, quantities=quantities)
         folder.publish()
@@ -102,6 +100,13 @@ def solve(
         report.published(folder.target)
         if proof is not None and proof.proven is None:
             raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+
+
+def _proof(solution: Any, certificate: "Certificate") -> "Proof":
+    """The proof of a bound, whose library takes a second to load (collective)."""
+    from signorini_fenicsx.rigorous.proof import proof_of
+
+    return proof_of(solution, certificate.v)
 
 
 def _is_in_time(

@@ -161,7 +161,12 @@ class Prediction:
             if changed[-1] == 0:
                 break
             if history is not None:
-                iterate = _recorded(history, backend, inexact.reached(conditions), conditions, iterate)
+                before, iterate = iterate, inexact.reached(conditions)
+                if iterate is not None and before is not None:
+                    with reached(partial(backend.in_mixed_spaces, iterate, conditions), history.steps):
+                        change = backend.change(iterate, before)
+                        spent = iterate.linear_iterations
+                        history.append(conditions, change, linear_iterations=spent, rough=True)
             conditions = self._settled_nearby(inexact, spaces, law, conditions, wanted)
         return conditions, iterate
 
@@ -218,21 +223,6 @@ class _Watch:
         self._last = wanted
         self._steady = self._steady + 1 if moved <= tuning.leeway * changing else 0
         return changing > 0 and self._steady >= tuning.patience
-
-
-def _recorded(
-    history: History,
-    backend: Backend[Iterate],
-    iterate: Iterate | None,
-    conditions: SiteConditions,
-    before: Iterate | None,
-) -> Iterate | None:
-    """Add a rough step for an iterate, unless it is the first, which is the start (collective); return it."""
-    if iterate is not None and before is not None:
-        with reached(partial(backend.in_mixed_spaces, iterate, conditions), history.steps):
-            change = backend.change(iterate, before)
-            history.append(conditions, change, linear_iterations=iterate.linear_iterations, rough=True)
-    return iterate
 
 
 def contact_without_dirichlet(spaces: MeshSpaces, chains: Chains) -> SiteConditions | None:

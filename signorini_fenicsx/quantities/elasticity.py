@@ -249,7 +249,7 @@ class Fluxes(_Beside):
         return float(length ** (dim / 2 - 1) * arm / self.softness())
 
     def _of(self, solution: ElasticSolution, stresses: Array) -> float:
-        of_parts = resultants(solution.spaces, solution.data, stresses)
+        of_parts = resultants(solution.spaces, stresses)
         total = np.sum([of_parts[part] for part in self.kind.parts], axis=0)
         dim = self.spaces.dim
         if not isinstance(self.kind, Moment):

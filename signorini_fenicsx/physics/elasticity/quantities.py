@@ -13,7 +13,6 @@ from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.discrete.site_table import along_parts
 from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
-from signorini_fenicsx.physics.elasticity.residuals import balance
 from signorini_fenicsx.physics.elasticity.shown import in_space
 from signorini_fenicsx.solving.fields import von_mises
 
@@ -41,7 +40,7 @@ def quantities(solution: ElasticSolution) -> dict[str, Any]:
     return {
         "von_mises": _largest(comm, stress, split_vertices(spaces.vertices).reshape(-1, dim)),
         "displacement": _largest(comm, size, spaces.vertices.reshape(-1, dim)),
-        "balance": balance(spaces, data, solution.stresses)[1],
+        "balance": solution.balance[1],
         "contact": {name: _of_part(solution, index, pressure) for index, name in enumerate(spaces.part_names)},
     } | ({"tools": {tool.part: tool.motion() for tool in data.tools}} if data.tools else {})
 

@@ -172,16 +172,13 @@ def _drop_normal(values: Array, facets: BoundaryFacets) -> None:
     values[facets.blocks] -= along[:, :, None] * facets.normals[:, None]
 
 
-def resultants(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> dict[str, Array]:
-    """Forces and moments about the origin on each part, and by "sum" what `balance` leaves (collective).
-
-    Each row has the forces and, after them, the moments.
-    """
+def resultants(spaces: ElasticSpaces, stresses: Array) -> dict[str, Array]:
+    """Forces and, after them, moments about the origin on each part (collective)."""
     forces = {}
     for name in spaces.domain.parts:
         part = spaces.part(name)
         forces[name] = spaces.mesh.comm.allreduce(_wrench(part.vertices, _pulls(spaces, stresses, part)))
-    return forces | {"sum": balance(spaces, data, stresses)[0]}
+    return forces
 
 
 def balance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[Array, float]:

@@ -24,7 +24,13 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQua
 from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.quantities import quantities
-from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, energy_squares, resultants, subcell_squares
+from signorini_fenicsx.physics.elasticity.residuals import (
+    ElasticKKT,
+    balance,
+    energy_squares,
+    resultants,
+    subcell_squares,
+)
 from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.solving.solved import InContact, Solved
@@ -258,10 +264,15 @@ class ElasticSolution(Solved):
         part_of_site = np.repeat(spaces.part_of_facet, spaces.dim)
         return by_part(spaces, laws, self.segment, part_of_site, spaces.site_measure, "vertices")
 
+    @cached_property
+    def balance(self) -> tuple[Array, float]:
+        """What is left of all forces and moments, and its share of the forces, see `balance` (collective at first)."""
+        return balance(self.spaces, self.data, self.stresses)
+
     @collector_off()
     def resultants(self) -> dict[str, list[float]]:
         """Forces and then moments about the origin on each part; and what is left of all and f, "sum" (collective)."""
-        forces = resultants(self.spaces, self.data, self.stresses)
+        forces = resultants(self.spaces, self.stresses) | {"sum": self.balance[0]}
         return {name: values.tolist() for name, values in forces.items()}
 
     @collector_off()

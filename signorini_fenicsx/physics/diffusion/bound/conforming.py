@@ -106,7 +106,7 @@ def law_trace(
     at_meeting = on_cuts[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
     jumps.taken(v)
     if field is None:
-        _hold(v, nodes, on.held(at_nodes), ((on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed)))
+        _hold(v, nodes, on.held(at_nodes), (on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed))
     ends = on.ends(at_nodes)
     if field is not None:  # it need not be near a piece of the law
         ends[2:] = ends[:2]
@@ -131,7 +131,11 @@ def law_trace(
         _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
     still = np.union1d(on_dirichlet, meets)
     if field is None:
-        _lower_gap(v, y, data, on, inside, nodes, ~at_meeting.any(axis=1), still, box, jumps)
+        at_points, apart = goal.at(spaces, *basix.make_quadrature(facet, goal.degree())), ~at_meeting.any(axis=1)
+        load = _load(v, nodes[apart], on.loads(at_points)[apart], jumps, inside)
+        slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
+        rubs = mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
+        relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
     else:
         relax(v, data.kappa_h * ufl.grad(near), data.kappa_h, np.zeros(len(v.x.array)), still, box, None, jumps)
     jumps.undone(v)
@@ -141,10 +145,7 @@ def law_trace(
 
 
 def _hold(
-    v: fem.Function,
-    nodes: Indices,
-    held: tuple[Array, Mask, Mask],
-    groups: Sequence[tuple[Mask, npt.NDArray[Any]]],
+    v: fem.Function, nodes: Indices, held: tuple[Array, Mask, Mask], *groups: tuple[Mask, npt.NDArray[Any]]
 ) -> None:
     """Set v where laws hold it, but on each of some groups of facets not in the nodes that it keeps (collective)."""
     values, fully, nearly = held
@@ -153,27 +154,6 @@ def _hold(
         for some in (nearly & facets, fully & facets):
             set_means(v, nodes[some], values[some])
         v.x.array[kept] = before
-
-
-def _lower_gap(
-    v: fem.Function,
-    y: fem.Function,
-    data: Data,
-    on: OnGammaS,
-    inside: Inside,
-    nodes: Indices,
-    apart: Mask,
-    still: npt.NDArray[Any],
-    box: Box,
-    jumps: Jumps,
-) -> None:
-    """Reduce the gap between v and y, see `relax` (collective); `apart` are the facets with no node of a meeting."""
-    spaces, facet = on.spaces, facet_type(on.spaces.mesh.topology.dim)
-    at_points = on.goal.at(spaces, *basix.make_quadrature(facet, on.goal.degree()))
-    load = _load(v, nodes[apart], on.loads(at_points)[apart], jumps, inside)
-    slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
-    rubs = spaces.mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
-    relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
 
 
 def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps, number: int) -> tuple[Array, Array]:

@@ -76,8 +76,9 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
         assert of_pieces is not None
         assert of_loads is not None
         scaled = scipy.sparse.diags_array(of_cell[:, 0]) @ divergence
-        programme = _programme(hessian, scaled, of_flux, of_cell, of_pieces, of_loads)
-        x, y, status, iterations = programme.solve(task.max_iterations)
+        parts = _with_reaction(hessian, scaled, of_flux, of_cell[:, 2])
+        parts = _with_laws_inside(*parts, of_loads) if len(of_loads) > 0 else parts
+        x, y, status, iterations = _with_laws(*parts, of_cell[:, 1], of_pieces).solve(task.max_iterations)
         values, balance = x[: len(of_flux)], y[: len(of_cell)]
         return values, balance, hessian @ values + of_flux[:, 0] + scaled.T @ balance, status, iterations
 
@@ -287,21 +288,6 @@ def _with_laws_inside(
         scipy.sparse.csr_array(scipy.sparse.hstack([divergence, of_forces])),
         np.concatenate([of_flux, forces]),
     )
-
-
-def _programme(
-    hessian: scipy.sparse.csr_array,
-    divergence: scipy.sparse.csr_array,
-    of_flux: Array,
-    of_cell: Array,
-    pieces: Array,
-    loads: Array,
-) -> _Programme:
-    """The programme for the rows of all ranks (rank 0)."""
-    parts = _with_reaction(hessian, divergence, of_flux, of_cell[:, 2])
-    if len(loads) > 0:
-        parts = _with_laws_inside(*parts, loads)
-    return _with_laws(*parts, of_cell[:, 1], pieces)
 
 
 def _with_laws(
