@@ -6,7 +6,7 @@ which compiles it once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeGuard
@@ -83,21 +83,24 @@ class Datum:
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, *shape); NaN or ±∞ where there are none (collective)."""
-        return np.full(points.shape, self.number, order="F") if self.number is not None else self._values(points)
+        if self.number is not None:
+            return np.full(points.shape, self.number, order="F")
+        return self._look(points, slope=False)
+
+    def gradients(self, points: Points) -> Array:
+        """Gradients of a scalar, shape (n, points, dim) (collective)."""
+        if self.number is not None:
+            return np.zeros((*points.shape, points.mesh.geometry.dim))
+        return self._look(points, slope=True)
 
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """The jet of a scalar, see `points` (collective)."""
         value = self.values(points)[:, :, None]
-        if not gradient:
-            return value
-        none = np.zeros((*points.shape, points.mesh.geometry.dim))
-        return np.concatenate([value, self._gradients(points) if self.number is None else none], axis=2)
+        return np.concatenate([value, self.gradients(points)], axis=2) if gradient else value
 
-    def _values(self, points: Points) -> Array:
-        return points.of_ufl(self.ufl)
-
-    def _gradients(self, points: Points) -> Array:
-        return points.of_ufl(ufl.grad(self.ufl))
+    def _look(self, points: Points, *, slope: bool) -> Array:
+        """The values, or the gradients, of what is not one number (collective)."""
+        return points.of_ufl(ufl.grad(self.ufl) if slope else self.ufl)
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
         """Rows of the given facets with the datum that holds on them."""
@@ -142,15 +145,11 @@ class _Text(Datum):
         """The datum itself, everywhere."""
         return [(self.trees, None)]
 
-    def _values(self, points: Points) -> Array:
+    def _look(self, points: Points, *, slope: bool) -> Array:
         x = points.x
         if isinstance(self.trees, list):
             return np.stack([np.stack([values(entry, x) for entry in row], axis=-1) for row in self.trees], axis=-2)
-        return values(self.trees, x)
-
-    def _gradients(self, points: Points) -> Array:
-        assert not isinstance(self.trees, list)
-        return values_and_gradient(self.trees, points.x)[1]
+        return values_and_gradient(self.trees, x)[1] if slope else values(self.trees, x)
 
 
 @dataclass(frozen=True)
@@ -160,11 +159,8 @@ class _Less(Datum):
     datum: Datum
     constant: float
 
-    def _values(self, points: Points) -> Array:
-        return self.datum.values(points) - self.constant
-
-    def _gradients(self, points: Points) -> Array:
-        return self.datum.jet(points, gradient=True)[:, :, 1:]
+    def _look(self, points: Points, *, slope: bool) -> Array:
+        return self.datum.gradients(points) if slope else self.datum.values(points) - self.constant
 
 
 @dataclass(frozen=True)
@@ -190,20 +186,15 @@ class _ByRegion(Datum):
             return None
         return [(tree, inside) for inside, pieces in pieces_of_parts for tree, _ in pieces or ()]
 
-    def _values(self, points: Points) -> Array:
-        values = np.empty((*points.shape, *self.shape))
+    def _look(self, points: Points, *, slope: bool) -> Array:
+        looked = np.empty((*points.shape, *((points.mesh.geometry.dim,) if slope else self.shape)))
         for inside, datum in self.parts:
-            value = datum.values(points.among(inside))
-            if len(datum.shape) < len(self.shape):
+            there = points.among(inside)
+            value = datum.gradients(there) if slope else datum.values(there)
+            if value.ndim < looked.ndim:  # a number for a matrix
                 value = value[..., None, None] * np.eye(self.shape[0])
-            values[inside[points.cells]] = value
-        return values
-
-    def _gradients(self, points: Points) -> Array:
-        gradients = np.empty((*points.shape, points.mesh.geometry.dim))
-        for inside, datum in self.parts:
-            gradients[inside[points.cells]] = datum.jet(points.among(inside), gradient=True)[:, :, 1:]
-        return gradients
+            looked[inside[points.cells]] = value
+        return looked
 
 
 @dataclass(frozen=True)
@@ -231,17 +222,14 @@ class _OnParts(Datum):
         """None: it is not one number."""
         return
 
-    def _values(self, points: Points) -> Array:
-        values = np.zeros(points.shape)
-        for inside, points_inside, datum in self._on(points):
-            values[inside] = datum.values(points_inside)
-        return values
-
-    def _gradients(self, points: Points) -> Array:
-        gradients = np.zeros((*points.shape, points.mesh.geometry.dim))
-        for inside, points_inside, datum in self._on(points):
-            gradients[inside] = datum.jet(points_inside, gradient=True)[:, :, 1:]
-        return gradients
+    def _look(self, points: Points, *, slope: bool) -> Array:
+        assert isinstance(points, FacetPoints)
+        looked = np.zeros((*points.shape, points.mesh.geometry.dim) if slope else points.shape)
+        for facets, datum in self.parts:
+            inside = np.isin(points.facets, facets)
+            there = points.take(inside)
+            looked[inside] = datum.gradients(there) if slope else datum.values(there)
+        return looked
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:
         """Rows of the given facets of each part with its datum."""
@@ -249,12 +237,6 @@ class _OnParts(Datum):
         for number, (part, _) in enumerate(self.parts):
             last[np.isin(facets, part)] = number
         return [(last == number, datum) for number, (_, datum) in enumerate(self.parts)]
-
-    def _on(self, points: Points) -> Iterator[tuple[Mask, FacetPoints, Datum]]:
-        assert isinstance(points, FacetPoints)
-        for facets, datum in self.parts:
-            inside = np.isin(points.facets, facets)
-            yield inside, points.take(inside), datum
 
 
 def datum_on_parts(spaces: MeshSpaces, name: str, given: Given | Mapping[str, Given]) -> Datum:

@@ -68,6 +68,10 @@ class CoulombLaw:
         """Refuse a string in the place of a list."""
         check_names("parts", self.parts)
 
+    def with_data(self, change: Callable[[str, Any], Any]) -> CoulombLaw:
+        """The law with μ changed by a function of its name and value, see `Law.with_data`."""
+        return replace(self, mu=change(f"{self.name}.mu", self.mu))
+
 
 type ElasticLaw = Law | CoulombLaw
 """Friction with a given bound of the shear (Tresca) or with one by the pressure; or a law between opening and
@@ -357,12 +361,7 @@ class ElasticProblem:
 
     def _changed(self, change: Callable[[str, Any], Any]) -> ElasticProblem:
         """The problem with changed data, also those of the laws, see `with_data`."""
-        laws: list[ElasticLaw] = []
-        for index, law in enumerate(self.laws):
-            if isinstance(law, CoulombLaw):
-                laws.append(replace(law, mu=change(f"law.{index}.mu", law.mu)))
-            else:
-                laws.append(law.with_data(partial(_changed_in, index, change)))
+        laws = [law.with_data(partial(_changed_in, index, change)) for index, law in enumerate(self.laws)]
         return replace(with_data(self, change, but=("plane", "laws", "surface")), laws=laws)
 
     @property

@@ -68,8 +68,9 @@ class RaisedGap(Datum):
         """The data of the gap on facets; the function that raises it is none of the data."""
         return self.gap.by_facets(facets)
 
-    def _values(self, points: Points) -> Array:
+    def _look(self, points: Points, *, slope: bool) -> Array:
         assert isinstance(points, FacetPoints)
+        assert not slope
         gaps = np.array(self.gap.values(points))
         mine = np.flatnonzero(np.isin(points.facets, self.facets))
         rows = np.searchsorted(self.facets, points.facets[mine])

@@ -11,6 +11,7 @@ projects in H^{1/2}(Γ_S) instead, and its number of iterations does not depend 
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import ufl
@@ -86,8 +87,7 @@ def flux_uzawa(task: DiffusionTask) -> Outcome:
 
     The step divided by ρ is a trace; it is measured like the KKT residual of p ≥ 0.
     """
-    response = _Response(task, by_flux=True)
-    return _pointwise(task, response, 1 / math.sqrt(task.spaces.length))
+    return _pointwise(task, by_flux=True)
 
 
 def trace_uzawa(task: DiffusionTask) -> Outcome:
@@ -95,28 +95,17 @@ def trace_uzawa(task: DiffusionTask) -> Outcome:
 
     The step divided by ρ is a flux; it is measured like the KKT residual of σ·n ≥ 0.
     """
-    response = _Response(task, by_flux=False)
-    return _pointwise(task, response, math.sqrt(task.spaces.length))
+    return _pointwise(task, by_flux=False)
 
 
-def _pointwise(task: DiffusionTask, response: _Response, unit: float) -> Outcome:
-    spaces = task.spaces
-    comm, e = spaces.mesh.comm, spaces.facet_measure
+def _pointwise(task: DiffusionTask, *, by_flux: bool) -> Outcome:
+    response, length = _Response(task, by_flux=by_flux), task.spaces.length
+    unit = 1 / length if by_flux else length
 
     def inner(x: Array, y: Array) -> float:
-        return float(comm.allreduce(float(e @ (x * y))))
+        return float(task.spaces.mesh.comm.allreduce(float(task.spaces.facet_measure @ (x * y))))
 
-    step = step_length(task.rho, response.slope, inner, scattered_values(spaces))
-    x, failure = iterate_projection(
-        response.start,
-        response.gradient,
-        lambda x, change: np.maximum(0, x - change),
-        lambda change: unit * math.sqrt(inner(change, change)) / response.scale,
-        step=step,
-        max_iterations=task.max_iterations,
-        record=response.record,
-    )
-    return response.outcome(x, step, failure)
+    return _projected(task, response, response.slope, inner, lambda x, change: np.maximum(0, x - change), unit)
 
 
 def half_uzawa(task: DiffusionTask) -> Outcome:
@@ -132,18 +121,25 @@ def half_uzawa(task: DiffusionTask) -> Outcome:
     equivalent to S, so the number of iterations is bounded as h → 0. The algebra is dense and on rank 0, so this is for
     up to a few thousand Γ_S facets.
     """
-    response = _Response(task, by_flux=False)
-    half = HalfNorm(task.spaces)
+    response, half = _Response(task, by_flux=False), HalfNorm(task.spaces)
+    return _projected(task, response, lambda x: half.riesz(response.slope(x)), half.inner, half.project)
 
-    def size(change: Array) -> float:
-        return math.sqrt(max(half.inner(change, change), 0.0)) / response.scale
 
-    step = step_length(task.rho, lambda x: half.riesz(response.slope(x)), half.inner, scattered_values(task.spaces))
+def _projected(
+    task: DiffusionTask,
+    response: _Response,
+    slope: Callable[[Array], Array],
+    inner: Callable[[Array, Array], float],
+    project: Callable[[Array, Array], Array],
+    unit: float = 1.0,
+) -> Outcome:
+    """The outcome of the iteration with these operators, in whose inner product steps of size 1/√unit are 1."""
+    step = step_length(task.rho, slope, inner, scattered_values(task.spaces))
     x, failure = iterate_projection(
         response.start,
         response.gradient,
-        half.project,
-        size,
+        project,
+        lambda change: math.sqrt(unit * max(inner(change, change), 0.0)) / response.scale,
         step=step,
         max_iterations=task.max_iterations,
         record=response.record,
