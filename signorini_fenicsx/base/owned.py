@@ -44,6 +44,17 @@ def cell_dofs(space: fem.FunctionSpace) -> Entities:
     return space.dofmap.list[: number_of_cells(space.mesh)]
 
 
+def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Entities) -> tuple[Entities, Entities]:
+    """The cell behind each boundary facet, and the number of the facet in it."""
+    topology, dim = mesh.topology, mesh.topology.dim
+    topology.create_connectivity(dim - 1, dim)
+    topology.create_connectivity(dim, dim - 1)
+    around = topology.connectivity(dim - 1, dim)
+    cells = around.array[around.offsets[facets]]
+    of_cells = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
+    return cells, np.argmax(of_cells == facets[:, None], axis=1).astype(np.int32)
+
+
 def owned_values(function: fem.Function) -> npt.NDArray:
     """The owned entries of a function, a view; in P0 they are the values in the owned cells, in their order."""
     dofmap = function.function_space.dofmap

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,12 +93,8 @@ class Change:
         Raises:
             InputError: On all ranks, if the points of one rank have another shape.
         """
-        values = []
-        for function in (self.u, self.sigma):
-            domain = replace(self.spaces.domain, mesh=function.function_space.mesh)
-            (rows,) = at_points([function], domain, points)
-            values.append(rows.reshape(len(rows), *function.ufl_shape))
-        return values[0], values[1]
+        u, sigma = (at_points(self.spaces.domain, function, points) for function in (self.u, self.sigma))
+        return u, sigma
 
 
 def gradient(solution: Any, J: Form, controls: Sequence[Control | str], tolerance: float = BIACTIVE) -> Gradient:

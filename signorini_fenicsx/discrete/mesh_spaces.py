@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_nodes, function_of, number_of_cells, owned_cells
+from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets, function_of, number_of_cells, owned_cells
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
@@ -257,14 +257,7 @@ def cells_and_dofs(
     V: fem.FunctionSpace, facets: npt.NDArray[np.int32]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
     """The cell behind each boundary facet, and the facet's degree of freedom in a space with one per facet."""
-    topology = V.mesh.topology
-    dim = topology.dim
-    topology.create_connectivity(dim - 1, dim)
-    topology.create_connectivity(dim, dim - 1)
-    facet_cells = topology.connectivity(dim - 1, dim)
-    cells = facet_cells.array[facet_cells.offsets[facets]]
-    cell_facets = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
-    local = np.argmax(cell_facets == facets[:, None], axis=1)
+    cells, local = cells_of_facets(V.mesh, facets)
     return cells, V.dofmap.list[cells, local]  # a cell's degrees of freedom have the order of its facets
 
 

@@ -24,6 +24,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import cells_of_facets
 from signorini_fenicsx.base.small_matrices import determinants, gathered, times
 from signorini_fenicsx.discrete.cell_shapes import Entities, arms, corners, hat_gradients
 from signorini_fenicsx.meshes.domain import rounding
@@ -347,13 +348,7 @@ def cell_quadrature(mesh: dolfinx.mesh.Mesh, cells: Entities, degree: int) -> It
 
 def in_facets(mesh: dolfinx.mesh.Mesh, facets: Entities, points: Array, weights: Array | None = None) -> FacetPoints:
     """Points in boundary facets of this rank (collective)."""
-    dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim - 1, dim)
-    mesh.topology.create_connectivity(dim, dim - 1)
-    facet_cells = mesh.topology.connectivity(dim - 1, dim)
-    cells = facet_cells.array[facet_cells.offsets[facets]]
-    cell_facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
-    local = np.argmax(cell_facets == facets[:, None], axis=1).astype(np.int32)
+    cells, local = cells_of_facets(mesh, facets)
     return FacetPoints(mesh, cells, points, np.empty(0) if weights is None else weights, facets, local)
 
 

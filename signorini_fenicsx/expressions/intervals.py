@@ -62,6 +62,12 @@ class Interval:
     def __setitem__(self, index: Any, other: Interval) -> None:
         self.lo[index], self.hi[index] = other.lo, other.hi
 
+    def put(self, index: Any, other: Interval) -> Interval:
+        """A copy with other entries at an index."""
+        copy = Interval(self.lo.copy(), self.hi.copy())
+        copy[index] = other
+        return copy
+
     def __neg__(self) -> Interval:
         return Interval(-self.hi, -self.lo)
 

@@ -101,7 +101,7 @@ def on_mesh_of(domain: Domain, field: fem.Function, source: Domain) -> fem.Funct
     vector, dim = len(field.ufl_shape) > 0, domain.mesh.topology.dim
     v, linear, again = (_linear(domain, vector=vector, degree=degree) for degree in (2, 1, 2))
     places = v.function_space.tabulate_dof_coordinates()[:, :dim]
-    v.x.array[:] = at_points([field], source, places)[0].ravel()
+    v.x.array[:] = at_points(source, field, places).ravel()
     if domain.mesh.comm.allreduce(bool(np.isnan(v.x.array).any()), MPI.LOR):
         raise InputError(f"field {source.name}: its mesh does not cover that of the case")
     linear.interpolate(v)

@@ -3,7 +3,7 @@
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import basix
 import basix.ufl
@@ -158,22 +158,21 @@ def _are_inside(mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32], points: A
     return bool((np.abs((shares * edges).sum(axis=1) - arms) <= AT_BOUNDARY).all())
 
 
-def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.ArrayLike) -> list[Array]:
-    """Functions on the mesh of a domain at any points (collective).
+def at_points(domain: Domain, function: fem.Function, points: npt.ArrayLike) -> Array:
+    """A function at any points (collective).
 
     Args:
-        functions: Functions with up-to-date ghost values.
-        domain: The domain of their mesh.
+        domain: The domain of its mesh, or of that of whose cells this one has parts.
+        function: A function with up-to-date ghost values.
         points: Points of this rank, shape (n, dim); their cells may be on any rank.
 
     Returns:
-        The values of each function, shape (n, components): NaN outside the mesh; where cells meet, the values in one of
-        them, the same cell for all functions.
+        The values, shape (n, *shape of a value): NaN outside the mesh, and those in one cell where several meet.
 
     Raises:
         InputError: On all ranks, if the points of one of them have another shape.
     """
-    comm = domain.mesh.comm
+    comm, domain = domain.mesh.comm, replace(domain, mesh=function.function_space.mesh)
     wanted = _in_space(domain.mesh, points)
     inside = np.isfinite(wanted).all(axis=1)
     padding = AT_BOUNDARY * float(np.ptp(domain.box(), axis=0).max())
@@ -182,15 +181,11 @@ def at_points(functions: Sequence[fem.Function], domain: Domain, points: npt.Arr
         owners = dolfinx.geometry.determine_point_ownership(domain.mesh, near_0, frame.factor * padding)
     inside[inside] = owners.src_owner >= 0
     places = [np.flatnonzero(inside)[owners.src_owner[owners.src_owner >= 0] == rank] for rank in range(comm.size)]
-    values = []
-    for function in functions:
-        size = function.function_space.value_size
-        of_owners = function.eval(frame.back(owners.dest_points), owners.dest_cells).reshape(-1, size)
-        answers = comm.alltoall([of_owners[owners.dest_owner == rank] for rank in range(comm.size)])
-        value = np.full((len(wanted), size), np.nan)
-        for place, answer in zip(places, answers, strict=True):
-            value[place] = answer
-        values.append(value)
+    of_owners = function.eval(frame.back(owners.dest_points), owners.dest_cells).reshape(-1, *function.ufl_shape)
+    answers = comm.alltoall([of_owners[owners.dest_owner == rank] for rank in range(comm.size)])
+    values = np.full((len(wanted), *function.ufl_shape), np.nan)
+    for place, answer in zip(places, answers, strict=True):
+        values[place] = answer
     return values
 
 

@@ -6,6 +6,7 @@ refinement, Computing 55, 1995). The children of all generations belong to a few
 """
 
 import itertools
+from collections.abc import Sequence
 
 import dolfinx.mesh
 import numpy as np
@@ -14,7 +15,7 @@ from dolfinx.common import IndexMap
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_nodes, number_of_cells
+from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets, number_of_cells
 from signorini_fenicsx.meshes.checks import diameters
 from signorini_fenicsx.meshes.domain import Domain, Marks, distribute, membership
 from signorini_fenicsx.meshes.refinement import descendant
@@ -27,20 +28,15 @@ TIE = 1e-6
 """Diagonals that differ relatively by less than this count as equal, so that rounding does not choose."""
 
 
-def _children(dim: int) -> Indices:
-    """Corners of the children outside the octahedron: numbers 0 … dim are vertices, dim + 1 + edge are midpoints."""
-    midpoint = {edge: dim + 1 + number for number, edge in enumerate(EDGES[dim])}
-    corners = range(dim + 1)
-    rows = [[a if a == b else midpoint[min(a, b), max(a, b)] for b in corners] for a in corners]
-    return np.array(rows if dim == 3 else [*rows, [3, 4, 5]])
+def _children(dim: int, corners: Sequence[int]) -> Indices:
+    """Corners of the children of a cell, or of the facet with these corners, but for those in an octahedron.
 
-
-def _children_of_facet(dim: int, facet: int) -> Indices:
-    """Corners of the children of a facet, with the numbers of `_children`; facet i is opposite to vertex i."""
+    Numbers 0 … dim are vertices, dim + 1 + edge are midpoints.
+    """
     midpoint = {edge: dim + 1 + number for number, edge in enumerate(EDGES[dim])}
-    corners = [vertex for vertex in range(dim + 1) if vertex != facet]
     rows = [[a if a == b else midpoint[min(a, b), max(a, b)] for b in corners] for a in corners]
-    return np.array(rows if dim == 2 else [*rows, [midpoint[pair] for pair in itertools.combinations(corners, 2)]])
+    middle = [midpoint[pair] for pair in itertools.combinations(corners, 2)]
+    return np.array([*rows, middle] if len(corners) == 3 else rows)
 
 
 OCTAHEDRON = 4 + np.array(
@@ -71,7 +67,7 @@ def refined_uniformly(domain: Domain) -> Domain:
 
     ends = dolfinx.mesh.entities_to_geometry(mesh, 1, np.arange(edges.size_local, dtype=np.int32))
     points = np.concatenate([mesh.geometry.x[: nodes.size_local], mesh.geometry.x[ends].mean(axis=1)])[:, :dim]
-    children = numbers[:, _children(dim)]
+    children = numbers[:, _children(dim, range(dim + 1))]
     if dim == 3:
         corners = mesh.geometry.x[cell_nodes(mesh)]
         octahedron = numbers[np.arange(size)[:, None, None], OCTAHEDRON[_shortest_diagonal(corners)[0]]]
@@ -132,11 +128,7 @@ def _shortest_diagonal(corners: Array) -> tuple[Indices, Array]:
 def _children_of_facets(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32], numbers: Indices) -> Indices:
     """The vertices of the children of boundary facets, ascending, shape (children, dim)."""
     dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim - 1, dim)
-    mesh.topology.create_connectivity(dim, dim - 1)
-    cells = mesh.topology.connectivity(dim - 1, dim).array[mesh.topology.connectivity(dim - 1, dim).offsets[facets]]
-    of_cell = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
-    place = np.argmax(of_cell == facets[:, None], axis=1)
-    tables = np.stack([_children_of_facet(dim, facet) for facet in range(dim + 1)])
+    cells, place = cells_of_facets(mesh, facets)
+    tables = np.stack([_children(dim, [*range(facet), *range(facet + 1, dim + 1)]) for facet in range(dim + 1)])
     rows = numbers[cells[:, None, None], tables[place]]
     return np.sort(rows.reshape(-1, dim), axis=1)

@@ -50,15 +50,15 @@ from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
 from signorini_fenicsx.quantities.motions import (
+    OPPOSITE,
     Posed,
-    check_part,
     check_parts,
     components,
     direction_of,
     foundations,
     moved,
 )
-from signorini_fenicsx.quantities.shifts import added, in_regions
+from signorini_fenicsx.quantities.shifts import added, check_part, in_regions
 
 STEP = "the exact solution of the step after the computed slip of the last one"
 """Of what the quantities of a step in time with friction are."""
@@ -122,7 +122,7 @@ def _pulls(domain: Domain, posed: Posed, kind: Integral, tau: float) -> dict[str
     boundary, problem = posed
     contact, pulls = boundary.touching_on(problem.touching).contact, dict[str, Any]()
     for part in kind.parts:
-        check_part(domain, boundary, part)
+        check_part(domain, boundary, part, OPPOSITE)
         if part not in (*contact, *boundary.neumann, *boundary.fixed):
             raise InputError(f"integrals of displacements are over parts in contact or loaded; on '{part}' u is given")
         sides = [(part, tau), *([(other_side(part), -tau)] if part in boundary.inner else [])]

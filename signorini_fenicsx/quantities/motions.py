@@ -16,11 +16,14 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
+from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.tools import Tool
 from signorini_fenicsx.quantities.kinds import Force, Moment
-from signorini_fenicsx.quantities.shifts import added
+from signorini_fenicsx.quantities.shifts import added, check_part
+
+OPPOSITE = "on which all is opposite"
+"""What is different on the named side of a part inside the domain."""
 
 type Posed = tuple[ElasticBoundary, ElasticProblem]
 """A problem with the parts of each kind of its boundary."""
@@ -73,22 +76,9 @@ def check_parts(domain: Domain, posed: Posed, kind: Force) -> None:
     boundary, problem = posed
     contact = boundary.touching_on(problem.touching).contact
     for part in kind.parts:
-        check_part(domain, boundary, part)
+        check_part(domain, boundary, part, OPPOSITE)
         if part in boundary.neumann and part not in contact:
             raise InputError(f"the traction on the part '{part}' is given")
-
-
-def check_part(domain: Domain, boundary: ElasticBoundary, part: str) -> None:
-    """Refuse what is no part, and the other side of one inside the domain.
-
-    Raises:
-        InputError: If it is.
-    """
-    if part not in domain.facets:
-        raise InputError(f"unknown part '{part}'; there are {', '.join(domain.facets)}")
-    across = {other_side(named): named for named in boundary.inner}
-    if part in across:
-        raise InputError(f"the part '{part}' has no law; take '{across[part]}', on which all is opposite")
 
 
 def moved(domain: Domain, posed: Posed, kind: Force, tau: float) -> Posed:

@@ -90,7 +90,9 @@ def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str],
     def more(given: Given) -> Given:
         return added(domain, given, weight, factor)
 
-    names = [_known(domain, boundary, part) for part in parts]
+    for part in parts:
+        check_part(domain, boundary, part)
+    names = list(parts)
     if set(boundary.neumann) and set(boundary.neumann) <= set(names):
         problem = replace(problem, g_N=more(problem.g_N))
         names = [part for part in names if part not in boundary.neumann]
@@ -116,7 +118,8 @@ def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], weight: Given
     """
     boundary, problem = posed
     fixed, even = [], isinstance(weight, int | float) and weight == 1
-    for part in (_known(domain, boundary, name) for name in parts):
+    for part in parts:
+        check_part(domain, boundary, part)
         if part in boundary.neumann:
             raise InputError(f"the flux through the part '{part}' is given")
         if part in boundary.signorini:
@@ -204,18 +207,17 @@ def _with_law(boundary: Boundary, problem: Problem, part: str, change: Callable[
     return replace(problem, laws=[*problem.laws, plain])
 
 
-def _known(domain: Domain, boundary: Boundary, part: str) -> str:
-    """The part, which has to be one of the domain.
+def check_part(domain: Domain, boundary: Any, part: str, other: str = "for which n has the other direction") -> None:
+    """Refuse what is no part, and the other side of one inside the domain, with what is different on the named one.
 
     Raises:
-        InputError: If it is not, or the other side of one inside the domain.
+        InputError: If it is.
     """
     if part not in domain.facets:
         raise InputError(f"unknown part '{part}'; there are {', '.join(domain.facets)}")
-    for named in boundary.inner:
-        if part == other_side(named):
-            raise InputError(f"the part '{part}' has no law; take '{named}', for which n has the other direction")
-    return part
+    across = {other_side(named): named for named in boundary.inner}
+    if part in across:
+        raise InputError(f"the part '{part}' has no law; take '{across[part]}', {other}")
 
 
 def _are_all(domain: Domain, boundary: Boundary, parts: Sequence[str]) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import Interval
 
@@ -34,29 +34,22 @@ def balanced(facets: Indices, outlets: Mask, fluxes: Interval, load: Interval) -
     for cell in order[1:]:
         depth[cell] = depth[parents[cell]] + 1
     carried = -surplus
-    lo, hi = fluxes.lo.copy(), fluxes.hi.copy()
+    changed = Interval(fluxes.lo.copy(), fluxes.hi.copy())
     inner = order[1:]
     for level in range(int(depth.max(initial=0)), 0, -1):
         chosen = inner[depth[inner] == level]
         leaving = carried[chosen]
-        _add(lo, hi, (chosen, through[chosen]), leaving)
+        changed[chosen, through[chosen]] += leaving
         if level == 1:
             break
         above = parents[chosen]
         entry = np.argmax(facets[above] == facets[chosen, through[chosen]][:, None], axis=1)
-        _add(lo, hi, (above, entry), -leaving)
+        changed[above, entry] += -leaving
         for place in range(width):  # the children of one parent, one after the other
             rank = _rank_among_equals(above)
             now = rank == place
-            part = leaving[now]
-            _add(carried.lo, carried.hi, (above[now],), part)
-    return Interval(lo, hi)
-
-
-def _add(lo: Array, hi: Array, index: tuple[Indices, ...], more: Interval) -> None:
-    """Add to entries of an interval in place; `index` must not contain an entry twice."""
-    total = Interval(lo[index], hi[index]) + more
-    lo[index], hi[index] = total.lo, total.hi
+            carried[above[now]] += leaving[now]
+    return changed
 
 
 def _rank_among_equals(values: Indices) -> Indices:

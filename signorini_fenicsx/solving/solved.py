@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
@@ -188,12 +188,7 @@ class Solved(ABC):
         Raises:
             InputError: On all ranks, if the points of one rank have another shape.
         """
-        values = []
-        for function in (self.u, self.sigma):  # a stress lives on the mesh of the subcells
-            domain = replace(self.spaces.domain, mesh=function.function_space.mesh)
-            (rows,) = at_points([function], domain, points)
-            values.append(rows.reshape(len(rows), *function.ufl_shape))
-        return PointValues(*values)
+        return PointValues(*(at_points(self.spaces.domain, function, points) for function in (self.u, self.sigma)))
 
     @collector_off()
     def certify(self, *, for_signorini: bool = False) -> Certificate:

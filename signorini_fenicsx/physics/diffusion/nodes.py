@@ -34,12 +34,8 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 def largest_around(space: fem.FunctionSpace, nodes: Entities, values: Array) -> Array:
     """For values ≥ 0 per facet, the largest value of the facets around each node, or 0 without facets (collective)."""
-    largest = fem.Function(space)
-    np.maximum.at(largest.x.array, nodes.ravel(), np.repeat(values, nodes.shape[1]))
-    vector = largest.x.petsc_vec
-    vector.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-    largest.x.scatter_forward()
-    return np.asarray(largest.x.array, dtype=np.float64)
+    of_nodes = np.broadcast_to(values[:, None], nodes.shape)
+    return np.maximum(extreme_around(space, nodes, of_nodes, largest=True), 0.0)
 
 
 def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:

@@ -84,10 +84,7 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
     g = enclosing(np.zeros(nodes.shape))
     for tree, mask in given.each(discrete.gap):
         _, gap = _on_facets(discrete, given, "gap", tree, mask, numbers)
-        where = mask[on]
-        lo, hi = g.lo.copy(), g.hi.copy()
-        lo[where], hi[where] = gap.lo, gap.hi
-        g = Interval(lo, hi)
+        g = g.put(mask[on], gap)
     wide = g * facet_measures(x)[:, None]
     for _ in range(ROUNDS):
         jump = _jump(at_nodes, nodes, touching, other)
@@ -101,10 +98,7 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
 def _jump(at_nodes: Interval, nodes: Indices, touching: Mask, other: Indices) -> Interval:
     """The coefficients of v on the facets of Γ_C, where two bodies touch of the jump."""
     coefficients = at_nodes[nodes]
-    jump = coefficients[touching] - at_nodes[other]
-    lo, hi = coefficients.lo.copy(), coefficients.hi.copy()
-    lo[touching], hi[touching] = jump.lo, jump.hi
-    return Interval(lo, hi)
+    return coefficients.put(touching, coefficients[touching] - at_nodes[other])
 
 
 def _on_facets(

@@ -93,10 +93,7 @@ def stresses_of(cells: Simplices, pulls: Interval, moments: Interval) -> Interva
     for n in range(inputs.lo.shape[1]):
         column = coefficients[:, n]
         some = np.flatnonzero((column.lo != 0) | (column.hi != 0))
-        more = hatted[:, some] + inputs[:, n, None] * column[some]
-        lo, hi = hatted.lo.copy(), hatted.hi.copy()
-        lo[:, some], hi[:, some] = more.lo, more.hi
-        hatted = Interval(lo, hi)
+        hatted = hatted.put(np.s_[:, some], hatted[:, some] + inputs[:, n, None] * column[some])
     entries = pairs(dim)
     hatted = Interval(*(each.reshape(count, dim + 1, dim + 1, len(entries)) for each in (hatted.lo, hatted.hi)))
     x = enclosing(cells.vertices)
@@ -331,10 +328,7 @@ def bodies_of(cells_of_mesh: Cells) -> Indices:
 
 def _added(pulls: Interval, place: tuple[Indices, ...], more: Interval) -> Interval:
     """The tractions with more at some facets."""
-    lo, hi = pulls.lo.copy(), pulls.hi.copy()
-    sums = pulls[place] + more
-    lo[place], hi[place] = sums.lo, sums.hi
-    return Interval(lo, hi)
+    return pulls.put(place, pulls[place] + more)
 
 
 def _in_balance(
