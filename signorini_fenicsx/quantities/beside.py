@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
 from signorini_fenicsx.quantities.kinds import Integral, Mean
@@ -49,13 +50,11 @@ class Beside[Fields](ABC):
         self.domain: Domain = solution.spaces.domain
         self.comm = self.spaces.mesh.comm
         self._solver: Solver | None = None
-        self._rounding = 0.0
         self._options = Options(tuning=solution.options.tuning)
 
     def interval(self) -> Quantity:
         """The interval (collective)."""
         size, response = self.size(), self.response()
-        self._rounding = OF_SUMS * size * response
         moves = response * self.softness() * self.spaces.length ** (1 - self.domain.mesh.topology.dim / 2)
         first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
         first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
@@ -68,18 +67,20 @@ class Beside[Fields](ABC):
 
     def ends(self, tau: float) -> Ends:
         """The bounds from one τ (collective)."""
+        size, response = self.size(), self.response()
         try:
             with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
                 below, above = self.fields(-tau), self.fields(tau)
-                bounds = []
+                apart, bounds = self.apart(below, above) / (2 * tau), []
+                of_data = ROUNDING * tau * response if apart > 0 else 0.0  # which may be much larger than σ
+                rounding = response * (OF_SUMS * size + of_data)
                 for sign in (-1.0, 1.0):
                     of_v, of_y = (above, below) if (sign < 0) is not self.of_flux else (below, above)
                     half = self.half(of_v, of_y)
-                    radius = half.value / tau + half.unseen + self._rounding
+                    radius = half.value / tau + half.unseen + rounding
                     bounds.append((self.value(of_v, of_y) + sign * radius, half.reason))
         except (NumericalFailure, InputError) as failure:
             return Ends(-math.inf, math.inf, 0.0, f"{FAILED}: {failure}")
-        apart, size = self.apart(below, above) / (2 * tau), self.size()
         PETSc.garbage_cleanup(self.comm)
         (lower, why), (upper, why_not) = bounds
         return Ends(

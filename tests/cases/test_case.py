@@ -80,7 +80,6 @@ def test_good_case(tmp_path: Path):
         ('["top"]', '["lid"]', "unknown part 'lid' of square; its parts are left, right, bottom, top"),
         ('["top"]', '["top", "top"]', r"\[boundary\] 'top' is listed twice: in signorini$"),
         ('["top"]', '"top"', r"\[boundary\] signorini: input should be a valid list"),
-        ('["top"]', "[]", r"\[boundary\] signorini"),
         ('"alg2"', '"alg9"', "unknown algorithm 'alg9'; use one of alg1, alg2"),
         ('h = "1/8"', 'h = "0"', r"\[solve\] h: input should be greater than 0"),
         ('h = "1/8"', "h = -1", "greater than 0"),

@@ -188,8 +188,6 @@ def test_refusals():
         on_square(Problem(f=1, obstacle=-1), algorithm="alg3")
     with pytest.raises(InputError, match="not finite everywhere in the domain"):
         on_square(Problem(f=1, obstacle="log(x - 0.5)"))
-    with pytest.raises(InputError, match="no laws and no obstacle"):
-        on_square(Problem(f=1))
 
 
 def test_precise_backend_of_thin_cells():
