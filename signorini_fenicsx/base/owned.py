@@ -44,13 +44,18 @@ def cell_dofs(space: fem.FunctionSpace) -> Entities:
     return space.dofmap.list[: number_of_cells(space.mesh)]
 
 
+def cells_behind(mesh: dolfinx.mesh.Mesh, facets: Entities) -> Entities:
+    """The cell behind each boundary facet."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    links = mesh.topology.connectivity(dim - 1, dim)
+    return np.asarray(links.array[links.offsets[facets]], dtype=np.int32)
+
+
 def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Entities) -> tuple[Entities, Entities]:
     """The cell behind each boundary facet, and the number of the facet in it."""
-    topology, dim = mesh.topology, mesh.topology.dim
-    topology.create_connectivity(dim - 1, dim)
+    topology, dim, cells = mesh.topology, mesh.topology.dim, cells_behind(mesh, facets)
     topology.create_connectivity(dim, dim - 1)
-    around = topology.connectivity(dim - 1, dim)
-    cells = around.array[around.offsets[facets]]
     of_cells = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
     return cells, np.argmax(of_cells == facets[:, None], axis=1).astype(np.int32)
 

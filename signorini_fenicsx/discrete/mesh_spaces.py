@@ -17,12 +17,19 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets, function_of, number_of_cells, owned_cells
+from signorini_fenicsx.base.owned import (
+    cell_nodes,
+    cells_behind,
+    cells_of_facets,
+    function_of,
+    number_of_cells,
+    owned_cells,
+)
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.expressions.cutting import Frame
-from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_pairs
+from signorini_fenicsx.meshes.domain import Domain, facet_pairs
 
 type Names = Sequence[str]
 

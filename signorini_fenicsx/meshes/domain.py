@@ -327,14 +327,6 @@ def facet_pairs(domain: Domain, name: str) -> tuple[npt.NDArray[np.int32], npt.N
     return named, across
 
 
-def cells_behind(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """The cell behind each boundary facet."""
-    dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim - 1, dim)
-    links = mesh.topology.connectivity(dim - 1, dim)
-    return np.asarray(links.array[links.offsets[facets]], dtype=np.int32)
-
-
 def membership(domain: Domain) -> Mask:
     """Mask of the owned cells in each region, shape (cells, regions)."""
     table = np.zeros((number_of_cells(domain.mesh), len(domain.regions)), dtype=bool)

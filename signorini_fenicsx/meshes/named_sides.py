@@ -12,10 +12,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_nodes
+from signorini_fenicsx.base.owned import cell_nodes, cells_behind
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.meshes.cut import Side, on_side
-from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_pairs, other_side
+from signorini_fenicsx.meshes.domain import Domain, facet_pairs, other_side
 
 
 def oriented(domain: Domain, sides: Mapping[str, Side]) -> Domain:

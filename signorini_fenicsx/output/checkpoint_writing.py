@@ -17,11 +17,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base.array_files import write_arrays
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.exchange import delete
-from signorini_fenicsx.base.owned import cell_nodes, original_cells
+from signorini_fenicsx.base.owned import cell_nodes, cells_behind, original_cells
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices, membership
+from signorini_fenicsx.meshes.domain import facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.solving.kept import Arrays

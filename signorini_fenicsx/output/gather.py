@@ -9,11 +9,11 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import owned_values
+from signorini_fenicsx.base.owned import cells_behind, owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable
-from signorini_fenicsx.meshes.domain import Domain, cells_behind, facet_vertices, membership
+from signorini_fenicsx.meshes.domain import Domain, facet_vertices, membership
 from signorini_fenicsx.output.sample import Sample
 from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.solved import Solved

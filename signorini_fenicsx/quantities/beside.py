@@ -58,16 +58,15 @@ class Beside[Fields](ABC):
         moves = response * self.softness() * self.spaces.length ** (1 - self.domain.mesh.topology.dim / 2)
         first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
         first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
-        quantity = bracket(self.ends, first, self.discrete)
+        quantity = bracket(lambda tau: self.ends(tau, size, response), first, self.discrete)
         self._solver = None
         PETSc.garbage_cleanup(self.comm)  # of the solver; when the mesh is freed, it is too late
         if not math.isfinite(quantity.width) and self.of_flux and not quantity.reason.startswith(FAILED):
             quantity = replace(quantity, reason=f"{UNBOUNDED}: {quantity.reason}")
         return quantity
 
-    def ends(self, tau: float) -> Ends:
-        """The bounds from one τ (collective)."""
-        size, response = self.size(), self.response()
+    def ends(self, tau: float, size: float, response: float) -> Ends:
+        """The bounds from one τ, with what `size` and `response` give (collective)."""
         try:
             with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
                 below, above = self.fields(-tau), self.fields(tau)

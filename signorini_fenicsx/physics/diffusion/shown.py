@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import dolfinx.mesh
 import numpy as np
 
-from signorini_fenicsx.base.owned import owned_values
+from signorini_fenicsx.base.owned import cells_behind, owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.text import named
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
-from signorini_fenicsx.meshes.domain import cells_behind, facet_vertices
+from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
