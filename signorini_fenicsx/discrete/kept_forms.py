@@ -20,12 +20,10 @@ class KeptForms:
     """Forms and expressions in functions of their own, which take the values of the coefficients of each call.
 
     These functions are made in the order of the arguments, as another order would make, and compile, another form.
-    Those of different forms share their memory.
     """
 
     def __init__(self) -> None:
         self._kept: dict[Hashable, tuple[list[Coefficient], Any]] = {}
-        self._vectors: dict[Hashable, Any] = {}
 
     def get(self, name: Hashable, make: Callable[..., Any], coefficients: tuple[Coefficient, ...]) -> Any:
         """What `make` made when this name was first asked for, with the values of these coefficients (collective).
@@ -36,28 +34,25 @@ class KeptForms:
             coefficients: Functions with up-to-date ghost values, and constants.
 
         Returns:
-            A form, forms or an expression, to be used before the next call.
+            A form, forms or an expression, to be used before the next call with this name.
         """
-        kinds = [_kind(coefficient) for coefficient in coefficients]
-        key = name, *kinds
+        key = name, *(_kind(coefficient) for coefficient in coefficients)
         if key not in self._kept:
-            own = [self._own(kinds[: i + 1], coefficient) for i, coefficient in enumerate(coefficients)]
-            self._kept[key] = own, make(*own)
-        own, made = self._kept[key]
-        for mine, theirs in zip(own, coefficients, strict=True):
-            if isinstance(mine, fem.Function):
-                mine.x.array[:] = theirs.x.array
+            kept = [_copied(coefficient) for coefficient in coefficients]
+            self._kept[key] = kept, make(*kept)
+        kept, made = self._kept[key]
+        for of_form, given in zip(kept, coefficients, strict=True):
+            if isinstance(of_form, fem.Function):
+                of_form.x.array[:] = given.x.array
             else:
-                mine.value = theirs.value
+                of_form.value = given.value
         return made
 
-    def _own(self, kinds: list[Hashable], coefficient: Coefficient) -> Coefficient:
-        """A coefficient of this kind, the last one; in one call each has a vector of its own."""
-        if isinstance(coefficient, fem.Constant):
-            return fem.Constant(coefficient.ufl_domain(), np.array(coefficient.value))
-        space = coefficient.function_space
-        vector = self._vectors.setdefault((kinds[-1], kinds.count(kinds[-1])), fem.Function(space).x)
-        return fem.Function(space, vector)
+
+def _copied(coefficient: Coefficient) -> Coefficient:
+    if isinstance(coefficient, fem.Constant):
+        return fem.Constant(coefficient.ufl_domain(), np.array(coefficient.value))
+    return fem.Function(coefficient.function_space)
 
 
 def _kind(coefficient: Coefficient) -> Hashable:

@@ -39,11 +39,11 @@ def gmres(
     restart: int = DIRECTIONS,
     share: float = EXACT,
     most: int = DIRECTIONS,
-) -> tuple[Array, int]:
+) -> tuple[Array, int, bool]:
     """Solve with a matrix that is known by its products to a share of the right side (collective).
 
     Returns:
-        The solution, or how far so many steps come, and the number of steps.
+        The solution, or how far so many steps come, the number of steps, and whether they have reached the share.
 
     Raises:
         LinearSolveFailure: If PETSc gives up.
@@ -65,7 +65,7 @@ def gmres(
     solver.setTolerances(rtol=share, max_it=most)
     with errors_of(lambda: solver_name(solver)):
         solver.solve(b, x)
-    solution = np.array(x.array_r), solver.getIterationNumber()
+    solution = np.array(x.array_r), solver.getIterationNumber(), solver.getConvergedReason() > 0
     for each in (solver, matrix, b, x):
         each.destroy()
     return solution

@@ -212,9 +212,9 @@ class KeptFactors:
         if at_start <= TO_THE_END * size:
             return 0, True
         enough = TO_THE_END * size / at_start
-        step, steps = gmres(self._comm, product, left, precondition, RESTART, max(share, enough), most)
+        step, steps, reached = gmres(self._comm, product, left, precondition, RESTART, max(share, enough), most)
         x.array_w[:] = x.array_r + step
-        return steps, share <= enough and steps < most
+        return steps, share <= enough and reached
 
     def _pulls(self, imposed: Imposed, p: Array, forces: Array, at: Indices | slice = slice(None)) -> Array:
         """What springs, and shares of other forces, add to the forces at sites; shapes (…, sites)."""

@@ -13,7 +13,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.compiling import LOCK, QUIET, clear_if_left
+from signorini_fenicsx.base.compiling import LOCK, QUIET, clear_if_left, patiently
 from signorini_fenicsx.base.fenicsx import compiled
 
 COMM = MPI.COMM_WORLD
@@ -42,6 +42,21 @@ def test_a_form_left_by_a_killed_process_is_compiled_again(folder: Path, monkeyp
     monkeypatch.setattr(fenicsx, "LOADED", {})  # as in another process
     assert compiled(COMM, form, jit_options={"cache_dir": folder})[0] is not None
     assert len(list(folder.glob("*.c.cached"))) == 1
+
+
+def test_whatever_dolfinx_says_of_its_wait(tmp_path: Path):
+    """The form is not read from the words of the error."""
+    form, times = tmp_path / "form.c", iter([TimeoutError("in other words"), None])
+    form.touch()
+    os.utime(form, (time.time() - 2 * QUIET,) * 2)
+
+    def work() -> str:
+        if (failure := next(times)) is not None:
+            raise failure
+        return "loaded"
+
+    assert patiently(work, tmp_path, compiling=True) == "loaded"
+    assert not form.exists()
 
 
 def test_a_form_that_may_be_alive_is_left_alone(tmp_path: Path):

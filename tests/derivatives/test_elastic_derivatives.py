@@ -27,9 +27,11 @@ from signorini_fenicsx import (
     evolve,
     solve,
 )
+from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.derivatives import NotDifferentiable, gradient_in_time
 from signorini_fenicsx.discrete.seen import parts_of
+from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.solving.evolving import Instant
 
@@ -188,6 +190,15 @@ def test_ranks(name: str):
         return [value, pairing(gradients, directions_of(given.controls)), *numbers]
 
     assert derivatives(COMM) == pytest.approx(on_one_rank(derivatives), rel=1e-8, abs=1e-10)
+
+
+def test_an_adjoint_that_is_not_found(monkeypatch: pytest.MonkeyPatch):
+    """With Coulomb's law the adjoint is found by GMRES; where that does not end there is no gradient."""
+    monkeypatch.setattr("signorini_fenicsx.physics.elasticity.linearised.gmres", partial(gmres, most=1))
+    given = block(COMM, "coulomb")
+    solution = solve(given.domain, given.problem)
+    with pytest.raises(NumericalFailure, match="GMRES has not found it after 1 step"):
+        solution.gradient(functional(given, solution), given.controls)
 
 
 @pytest.mark.parametrize("friction", ["tresca", "coulomb"])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
 from made_cases import make_case
 from mpi4py import MPI
 
@@ -132,6 +133,23 @@ def test_new_texts_compile_nothing(folder: Path, kind: str, algorithm: str):
         certify(solution)
         kept.append(set(LOADED))
     assert kept[0] == kept[1] == kept[2]
+
+
+def _mass(spaces: Spaces, factor: fem.Function) -> ufl.Form:
+    return factor * ufl.dx(spaces.mesh)
+
+
+def _twice(spaces: Spaces, factor: fem.Function) -> ufl.Form:
+    return 2 * factor * ufl.dx(spaces.mesh)
+
+
+def test_kept_forms_have_their_coefficients(folder: Path):
+    """A form that is asked for before another, and assembled after it."""
+    spaces = spaces_of(folder)
+    one, two = (fem.Function(spaces.Q) for _ in range(2))
+    one.x.array[:], two.x.array[:] = 1.0, 2.0
+    first, second = spaces.kept(_mass, one), spaces.kept(_twice, two)
+    assert [spaces.integrate(first), spaces.integrate(second)] == pytest.approx([1.0, 4.0])
 
 
 def test_new_texts_compile_nothing_for_a_convergence_study(folder: Path):

@@ -50,8 +50,8 @@ OF_PHYSICS = {"elasticity": elastic}
 """Physics whose pictures are others than those of `plane_files` and `space_files`: modules with the same functions."""
 
 
-STEPS_OF = {"diffusion": draw_sets, "elasticity": load_steps.draw_steps}
-"""What draws the pictures of a run in time, for each physics."""
+STEPS_OF = {"elasticity": load_steps.draw_steps}
+"""Physics whose pictures of a run in time are not those of the sets on Γ_S: what draws them."""
 
 
 def is_animated(solution: Solved) -> bool:
@@ -67,7 +67,7 @@ def draw_steps(
     rows: Sequence[Mapping[str, Any]],
 ) -> None:
     """Draw the pictures of a run in time, but for the animation (rank 0)."""
-    STEPS_OF[scene.physics](folder, scene, tables, times, rows)
+    STEPS_OF.get(scene.physics, draw_sets)(folder, scene, tables, times, rows)
     draw_quantities(folder / "quantities.png", rows, scene.title)
 
 

@@ -30,7 +30,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
@@ -207,9 +207,11 @@ class Linearised:
             x = backend.solve_homogeneous(self._conditions, load)
             if friction.by_pressure:
                 # w − T'ᵀw = ∂J/∂b
-                w, _ = gmres(
+                w, steps, reached = gmres(
                     backend.comm, lambda w: w - self._by_bound(self._of_pressure(w).array_r), self._by_bound(x.array_r)
                 )
+                if not reached:
+                    raise NumericalFailure(f"derivative: GMRES has not found it after {steps} steps")
                 x.axpy(1.0, self._of_pressure(w))
             return backend.system.everywhere(x.array_r)
 
