@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -243,6 +244,7 @@ class River(Law):
     bed: Given
     q: Given = 0.0
     segments = ("below", "leaking")
+    levels = (None, "level")
     places = ("parts",)
     word = "river"
 
@@ -370,8 +372,24 @@ class Corners(Law):
         return Graph(corners[0], corners, before, beyond)
 
     def level_of(self, segment: int) -> str | None:
-        """The name of u at the corner before the segment, or at the first corner."""
-        return f"corners.{max(segment - 1, 0)}.0"
+        """The name of u of a segment that is vertical everywhere."""
+        beside = self.corners[max(segment - 1, 0) : segment + 1]
+        end = self.before if segment == 0 else self.beyond if segment == len(self.corners) else None
+        vertical = beside[0][0] == beside[-1][0] if end is None else end == VERTICAL
+        return f"corners.{max(segment - 1, 0)}.0" if vertical else None
+
+    def level(self, first: int, last: int, values: Values) -> Array:
+        """The u at which κ∇u·n is nearest to 0 on some segments in a row, also of complex data."""
+        corners = self.graph(values).corners[max(first - 1, 0) : last + 1]
+        u, top = corners[0]
+        if first == 0 and self.before != VERTICAL:
+            u = u + np.minimum(top, 0.0) / values["before"]
+        for (begin, flux), (end, below) in pairwise(corners):
+            fall, passed = flux - below, flux - np.maximum(np.minimum(flux, 0.0), below)
+            u = u + np.divide(passed, fall, out=np.zeros_like(fall), where=fall.real > 0) * (end - begin)
+        if last == len(self.corners) and self.beyond != VERTICAL:
+            u = u + np.maximum(corners[-1][1], 0.0) / values["beyond"]
+        return np.asarray(u)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Law
-from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, Signorini, TwoSided, Wall
-from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, River, Signorini, TwoSided, Wall
+from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.physics.diffusion.bound import relaxation
@@ -26,6 +26,15 @@ from signorini_fenicsx.rigorous.proof import proof_of
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
+
+
+def coarse_and_fine(h: float, shape: str = "square", refinements: int = 2) -> list[Domain]:
+    """A structured mesh, and the one that so many refinements make of it."""
+    coarse = build_domain(COMM, shape, h, mesh="structured")
+    fine, dim = coarse, coarse.mesh.topology.dim
+    for _ in range(refinements):
+        fine = refine(fine, np.arange(fine.mesh.topology.index_map(dim).size_local, dtype=np.int32))
+    return [coarse, fine]
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -85,16 +94,30 @@ LAWS: list[tuple[Law, ...]] = [
 @pytest.mark.parametrize("laws", LAWS)
 def test_data_that_vary(laws: tuple[Law, ...]):
     """Against a mesh with cells of a quarter of the size, where data vary within facets and u_D is not quadratic."""
-    coarse = build_domain(COMM, "square", 0.14, mesh="structured")
-    fine = coarse
-    for _ in range(2):
-        fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
     problem = Problem("20*sin(3*x + 4*y)", kappa="2 + sin(3*x)*cos(2*y)", u_D="0.1*sin(8*x*y)*x*y", laws=laws)
-    one, other = (solve(domain, (Boundary([]), problem)) for domain in (coarse, fine))
+    one, other = (solve(domain, (Boundary([]), problem)) for domain in coarse_and_fine(0.14))
     certificate, distance = certify(one), difference(one, other)
     assert distance < certificate.sigma_bound < 1.2 * distance
     assert certificate.by_quadrature != ()
     assert not certificate.guaranteed
+
+
+STEEP = [
+    River(["bottom"], 1e6, 0.5, 0.2),  # was 515
+    River(["bottom"], "1e9*(1 + x)", "0.5 + 0.3*sin(7*x)", "0.2 + 0.2*sin(5*x)"),  # was 16000
+    Regulator(["bottom"], 1e6, -3e9, 3e9, "0.1*sin(9*x)"),  # was 5e6
+    Corners(["bottom"], [[-0.1, 2e5], ["0.1 + 0.1*sin(7*x)", 0]], 0, "vertical"),
+    Corners(["bottom"], [["-0.1", 2e4], ["0.1 + 0.1*sin(7*x)", 0]], 0, "vertical"),  # was 5.3
+    Corners(["bottom"], [[-1.0, 2e8], [0.1, 1.0], [0.1, -1.0], [1.0, -3e3]], 5.0, 1e9),
+]
+
+
+@pytest.mark.parametrize("law", STEEP, ids=["river", "sine", "regulator", "vertical", "stiff", "mixed"])
+def test_long_steep_segments(law: Law):
+    """The function v is where y·n is on a steep segment, however long this is, and not at one of its ends."""
+    boundary = Boundary([], neumann=["left", "right"])
+    one, other = (solve(each, (boundary, Problem("20*sin(3*x + 4*y)", laws=[law]))) for each in coarse_and_fine(0.25))
+    assert difference(one, other) < certify(one).sigma_bound < 1.12 * difference(one, other)
 
 
 def test_signorini_by_either_way():
@@ -109,10 +132,10 @@ def test_signorini_by_either_way():
 
 
 def test_three_dimensions():
-    domain = build_domain(COMM, "cube", 0.5, mesh="structured")
-    fine = refine(domain, np.arange(domain.mesh.topology.index_map(3).size_local, dtype=np.int32))
     laws = [Friction(["bottom"], "0.3 + x*y"), TwoSided(["left"], psi_upper=0.05, psi=-0.05), Wall(["top"], 3, "0.2*x")]
-    one, other = (solve(each, (Boundary([]), Problem("20*(x - 0.5)", laws=laws))) for each in (domain, fine))
+    one, other = (
+        solve(each, (Boundary([]), Problem("20*(x - 0.5)", laws=laws))) for each in coarse_and_fine(0.5, "cube", 1)
+    )
     distance = difference(one, other)
     assert distance < certify(one).sigma_bound < 2 * distance
 

@@ -6,12 +6,13 @@ v is quadratic on each cell, except near Γ_D and near parts of Γ_S with bounds
 
 for each lower bound b and each upper bound b'. v_2 is quadratic, by Bernstein coefficients between those of I_hb and
 I_hb' on facets with bounds. χ_a, χ_D and v_1 are linear on each cell. χ_D is 1 on Γ_D. χ_a is 1 in vertices of Γ_S all
-of whose facets are on a steep segment, where u is about a: a bound, or the level outside of a wall. v_1 moves v by as
-much as it is beyond a bound in sampled points. ℓ is 0 on the facets with the bound and grows from there, so that the
-bound changes v only next to them.
+of whose facets are on a steep segment, where u is about a: a bound, the level outside of a wall or of a river. v_1 moves
+v by as much as it is beyond a bound in sampled points. ℓ is 0 on the facets with the bound and grows from there, so that
+the bound changes v only next to them.
 
 v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
-stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic.
+stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic. A
+rigid segment is one that is vertical where it has y·n: up to its end the gap is then taken to be larger than it is.
 
 On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
 jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in all these nodes.
@@ -49,6 +50,7 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     bounds_of_jumps,
     depth,
     jumps_obey,
+    level_of,
 )
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
@@ -94,8 +96,7 @@ def law_trace(
     v, near = (averaged(solution, metric), y) if field is None else (field.copy(), field.copy())
     space = v.function_space
     edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), inside.rays
-    on_dirichlet = _given(space, spaces, data.u_D)
-    facet = facet_type(mesh.topology.dim)
+    on_dirichlet, facet = _given(space, spaces, data.u_D), facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     limits_inside = [ray.coefficients(space, edges) for ray in rays]
     u_D = quadratic_on_sides(data.u_D, space, spaces)
@@ -105,8 +106,9 @@ def law_trace(
     fixed, on_cuts = np.union1d(on_dirichlet, tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
     at_meeting = on_cuts[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
     jumps.taken(v)
+    held = on.held(at_nodes)
     if field is None:
-        _hold(v, nodes, on.held(at_nodes), (on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed))
+        _hold(v, nodes, held, (on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed))
     ends = on.ends(at_nodes)
     if field is not None:  # it need not be near a piece of the law
         ends[2:] = ends[:2]
@@ -125,7 +127,7 @@ def law_trace(
     jumps.taken(v)
     floor, ceiling = _ends_inside(rays, limits_inside, jumps, len(v.x.array))
     hard, soft = ((np.maximum(a, floor), np.minimum(b, ceiling)) for a, b in ((low, high), (soft_low, soft_high)))
-    box = Box.of(hard, soft, fixed)
+    box = Box.of(hard, soft, fixed, v.x.array, largest_around(space, nodes, np.where(held[1], 1.0, 0.0)) > 0)
     box.project(v.x.array, TIE * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX))
     if jumps.basis is not None:
         _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
@@ -348,8 +350,8 @@ def _bounds(on: OnGammaS, part: PartLaw) -> list[Datum | None]:
     ends = 0, len(part.law.segments) - 1
     yielding = np.array([np.count_nonzero(~on.rigid[part.rows, end]) for end in ends])
     counts = on.spaces.mesh.comm.allreduce(yielding).tolist()
-    levels = ["" if count > 0 else part.law.level_of(end) or "" for end, count in zip(ends, counts, strict=True)]
-    return [bound or part.data.get(level) for bound, level in zip(part.bounds, levels, strict=True)]
+    levels = [None if count > 0 else level_of(part, end, end) for end, count in zip(ends, counts, strict=True)]
+    return [bound or level for bound, level in zip(part.bounds, levels, strict=True)]
 
 
 def _levels(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> list[tuple[Datum, fem.Function, fem.Function]]:
@@ -373,17 +375,25 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
     steep = on.steep[np.arange(len(on.segment)), on.segment]
     for part in on.goal.parts:
         rows = np.intersect1d(part.rows, spaces.outer_rows)
-        for segment in range(len(part.law.segments)):
-            name = part.law.level_of(segment)
-            if name is not None and part.data[name].number is None:
-                datum = part.data[name]
-                interpolant, held = coefficients(datum, space, all_edges(space)), steep & (on.segment == segment)
+        for first, last in _runs(on.steep[rows], spaces.mesh.comm):
+            datum = level_of(part, first, last)
+            if datum is not None and datum.number is None:
+                interpolant = coefficients(datum, space, all_edges(space))
+                held = steep & (first <= on.segment) & (on.segment <= last)
                 if any(datum is bound for bound in part.bounds):
                     apart = np.abs(v.x.array - interpolant) > ROUNDING * np.abs(interpolant).max(initial=0.0)
                     held = ~apart[nodes].any(axis=1)
                 free = np.ones(len(steep))
                 free[rows] = ~held[rows]
                 yield datum, interpolant, everywhere - largest_around(linear, corners, free)
+
+
+def _runs(steep: Mask, comm: MPI.Comm) -> Iterator[tuple[int, int]]:
+    """The first and the last of all segments in a row that are steep on some facet (collective)."""
+    column = np.zeros(steep.shape[1] + 2, dtype=np.int64)
+    column[1:-1] = comm.allreduce(steep.sum(axis=0)) > 0
+    begins, ends = (np.flatnonzero(np.diff(column) == step) for step in (1, -1))
+    yield from zip(begins.tolist(), (ends - 1).tolist(), strict=True)
 
 
 def _held_jumps(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +13,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.contact.law import Values
+from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.part_laws import PartLaw
+from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import SAMPLES
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -50,6 +53,51 @@ class Bound:
             bound = self.sign * self.datum.jet(points, gradient=gradient) + self.depth * apart
             limited = self.sign * larger(self.sign * jet, bound)
         return np.where(touched[:, None, None], limited, jet)
+
+
+@dataclass(frozen=True)
+class Level(Datum):
+    """The u of steep segments in a row of a graph by its corners, see `Corners.level`; in UFL this is one of the data.
+
+    Attributes:
+        part: The law.
+        segments: The first and the last one.
+    """
+
+    part: PartLaw
+    segments: tuple[int, int]
+
+    @property
+    def degree(self) -> int:
+        """The largest degree of the data."""
+        return max(datum.degree for datum in self.part.data.values())
+
+    @cached_property
+    def number(self) -> float | None:
+        """The number that it is if all data are numbers; None for all else."""
+        numbers = {name: np.array(datum.number) for name, datum in self.part.data.items() if datum.number is not None}
+        return float(self._level(numbers)) if len(numbers) == len(self.part.data) else None
+
+    @property
+    def polynomial(self) -> None:
+        """None: it is a quotient."""
+        return
+
+    def _look(self, points: Points, *, slope: bool) -> Array:
+        jets = {name: datum.jet(points, gradient=slope) for name, datum in self.part.data.items()}
+        values = {name: jet[:, :, 0] for name, jet in jets.items()}
+        if not slope:
+            return self._level(values)
+        steps = (
+            {name: value + 1j * COMPLEX_STEP * jets[name][:, :, i] for name, value in values.items()}
+            for i in range(1, 1 + points.mesh.geometry.dim)
+        )
+        return np.stack([self._level(step).imag / COMPLEX_STEP for step in steps], axis=-1)
+
+    def _level(self, values: Values) -> Array:
+        assert isinstance(self.part.law, Corners)
+        with np.errstate(all="ignore"):  # where there is none, v has none
+            return self.part.law.level(*self.segments, values)
 
 
 @dataclass(frozen=True)
@@ -105,6 +153,15 @@ class LawTrace:
             missed = level.jet(points, gradient=gradient) - points.quadratic(quadratic, gradient=gradient)
             kept += cut_off(points.linear(near, gradient=gradient), missed)
         return kept
+
+
+def level_of(part: PartLaw, first: int, last: int) -> Datum | None:
+    """The datum with which u varies on vertical or steep segments in a row; None if it is not known."""
+    name = part.law.level_of(first) if first == last else None
+    if name is not None:
+        return part.data[name]
+    by_corners = isinstance(part.law, Corners)
+    return Level(next(iter(part.data.values())).ufl, part, (first, last)) if by_corners else None
 
 
 def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces: Spaces) -> float:

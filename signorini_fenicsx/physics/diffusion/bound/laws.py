@@ -71,9 +71,9 @@ class LawPoints:
         slope, value = (values.reshape(self.points.shape) for values in chosen)
         return slope, value
 
-    def trace_at(self, corner: Indices) -> Array:
-        """The u at a corner of each facet's law, shape (facets, points)."""
-        return self._at(self.law.p, corner)
+    def traces(self, segment: Indices) -> list[Array]:
+        """The least and the largest u of a segment of each facet, shape (facets, points)."""
+        return [self._at(self.law.ends[0], segment + end) for end in (0, 1)]
 
     def flux_at(self, corner: Indices) -> Array:
         """σ·n at one corner of the law of each facet, in points."""

@@ -97,24 +97,34 @@ class OnGammaS:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
 
         Returns:
-            The least and the largest u that the law allows, and those of the piece where a steep segment is beside.
+            The least and the largest u that the law allows, and those of the piece where a steep segment is beside:
+            from its corner, or where that is the rigid segment of the facet from where v is held on it.
         """
         low, high = nodes.extent()[:2]
-        rows, law, piece = np.arange(len(self.piece)), self.goal.chains, self.piece
+        rows, piece = np.arange(len(self.piece)), self.piece
         steep = np.pad(self.steep, ((0, 0), (1, 1)))
         left, right = steep[rows, piece], steep[rows, piece + 2]
-        begin, end = (nodes.trace_at(np.clip(corner, 0, law.corners - 1)) for corner in (piece - 1, piece))
+        begin, end = nodes.traces(piece)
         only = self.rigid[rows, piece]  # no other segment is beside
-        value = nodes.on(piece)[1]
-        begin, end = (np.where(only[:, None], value, each) for each in (begin, end))
+        value, held, _ = self.held(nodes)
+        begin, end = (
+            np.where((held & (beside | only))[:, None], value, corner)
+            for beside, corner in ((piece > self.segment, begin), (piece < self.segment, end))
+        )
         soft_low = np.where((left | only)[:, None], begin, -np.inf)
         soft_high = np.where((right | only)[:, None], end, np.inf)
         return [low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)]
 
     def loads(self, at: LawPoints) -> Array:
-        """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces."""
+        """∫ (y·n − level)φ per facet and node φ of it, with the level in points on sloped pieces.
+
+        The slope in it is the mean: where β varies the line is turned about its point with y·n, or that nearest to it.
+        """
         points, slope = at.points, self.slope(at)
-        level = np.where(slope > 0, at.on(self.piece)[1], self.level[:, None])
+        value, sloped = at.on(self.piece)[1], slope > 0
+        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=sloped)
+        turned = (slope - slope.mean(axis=1, keepdims=True)) * np.clip(on_line, *at.traces(self.piece))
+        level = np.where(sloped, value - turned, self.level[:, None])
         only = self.rigid[np.arange(len(self.piece)), self.piece]
         density = np.where(only[:, None], 0.0, self.flux[:, None] - level)
         barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])

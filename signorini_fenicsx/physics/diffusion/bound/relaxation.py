@@ -82,10 +82,18 @@ class Box:
     high: Array
 
     @classmethod
-    def of(cls, hard: tuple[Array, Array], soft: tuple[Array, Array], fixed: Indices) -> Box:
-        """Bounds that must hold, and tighter ones that are left where they contradict one another; none if fixed."""
+    def of(
+        cls, hard: tuple[Array, Array], soft: tuple[Array, Array], fixed: Indices, v: Array, held: npt.NDArray[np.bool_]
+    ) -> Box:
+        """Bounds that must hold, and tighter ones; none if fixed.
+
+        Where the tighter ones contradict one another v stays if it is held, and else they are left.
+        """
         fits = soft[0] <= soft[1]
-        low, high = (np.where(fits, tight, wide) for tight, wide in zip(soft, hard, strict=True))
+        low, high = (
+            np.where(fits, tight, np.where(held, np.clip(v, *hard), wide))
+            for tight, wide in zip(soft, hard, strict=True)
+        )
         low[fixed], high[fixed] = -np.inf, np.inf
         return cls(low, high)
 
