@@ -25,6 +25,7 @@ from signorini_fenicsx import (
     Evolution,
     Friction,
     Neumann,
+    Seepage,
     Signorini,
     Solution,
     Wall,
@@ -86,6 +87,40 @@ def test_the_better_one_of_two_tau_is_followed():
         return Ends(-length, length, 1024.0, "")
 
     assert bracket(ends, 2.0, lambda: 0.0).width == 2.0
+
+
+def test_the_search_goes_far_and_beyond_a_longer_one():
+    """The best τ may be 2^12 times smaller than the first one, with one behind which others are shorter again."""
+
+    def ends(tau: float) -> Ends:
+        length = (tau + 2.0**-24 / tau) * (1.3 if tau == 2.0**-5 else 0.5)
+        return Ends(-length, length, 1.0, "")
+
+    assert bracket(ends, 1.0, lambda: 0.0).width == 2.0**-11
+
+
+def test_laws_and_their_mirrors():
+    """The interval for −u is that for u with the other sign, to rounding: a seepage face and Signorini's law."""
+    found = []
+    for sign, law in ((1, Seepage("right", level="y")), (-1, Signorini("right", psi="-y"))):
+        conditions = [law, Neumann(["top", "bottom"])]
+        problem = Diffusion(f=0, u_D=sign, kappa="1 if x < 0.5 else 1e3", conditions=conditions)
+        domain = build_domain(COMM, "square", 1.001 * 2**0.5 / 8, mesh="structured")
+        found.append(solve(domain, problem).quantity(Flux("right")))
+    one, other = found
+    assert (one.lower, one.upper) == pytest.approx((-other.upper, -other.lower), abs=1e-6 * one.width)
+
+
+@pytest.mark.parametrize("law", ["seepage", "graph"])
+def test_beside_a_waterline(law: str):
+    """Where the kink of a bound and a large force are within a facet the interval is no longer than elsewhere."""
+    level, rain = "max(y, 0.55)", "1e3 if y < 0.55 else 0"
+    face = Seepage("left", level=level, rain=rain)
+    if law == "graph":
+        face = Corners("left", corners=[(level, rain)], beyond="vertical")
+    conditions = [face, Seepage("right", level="y"), Neumann(["top", "bottom"])]
+    domain = build_domain(COMM, "square", 1.001 * 2**0.5 / 4, mesh="structured")
+    assert solve(domain, Diffusion(f=1, conditions=conditions)).quantity(Flux("right")).width < 0.12
 
 
 def test_design_order():

@@ -5,10 +5,10 @@ v is quadratic on each cell, except near Γ_D and near parts of Γ_S with bounds
     v = min(max(v_2 + χ_a(a − I_ha) + χ_D(u_D − I_hu_D − χ_a(a − I_ha)) + v_1, b − ℓ), b' + ℓ)
 
 for each lower bound b and each upper bound b'. v_2 is quadratic, by Bernstein coefficients between those of I_hb and
-I_hb' on facets with bounds. χ_a, χ_D and v_1 are linear on each cell. χ_D is 1 on Γ_D. χ_a is 1 in vertices of Γ_S all
-of whose facets are on a steep segment, where u is about a: a bound, the level outside of a wall or of a river. v_1 moves
-v by as much as it is beyond a bound in sampled points. ℓ is 0 on the facets with the bound and grows from there, so that
-the bound changes v only next to them.
+I_hb' on facets with bounds. χ_a, χ_D and v_1 are linear on each cell. χ_D is 1 on Γ_D. χ_a is 1 in vertices of Γ_S
+where u is about a: those of facets that a bound holds, and those all of whose facets are on another steep segment, such
+as with the level outside of a wall or of a river. v_1 moves v by as much as it is beyond a bound in sampled points. ℓ
+is 0 on the facets with the bound and grows from there, so that the bound changes v only next to them.
 
 v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
 stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic. A
@@ -367,11 +367,11 @@ def _levels(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> list[tu
 def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array, Array]]:
     """The data b that hold u on steep segments, with I_hb and χ (collective).
 
-    χ is 1 in vertices of Γ_S all of whose facets they hold; a bound holds those where v is I_hb.
+    χ is 1 in vertices of Γ_S all of whose facets they hold. That of a bound is 1 in vertices of all facets where v is
+    I_hb, but for those of other parts: v is b on these facets then, and large forces there cost nothing.
     """
     spaces, space = on.spaces, v.function_space
     corners, nodes = (facet_nodes(each, spaces.facets) for each in (linear, space))
-    everywhere = largest_around(linear, corners, np.ones(len(corners)))
     steep = on.steep[np.arange(len(on.segment)), on.segment]
     for part in on.goal.parts:
         rows = np.intersect1d(part.rows, spaces.outer_rows)
@@ -380,12 +380,14 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
             if datum is not None and datum.number is None:
                 interpolant = coefficients(datum, space, all_edges(space))
                 held = steep & (first <= on.segment) & (on.segment <= last)
-                if any(datum is bound for bound in part.bounds):
+                bounds = any(datum is bound for bound in part.bounds)
+                if bounds:
                     apart = np.abs(v.x.array - interpolant) > ROUNDING * np.abs(interpolant).max(initial=0.0)
                     held = ~apart[nodes].any(axis=1)
-                free = np.ones(len(steep))
-                free[rows] = ~held[rows]
-                yield datum, interpolant, everywhere - largest_around(linear, corners, free)
+                inside, outside = np.zeros(len(steep)), np.ones(len(steep))
+                inside[rows], outside[rows] = held[rows], 0.0 if bounds else ~held[rows]
+                touched, left = (largest_around(linear, corners, where) for where in (inside, outside))
+                yield datum, interpolant, np.where(left > 0, 0.0, touched)
 
 
 def _runs(steep: Mask, comm: MPI.Comm) -> Iterator[tuple[int, int]]:

@@ -103,6 +103,11 @@ class Box:
         above, below = w[:size] > self.low[:size], w[:size] < self.high[:size]
         return (above | (descent > tiny)) & (below | (descent < -tiny)) & (self.low < self.high)[:size]
 
+    def faced(self, excess: Array) -> Array:
+        """The bound towards which the excess drives each coefficient, 0 where there is none."""
+        bound = np.where(excess > 0, self.low, self.high)
+        return np.where(np.isfinite(bound), bound, 0.0)
+
     def project(self, w: Array, beside: float = 0.0) -> None:
         """Move coefficients to their bounds, in place, also those that are so near to one."""
         w[w < self.low + beside] = self.low[w < self.low + beside]
@@ -134,7 +139,7 @@ def relax(
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
         jumps: The jumps at facets inside the domain, which v has in it.
     """
-    gap = _Gap(v.function_space, y, kappa, excess, box.low, robin, jumps)
+    gap = _Gap(v.function_space, y, kappa, excess, box.faced(excess), robin, jumps)
     best = v.x.array.copy()
     present, descent, size_of_gap = gap.at(v)
     lowest, steps = present, STEPS
@@ -206,13 +211,13 @@ class _Gap:
         y: Expr,
         kappa: Expr,
         excess: Array,
-        low: Array,
+        faced: Array,
         robin: Robin | None,
         jumps: Jumps,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
         self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
-        self._excess, self._low = excess[:size], np.where(np.isfinite(low), low, 0.0)[:size]
+        self._excess, self._faced = excess[:size], faced[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
         self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
         self._given = fem.Function(space)
@@ -235,12 +240,12 @@ class _Gap:
     def at(self, v: fem.Function) -> tuple[float, Array, float]:
         """The gap, its negative derivative by each owned node, and its size (collective).
 
-        The excess counts from lower bounds; where others than these hold v the gap is known up to a constant, and its
-        size is at least ½‖κ_h∇v − y‖².
+        The excess counts from the bounds that it faces; where none of these holds v the gap is known up to a constant,
+        and its size is at least ½‖κ_h∇v − y‖².
         """
         values = v.x.array[: len(self._excess)]
         stiff = self._times(values)
-        on_signorini, inside = self._excess @ (values - self._low), values @ (stiff / 2 - self._flux)
+        on_signorini, inside = self._excess @ (values - self._faced), values @ (stiff / 2 - self._flux)
         if self._rubbing is not None:
             rubbing = values @ self._applied(self._rubbing, values) / 2
             on_signorini, inside = on_signorini + rubbing, inside - rubbing
