@@ -22,6 +22,10 @@ sys.path.append(str(Path(__file__).parent / "benchmark"))
 from pdas import primal_dual_active_set
 
 
+SINGULAR = 1e-10
+"""Pivots below this share of the largest one are rounding."""
+
+
 @dataclass(frozen=True)
 class Box:
     """An elastic box whose last coordinate is 0 on Γ_C.
@@ -76,14 +80,15 @@ def stress(v: ufl.core.expr.Expr, young: float | ufl.core.expr.Expr, poisson: fl
 def solve_p2(box: Box, *, between: bool = False) -> P2Contact:
     """Solve on a box.
 
-    If Γ_C is between two bodies, the mesh is cut there, and the body above is pressed onto that below.
+    If Γ_C is between two bodies, the mesh is cut there, and the body above is pressed onto that below. Then all of Γ_C
+    is in contact in the first step: nothing else may hold the body above.
 
     Args:
         box: The box.
         between: Whether Γ_C is between two bodies.
 
     Raises:
-        RuntimeError: If the sets do not settle.
+        RuntimeError: If the sets do not settle, or one of them lets a body move freely.
     """
     began = time.process_time()
     space, A, b, held, contact = assembled(box)
@@ -95,15 +100,29 @@ def solve_p2(box: Box, *, between: bool = False) -> P2Contact:
     def under(active: np.ndarray, _before: np.ndarray) -> np.ndarray:
         x = np.where(active, -box.gap, 0.0)
         free = np.setdiff1d(np.flatnonzero(~active), held)
-        x[free] = scipy.sparse.linalg.spsolve(A[free][:, free].tocsc(), (b - A @ x)[free])
+        x[free] = factorised(A[free][:, free]).solve((b - A @ x)[free])
         return x
 
-    settled = primal_dual_active_set(under, lambda x: A @ x - b, contact, np.zeros(len(b)), -box.gap)
+    first = np.isin(np.arange(len(b)), contact) if between else None
+    settled = primal_dual_active_set(under, lambda x: A @ x - b, contact, np.zeros(len(b)), -box.gap, first)
     x, touching = settled.u, int(settled.active.sum())
     v = fem.Function(space)
     v.x.array[:] = jumps @ x
     energy, unknowns = float(x @ (A @ x) / 2 - b @ x), len(b) - len(held) - touching
     return P2Contact(v, energy, touching, settled.steps, unknowns, time.process_time() - began)
+
+
+def factorised(matrix: scipy.sparse.csr_array) -> scipy.sparse.linalg.SuperLU:
+    """The factors of a matrix.
+
+    Raises:
+        RuntimeError: If it is singular up to rounding.
+    """
+    factors = scipy.sparse.linalg.splu(matrix.tocsc())
+    pivots = np.abs(factors.U.diagonal())
+    if pivots.min() <= SINGULAR * pivots.max():
+        raise RuntimeError("the matrix is singular: a body moves freely")
+    return factors
 
 
 def assembled(box: Box) -> tuple[fem.FunctionSpace, scipy.sparse.csr_array, np.ndarray, np.ndarray, np.ndarray]:

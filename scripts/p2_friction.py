@@ -18,11 +18,10 @@ from typing import Any
 
 import dolfinx.mesh
 import numpy as np
-import scipy.sparse.linalg
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from p2_contact import Box, assembled, stress, stress_norm
+from p2_contact import Box, assembled, factorised, stress, stress_norm
 
 from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca, domain_of, solve
 
@@ -56,14 +55,14 @@ def solve_p2_friction(box: Box, law: Tresca | Coulomb) -> P2Friction:
     """Solve on a box with this law on Γ_C.
 
     Raises:
-        RuntimeError: If the forces do not settle.
+        RuntimeError: If the forces do not settle, or nothing else holds the body.
     """
     dim = box.mesh.geometry.dim
     space, A, b, held, contact = assembled(box)
     free = np.setdiff1d(np.arange(len(b)), held)
     nodes = contact[np.isin(contact, free)] // dim
     rows = np.searchsorted(free, nodes[:, None] * dim + np.arange(dim))
-    factors = scipy.sparse.linalg.splu(A[free][:, free].tocsc())
+    factors = factorised(A[free][:, free])
     pulls = np.zeros((len(free), rows.size))
     pulls[rows.ravel(), np.arange(rows.size)] = 1.0
     flexible = factors.solve(pulls)

@@ -25,6 +25,7 @@ def primal_dual_active_set(
     contact: npt.NDArray[np.int64],
     start: Array,
     least: float = 0.0,
+    first: npt.NDArray[np.bool_] | None = None,
 ) -> Result:
     """Solve with u at its least value on the active nodes until these repeat (Ito, Kunisch).
 
@@ -34,11 +35,12 @@ def primal_dual_active_set(
         contact: Nodes on Γ_S.
         start: First iterate.
         least: The least value of u on Γ_S.
+        first: The active nodes of the first step; none if it is None.
 
     Raises:
         RuntimeError: If the nodes have not settled after 100 steps.
     """
-    u, active = start, np.zeros(len(start), dtype=bool)
+    u, active = start, np.zeros(len(start), dtype=bool) if first is None else first
     for steps in range(1, 101):
         u = solve(active, u)
         force = residual(u)

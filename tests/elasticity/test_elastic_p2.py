@@ -95,3 +95,9 @@ def test_oblique_friction_in_space(law: Tresca | Coulomb):
     assert 0 < between[1] < 0.6 * between[0]
     if isinstance(law, Tresca):  # Coulomb's k is each program's own
         assert certify(solution).gap < between[1]
+
+
+def test_a_body_that_nothing_holds_is_refused_by_the_second_program():
+    mesh = box(MPI.COMM_SELF, 2, [0.0, 0.0], [2.0, 1.0]).mesh
+    with pytest.raises(RuntimeError, match="the matrix is singular: a body moves freely"):
+        solve_p2(Box(mesh, 1.0, 0.3, {(1, 1.0): [0.0, -0.1]}, {(0, 0.0): [0]}, GAP))
