@@ -21,7 +21,6 @@ from mpi4py import MPI
 sys.path.append(str(Path(__file__).parent / "benchmark"))
 from pdas import primal_dual_active_set
 
-
 SINGULAR = 1e-10
 """Pivots below this share of the largest one are rounding."""
 

@@ -164,7 +164,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     totals = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
-    return Checked(totals, _left(case, spaces), _parts(case, spaces), remarks)
+    return Checked(totals, _left(case, spaces), _parts(case, spaces), [*spaces.notices, *remarks])
 
 
 def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:

@@ -44,8 +44,12 @@ class CaseReport(Report):
         self.entry("ready", f"{counts['cells']} cells; facets: {facets}")
         self._parts(sizes.parts)
         self._left(case, sizes.left)
-        for remark in sizes.remarks:
-            self.entry("note", remark)
+        self.notes(sizes.remarks)
+
+    def notes(self, sentences: Sequence[str]) -> None:
+        """Print what is worth knowing besides."""
+        for sentence in sentences:
+            self.entry("note", sentence)
 
     def _parts(self, parts: Mapping[str, Mapping[str, Any]]) -> None:
         """Print what holds on each part of the boundary."""

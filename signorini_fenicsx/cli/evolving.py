@@ -80,6 +80,7 @@ class EvolutionReport(CaseReport):
             )
         lines |= {name: f"at the end {interval(quantity)}" for name, quantity in quantities.items()}
         self.entries(lines)
+        self.notes(last.spaces.notices)
 
 
 def _reservation(about: Mapping[str, Any]) -> str:

@@ -86,6 +86,7 @@ class SolutionReport(CaseReport):
         lines["seconds"] = named(summary["timings"], ".2f")
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
+        self.notes(result.spaces.notices)
 
     def field(self, bound: FieldBound) -> None:
         """Print how wrong a function of the user is."""

@@ -31,7 +31,7 @@ def bodies(spaces: MeshSpaces) -> Indices:
 
 def spread(spaces: MeshSpaces, facets: npt.NDArray[np.int32], values: Array) -> float:
     """The largest difference of values on facets of the boundary of the same body (collective)."""
-    body = bodies(spaces)
+    body = spaces.bodies
     number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
     ends = np.full((2, number), -np.inf)
     own = body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]
@@ -49,7 +49,7 @@ def without(
     Returns:
         For each owned cell the number of its body among these, from 1, or 0 for all others; and their number.
     """
-    body = bodies(spaces)
+    body = spaces.bodies
     number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
     has_some = np.zeros(number, dtype=bool)
     has_some[body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]] = True

@@ -64,6 +64,7 @@ class MeshSpaces:
         ds_dirichlet: Measure of Γ_D on the mesh.
         ds_neumann: Measure of Γ_N on the mesh.
         kept_forms: The forms of `kept`.
+        notices: What is worth knowing of the mesh with these parts, in sentences.
     """
 
     domain: Domain
@@ -84,6 +85,7 @@ class MeshSpaces:
     ds_dirichlet: ufl.Measure
     ds_neumann: ufl.Measure
     kept_forms: KeptForms = field(default_factory=KeptForms)
+    notices: list[str] = field(default_factory=list)
 
     @property
     def mesh(self) -> dolfinx.mesh.Mesh:
@@ -97,6 +99,13 @@ class MeshSpaces:
 
         return self.has_dirichlet and (not self.inner.present or without(self, self.dirichlet_facets)[1] == 0)
 
+    @cached_property
+    def bodies(self) -> npt.NDArray[np.int64]:
+        """The number of its body for each owned cell, see `discrete.bodies` (collective when first used)."""
+        from signorini_fenicsx.discrete.bodies import bodies  # which needs these spaces
+
+        return bodies(self)
+
     @property
     def facets_of_mesh(self) -> int:
         """Number of facets of the mesh, over all ranks."""
@@ -106,6 +115,11 @@ class MeshSpaces:
     def outer_rows(self) -> npt.NDArray[np.intp]:
         """The rows of `facets` that are on the boundary of the domain, not inside it."""
         return np.setdiff1d(np.arange(len(self.facets)), self.inner.rows)
+
+    def note(self, sentence: str) -> None:
+        """Add a notice, once."""
+        if sentence not in self.notices:
+            self.notices.append(sentence)
 
     @cached_property
     def crouzeix_raviart(self) -> fem.FunctionSpace:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import joined, rows_of
 from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths
@@ -210,9 +210,8 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
 
     Raises:
         InputError: If a part is unknown, empty or not on the boundary; if two parts overlap or a facet is in no part
-            although Γ_D is listed; if facets in no part lie on one another, or cells overlap at the boundary; if one of
-            several components of the domain has no facet of Γ_D, unless there are parts inside: their laws may hold it.
-            A crack is accepted if both its sides are in parts.
+            although Γ_D is listed; if one of several components of the domain has no facet of Γ_D, unless there are
+            parts inside: their laws may hold it.
     """
     known_names = ", ".join(map(repr, mesh.parts)) or "none: the file has no groups of facets"
     everything = faces(mesh.cells)
@@ -244,7 +243,6 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     if given is not None and np.any(left):
         where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
         raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
-    _check_seams(mesh, rows[boundary], first[boundary], left[boundary])
     if "contact" not in conditions and not conditions.get("inner"):  # otherwise laws may hold a component
         fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
         _check_components(mesh, everything, first[fixed])
@@ -259,27 +257,6 @@ def _rows_of_parts(mesh: FileMesh, rows: Indices) -> dict[str, Indices]:
 def key_of(section: str) -> str:
     """How a case file names the list of the parts with one kind of condition."""
     return section if section.startswith("law.") else f"[boundary] {section}"
-
-
-def _check_seams(mesh: FileMesh, facets: Indices, first: Indices, left: Mask) -> None:
-    """Refuse facets of the boundary that lie inside the domain, except those of a crack with both sides in parts."""
-    from signorini_fenicsx.meshes.seams import seams
-
-    opposite, cell = np.divmod(first, len(mesh.cells))
-    crack, overlap = seams(mesh.points[facets], mesh.points[mesh.cells[cell, opposite]])
-    if np.any(overlap):
-        where = _places(mesh.points[facets[overlap][:1]].mean(axis=1))
-        raise InputError(
-            f"cells overlap: {_count(int(overlap.sum()), 'facet')} of the boundary lie on one another with their cells "
-            f"on the same side, the first around {where}; each point must be in one cell only"
-        )
-    if np.any(crack & left):
-        where = _places(mesh.points[facets[crack & left][:1]].mean(axis=1))
-        raise InputError(
-            f"{_count(int(np.sum(crack & left)), 'facet')} in no part lie on other facets, inside the domain, the "
-            f"first around {where}: the cells there do not share their vertices (a crack, hanging nodes, or pieces "
-            "that are not joined); join them (in Gmsh, Coherence or BooleanFragments), or name both sides in [boundary]"
-        )
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:

@@ -374,6 +374,7 @@ class Solved(ABC):
             **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
             **self._particular(),
+            **({"notices": self.spaces.notices} if self.spaces.notices else {}),
             "timings": self.timings,
             "peak_memory": self.peak_memory,
             "ranks": domain.mesh.comm.size,

@@ -14,6 +14,7 @@ from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.contact.history import OnStep, Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.unjoined import check_joined
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.named_sides import oriented
 from signorini_fenicsx.meshes.sampling import curve_gap
@@ -133,12 +134,13 @@ def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
     """The system of a physics on a mesh (collective).
 
     Raises:
-        InputError: If the boundary is of no physics, or does not suit the mesh.
+        InputError: If the boundary is of no physics, or does not suit the mesh; if bodies in it are not joined.
     """
     name = getattr(boundary, "physics", None)
     if name not in PHYSICS:
         raise InputError(f"problem: must be {_problems()}, not {type(boundary).__name__}")
     system: System = import_module(f"{PHYSICS[name]}.solving").System(domain, boundary, problem)
+    check_joined(system.spaces, system.boundary.named)
     return system
 
 

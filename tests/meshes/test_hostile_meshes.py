@@ -1,6 +1,5 @@
-"""Mesh files in XML and HDF5 that are wrong or refer to others, and meshes that are not joined: one sentence each."""
+"""Mesh files in XML and HDF5 that are wrong or refer to others: one sentence each."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, checked
+from signorini_fenicsx.meshes.checks import checked
 from signorini_fenicsx.meshes.meshio_files import read_with_meshio
 
 POINTS, CELLS = "0 0 1 0 0 1", "0 1 2"
@@ -179,89 +178,3 @@ def test_what_was_changed_is_a_mesh(tmp_path: Path, suffix: str, text: str):
     mesh = checked(read_with_meshio(tmp_path / f"mesh.{suffix}"))
     assert len(mesh.cells) == 1
     assert mesh.parts.keys() == ({"7", "8"} if suffix == "xdmf" else set())
-
-
-def strip(n: int, left: float, y: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Points and cells of n squares, one above the other, each cut into two triangles."""
-    low = np.stack([np.full(n + 1, left), np.linspace(y, y + 1, n + 1)], axis=1)
-    points = np.concatenate([low, low + np.array([1, 0])])
-    a = np.arange(n)
-    b, c, d = a + n + 1, a + n + 2, a + 1
-    return points, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-
-
-def pieces(*parts: tuple[np.ndarray, np.ndarray], join: bool = True) -> FileMesh:
-    """Join several meshes into one; equal points become one point."""
-    starts = np.cumsum([0] + [len(points) for points, _ in parts])
-    points = np.concatenate([points for points, _ in parts])
-    cells = np.concatenate([cells + start for (_, cells), start in zip(parts, starts, strict=False)])
-    if join:
-        points, number = np.unique(points, axis=0, return_inverse=True)
-        cells = number.ravel()[cells]
-    return FileMesh(points, cells, {}, {})
-
-
-def cube(points: list[list[float]], flipped: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Tetrahedra from the middle to the two triangles of each face, which is split in one of two ways."""
-    corners = np.array(points, dtype=float)
-    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
-    triangles = []
-    for a, b, c, d in quads:
-        triangles += [(a, b, d), (b, c, d)] if flipped else [(a, b, c), (a, c, d)]
-    return np.vstack([corners, corners.mean(axis=0)]), np.array([[*triangle, 8] for triangle in triangles])
-
-
-def box(x: float) -> list[list[float]]:
-    """Corners of a unit cube, x first in the order of binary digits."""
-    return [[x + (k & 1), k >> 1 & 1, k >> 2] for k in range(8)]
-
-
-def cracked(scale: float = 1.0) -> FileMesh:
-    """Two squares that are joined at one of three vertices only, with the sides of the crack and the rest as parts."""
-    mesh = pieces(strip(2, 0), strip(2, 1), join=False)
-    points, cells = mesh.points * scale, mesh.cells.copy()
-    cells[cells == 6] = 3  # (1, 0)
-    sides = {"left": [[3, 4], [4, 5]], "right": [[3, 7], [7, 8]]}
-    used, number = np.unique(cells, return_inverse=True)
-    renumbered = np.full(len(points), -1)
-    renumbered[used] = np.arange(len(used))
-    parts = {name: np.sort(renumbered[np.array(rows)], axis=1) for name, rows in sides.items()}
-    return FileMesh(points[used], number.reshape(-1, 3), parts, {})
-
-
-UNJOINED: dict[str, tuple[Callable[[], FileMesh], str]] = {
-    "hanging nodes": (lambda: pieces(strip(2, 0), strip(4, 1)), "6 facets in no part lie on other facets, inside"),
-    "pieces with other nodes": (lambda: pieces(strip(2, 0), strip(3, 1)), "5 facets in no part lie on other facets"),
-    "pieces not joined": (lambda: pieces(strip(2, 0), strip(2, 1), join=False), r"4 facets .* around \(1, 0.25\)"),
-    "an interior crack": (cracked, "4 facets in no part lie on other facets, inside the domain"),
-    "nanometres": (lambda: cracked(1e-9), "4 facets in no part lie on other facets, inside the domain"),
-    "sheets on one another": (lambda: pieces(strip(2, 0), strip(2, 0), join=False), "cells overlap: 12 facets"),
-    "sheets of other cells": (lambda: pieces(strip(2, 0), strip(3, 0), join=False), "cells overlap: 14 facets"),
-    "cubes not joined": (lambda: pieces(cube(box(0), False), cube(box(1), False), join=False), "4 facets in no part"),
-    "faces split otherwise": (lambda: pieces(cube(box(0), False), cube(box(1), True)), "4 facets in no part"),
-    "cubes on one another": (lambda: pieces(cube(box(0), False), cube(box(0), True)), "cells overlap"),
-}
-
-
-@pytest.mark.parametrize("name", UNJOINED)
-def test_meshes_that_are_not_joined(name: str):
-    mesh, message = UNJOINED[name]
-    with pytest.raises(InputError, match=message):
-        check_boundary(mesh(), {"signorini": []})
-
-
-def test_a_crack_has_both_sides_in_parts():
-    """A crack with both sides in parts is accepted; with one side only, the other would silently be Γ_D."""
-    check_boundary(cracked(), {"signorini": ["left", "right"]})
-    check_boundary(cracked(), {"signorini": ["left"], "neumann": ["right"]})
-    with pytest.raises(InputError, match="2 facets in no part lie on other facets"):
-        check_boundary(cracked(), {"signorini": ["left"]})
-
-
-def test_joined_meshes_pass():
-    check_boundary(pieces(strip(2, 0), strip(2, 1)), {"signorini": []})
-    check_boundary(pieces(cube(box(0), False), cube(box(1), False)), {"signorini": []})
-    gap = pieces(strip(2, 0), strip(2, 1 + 1e-3))  # narrow, and still a gap
-    check_boundary(gap, {"signorini": []})
-    flat = strip(2, 0)
-    check_boundary(FileMesh(flat[0] * [1, 1e-9], flat[1], {}, {}), {"signorini": []})  # bad cells, and no crack

@@ -13,7 +13,6 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
-from signorini_fenicsx.discrete.bodies import bodies
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.friction import STICKS
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
@@ -195,7 +194,7 @@ class Bodies:
     @classmethod
     def of(cls, spaces: ElasticSpaces, tools: Sequence[Tool]) -> Self:
         """The bodies of a mesh (collective)."""
-        of_cell, comm = bodies(spaces), spaces.mesh.comm
+        of_cell, comm = spaces.bodies, spaces.mesh.comm
         low, high = spaces.domain.box()[:, : spaces.dim]
         number = comm.allreduce(int(of_cell.max(initial=-1)), MPI.MAX) + 1
         return cls(spaces, of_cell, number, (low + high) / 2, float((high - low).max()), tools)

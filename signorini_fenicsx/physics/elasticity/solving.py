@@ -21,6 +21,8 @@ from signorini_fenicsx.contact.history import History, OnStep, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.discrete.contact_sets import transferred
+from signorini_fenicsx.discrete.points import in_facets
+from signorini_fenicsx.discrete.unjoined import note_facing
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.prediction import Prediction
@@ -84,6 +86,7 @@ class System:
         data = elastic_data(self.spaces, problem, wish.memory)
         check_against_foundation(self.spaces, data)
         motions = check_rigid_motions(self.spaces, data)
+        _note_foundations(self.spaces, data)
         return ElasticRun(self.spaces, motions, self.boundary, problem, data, wish, self)
 
     def check(self, given: tuple[ElasticBoundary, ElasticProblem]) -> None:
@@ -114,6 +117,13 @@ class System:
     def forget(self) -> None:
         """Drop the backend of the last solve."""
         self.solved = None
+
+
+def _note_foundations(spaces: ElasticSpaces, data: ElasticData) -> None:
+    """Note where bodies face each other within their gaps, each with a foundation of its own (collective)."""
+    facets = spaces.contact.take(spaces.outer_rows)
+    middles = in_facets(spaces.mesh, facets.facets, np.full((1, spaces.dim - 1), 1 / spaces.dim))
+    note_facing(spaces, facets.vertices, facets.normals, data.gap.values(middles)[:, 0])
 
 
 @dataclass

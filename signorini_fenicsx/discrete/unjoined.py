@@ -1,0 +1,202 @@
+"""Refuses bodies, and sides of a crack, that lie on one another in a mesh although they share no facets.
+
+Each of two such parts has a condition of its own: nothing passes from one to the other, which nobody means who lets
+bodies touch. Only the two sides of a part inside the domain, along which the mesh is cut, belong to each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import dolfinx.mesh
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets
+from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.meshes.domain import other_side
+from signorini_fenicsx.meshes.seams import balls, overlaps, seams
+
+SHARE = (
+    "let both sides share their facets (in Gmsh, BooleanFragments or Coherence), and where they may part, name these "
+    "as one part in inner, with a law"
+)
+"""What is to be done."""
+FACING = -0.5
+"""Facets face each other if the product of their outer unit normals is below this."""
+SAME = 1e-6
+"""Depths that differ by less than this share are taken for equal, on any number of ranks."""
+
+
+@dataclass(frozen=True)
+class Faces:
+    """All facets of the boundary, on all ranks.
+
+    Attributes:
+        corners: Their vertices, relative to the origin, shape (facets, d, d).
+        apexes: The vertices opposite to them, shape (facets, d).
+        bodies: The number of the body of each.
+        parts: The row of its part in a list of names.
+        rows: Those of this rank.
+        origin: A corner of the domain.
+    """
+
+    corners: Array
+    apexes: Array
+    bodies: Indices
+    parts: Indices
+    rows: Indices
+    origin: Array
+
+    @classmethod
+    def of(cls, spaces: MeshSpaces, names: Sequence[str]) -> Self:
+        """Gather them (collective).
+
+        Args:
+            spaces: The spaces.
+            names: "" for no part, and the parts; a facet in several of them counts to the last one.
+        """
+        mesh, comm, dim = spaces.mesh, spaces.mesh.comm, spaces.mesh.topology.dim
+        facets = dolfinx.mesh.exterior_facet_indices(mesh.topology)
+        cells, local = cells_of_facets(mesh, facets)
+        apexes = mesh.geometry.x[cell_nodes(mesh)[cells, local], :dim]
+        part = np.zeros(len(facets), dtype=np.int64)
+        for number, name in enumerate(names[1:], start=1):
+            part[np.isin(facets, spaces.domain.facets[name])] = number
+        low = spaces.domain.box()[0, :dim]
+        arrays = facet_corners(mesh, facets) - low, apexes - low, spaces.bodies[cells], part
+        rows = comm.scan(len(facets)) - len(facets) + np.arange(len(facets))
+        vertices, opposite, bodies, parts = (np.concatenate(comm.allgather(each)) for each in arrays)
+        return cls(vertices, opposite, bodies, parts, rows, low)
+
+    def told(self, pairs: Indices) -> str:
+        """How many facets are in some pairs, and where the first one is, in words."""
+        facets = np.unique(pairs)
+        first = _first(self.corners[facets].mean(axis=1))
+        return f"{counted(len(facets), 'facet')}, the first around {_in_words(first + self.origin)}"
+
+
+def check_joined(spaces: MeshSpaces, named: Mapping[str, Sequence[str]]) -> None:
+    """Refuse bodies that overlap, and facets of the boundary that lie on one another (collective).
+
+    Faces on one another that are both in Γ_N, as those of an open crack, are noted in `spaces.notices`. Named shapes
+    have no such places.
+
+    Args:
+        spaces: The spaces.
+        named: The parts of each kind of boundary.
+
+    Raises:
+        InputError: If there are such bodies, or such facets but for the two sides of an inner part.
+    """
+    if spaces.domain.is_shape:
+        return
+    inside = named.get("inner", ())
+    others = dict(zip(inside, map(other_side, inside), strict=True))
+    listed = {part for parts in named.values() for part in parts} | set(others.values())
+    names = ["", *sorted(spaces.domain.parts, key=lambda part: part in listed)]
+    faces = Faces.of(spaces, names)
+    if np.any(faces.bodies > 0):
+        _check_apart(spaces, faces)
+    pairs, same = seams(faces.corners, faces.apexes, faces.rows)
+    is_cut = np.zeros((len(names), len(names)), dtype=bool)
+    for part, other in others.items():
+        two = [names.index(part), names.index(other)]
+        is_cut[two, two[::-1]] = True
+    lying = ~is_cut[tuple(faces.parts[pairs].T)]
+    pairs, same = (np.concatenate(spaces.mesh.comm.allgather(each[lying])) for each in (pairs, same))
+    if same.any():
+        raise InputError(
+            f"cells overlap: {faces.told(pairs[same])}, lie on one another with their cells on the same side; each "
+            "point must be in one cell only"
+        )
+    both = np.sort(faces.parts[pairs], axis=1)
+    for one, other in np.unique(both, axis=0).tolist():
+        parts, where = sorted((names[one], names[other])), faces.told(pairs[(both == [one, other]).all(axis=1)])
+        words = f"{_lie(*parts)} ({where}) and share no facet: nothing passes from one to the other"
+        if not set(parts) <= set(named.get("neumann", ())):
+            raise InputError(f"{words}; {SHARE}")
+        spaces.note(f"{words}, as at an open crack; if it should, {SHARE}")
+
+
+def _lie(one: str, other: str) -> str:
+    """That two parts lie on one another, in words; "" are facets in no part."""
+    if one == other:
+        return f"facets of part '{one}' lie on one another" if one else "facets in no part lie on one another"
+    return f"{f"part '{one}'" if one else 'facets in no part'} and part '{other}' lie on one another"
+
+
+def _check_apart(spaces: MeshSpaces, faces: Faces) -> None:
+    """Refuse bodies that overlap (collective).
+
+    Raises:
+        InputError: If two do.
+    """
+    comm, x = spaces.mesh.comm, corners(spaces.mesh) - faces.origin
+    low, high, near = x.min(axis=1), x.max(axis=1), np.zeros(len(x), dtype=bool)
+    for body in np.unique(faces.bodies):
+        ends = faces.corners[faces.bodies == body]
+        meets = (low <= ends.max(axis=(0, 1))) & (high >= ends.min(axis=(0, 1)))
+        near |= meets.all(axis=1) & (spaces.bodies != body)
+    cells = np.concatenate([faces.corners, faces.apexes[:, None]], axis=1)
+    found = overlaps(x[near], spaces.bodies[near], cells, faces.bodies)
+    depths, places = (np.concatenate(comm.allgather(each)) for each in found)
+    if len(depths) > 0:
+        place = _in_words(_first(places[depths >= (1 - SAME) * depths.max()]) + faces.origin)
+        raise InputError(
+            f"two bodies overlap, by {depths.max():.3g} around {place}; each point must be in one cell only. Make them "
+            f"only touch; then {SHARE}"
+        )
+
+
+def note_facing(spaces: MeshSpaces, faces: Array, normals: Array, gap: Array) -> None:
+    """Note that bodies face each other, each with a foundation of its own, in `spaces.notices` (collective).
+
+    They do where the nearest facet with a foundation of another body is not farther away than the gaps and the radii of
+    both.
+
+    Args:
+        spaces: The spaces.
+        faces: Vertices of this rank's facets with a foundation, rows `spaces.outer_rows`, shape (facets, d, d).
+        normals: Their outer unit normals.
+        gap: The gap on each of them.
+    """
+    from scipy.spatial import cKDTree  # slow to import
+
+    comm, of_body = spaces.mesh.comm, spaces.bodies[spaces.cells[spaces.outer_rows]]
+    middle, radius = balls(faces)
+    reach = radius + np.where(np.isfinite(gap), np.abs(gap), 0.0)
+    middles, directions, reaches, bodies = (
+        np.concatenate(comm.allgather(each)) for each in (middle, normals, reach, of_body)
+    )
+    found = [middle[:0]]
+    for body in np.unique(bodies):
+        rows, others = np.flatnonzero(of_body == body), np.flatnonzero(bodies != body)
+        if len(rows) == 0 or len(others) == 0:
+            continue
+        distance, nearest = cKDTree(middles[others]).query(middle[rows])
+        other = others[nearest]
+        faced = np.einsum("ni,ni->n", normals[rows], directions[other]) < FACING
+        found.append(middle[rows[faced & (distance <= reach[rows] + reaches[other])]])
+    places = np.concatenate(comm.allgather(np.concatenate(found)))
+    if len(places) > 0:
+        spaces.note(
+            f"two bodies face each other around {_in_words(_first(places))}, and each is held off by a rigid "
+            "foundation of its own, not by the other; if they should press on each other, mesh them without a gap, "
+            f"{SHARE} that has the gap"
+        )
+
+
+def _first(places: Array) -> Array:
+    """The first of some places by their coordinates, the same for any number of ranks."""
+    return np.asarray(places[np.lexsort(places.T[::-1])[0]])
+
+
+def _in_words(x: Array) -> str:
+    """A point in words."""
+    return f"({', '.join(f'{each:.4g}' for each in x)})"
