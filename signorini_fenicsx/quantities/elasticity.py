@@ -78,8 +78,6 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
-    if posed[1].support:
-        raise InputError("quantities have no bounds where a part is on springs")
     if isinstance(kind, Energy):
         return
     if isinstance(kind, Force):
@@ -184,12 +182,14 @@ class _Beside(Beside[_Side]):
     def half(self, of_v: _Side, of_y: _Side) -> Half:
         """The right side of the theorem, with the laws that v obeys (collective).
 
-        What the linear solver leaves of the jumps of y counts like a load.
+        What the linear solver leaves of the jumps of y counts like a load. On springs y says where they are by its own
+        tractions.
         """
         solution, y = of_v.solution, of_y.y
         if of_v.past or not math.isfinite(y.distance):
             return Half(math.inf, of_v.past or UNBALANCED, np.zeros(len(self.spaces.order)))
-        problem = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC)
+        data = replace(solution.data, tractions=of_y.solution.data.tractions)
+        problem = BestDisplacement(solution.spaces, data, y, solution.spaces.split, QUADRATIC)
         resolution = Resolution(self.spaces, of_y.solution.data)
         mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, resolution, half=True)
         oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
@@ -302,10 +302,10 @@ QUADRATIC = 2
 def energy(solution: ElasticSolution) -> Quantity:
     """The interval for the energy: J(v) − gap − Σ osc_T‖ℂ(ε(v) − ε₀) − y‖_T − ½osc² ≤ J(u) ≤ J(v) (collective).
 
-    J(v) = ½(ℂe, e) − (f, v) − ⟨g_N, v⟩ + ∫ g|v_t − w| + ∫ φ(g − v_n), less the work of forces on tools, with e =
-    ε(v) − ε₀, and φ of the laws between opening and pressure, which is −λp at the reference (p, λ) of the law and
-    nowhere less than −λp. What is taken for the work of friction and for φ may be a bit more than these; the gap has
-    the same in it, so that the lower bound is true.
+    J(v) = ½(ℂe, e) − (f, v) − ⟨g_N, v⟩ + ∫ g|v_t − w| + ∫ φ(g − v_n) + ½∫ Kv·v of springs, less the work of forces on
+    tools, with e = ε(v) − ε₀, and φ of the laws between opening and pressure, which is −λp at the reference (p, λ) of
+    the law and nowhere less than −λp. What is taken for the work of friction and for φ may be a bit more than these;
+    the gap has the same in it, so that the lower bound is true.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
     y = admissible_stress(solution)
@@ -367,7 +367,7 @@ def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function)
     total -= float((reference * apart).sum())
     for law in problem.laws:
         total += float(law.energies(problem.openings_of(v)[law.rows]).sum())
-    total += float(problem.rubbed(v).sum())
+    total += float(problem.rubbed(v).sum() + problem.supports.energy(v).sum())
     on_tools = sum(float(tool.load @ tool.moved) for tool in data.tools)
     return float(spaces.mesh.comm.allreduce(total)) - on_tools
 

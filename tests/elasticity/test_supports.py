@@ -18,6 +18,7 @@ from signorini_fenicsx.api import (
     InputError,
     Neumann,
     Support,
+    Tresca,
     certify,
     compare,
     load_case,
@@ -28,7 +29,7 @@ from signorini_fenicsx.api import (
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.quantities.kinds import Energy
+from signorini_fenicsx.quantities import Energy, Force, Integral, Mean
 from signorini_fenicsx.solving.options import Options
 
 COMM = MPI.COMM_WORLD
@@ -209,8 +210,45 @@ def test_symmetric_up_to_rounding():
     assert solve(box(COMM, 1, [0.0, 0.0], [1.0, 1.0]), posed).kkt.equilibrium < 1e-12
 
 
-def test_no_interval_on_springs():
-    """Quantities from both sides are refused."""
-    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), rocking(2))
-    with pytest.raises(InputError, match="where a part is on springs"):
-        solution.quantity(Energy())
+ON_SPRINGS = (
+    Energy(),
+    Mean(direction=[1, 0]),
+    Integral(direction=[0.6, 0.8], parts="x0", weight="1 + y"),
+    Force("x1", [1, 0]),
+)
+"""Quantities of a body on springs; the second part is on springs itself, the last one in contact."""
+
+
+def test_intervals_in_a_uniform_state():
+    """Energy, means and integrals over springs are known to rounding."""
+    solution, x = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), in_a_uniform_state(2)), [0.5, 0.5]
+    sigma, shift = STRESS[:2, :2], np.array([0.03, -0.02])
+    gradient = 1.3 * sigma - 0.39 * np.trace(sigma) * np.eye(2) + [[0, 0.1], [-0.1, 0]]
+    simpson = [(0.0, 1 / 6), (0.5, 4 / 6), (1.0, 1 / 6)]
+    springs = {(0, 0): np.diag([4, 0.7]), (0, 1): MATRIX[:2, :2], (1, 0): np.diag([1.5, 0]), (1, 1): 2 * np.eye(2)}
+    energy, on_x0 = 0.5 * np.sum(sigma * gradient), 0.0
+    for (axis, end), stiffness in springs.items():
+        for along, weight in simpson:
+            u = shift + gradient @ np.insert([along], axis, end)
+            pull = sigma[axis] * (2 * end - 1) + stiffness @ u
+            energy += weight * (u @ stiffness @ u / 2 - pull @ u)
+            on_x0 += weight * (1 + along) * (u @ [0.6, 0.8]) * ((axis, end) == (0, 0))
+    for kind, known in zip(ON_SPRINGS, (energy, shift[0] + gradient[0] @ x, on_x0), strict=False):
+        found = solution.quantity(kind)
+        assert found.guaranteed, found.reason
+        assert found.lower - 1e-12 <= known <= found.upper + 1e-12
+        assert found.width < 1e-7
+
+
+def test_intervals_on_springs():
+    """Those of a body that is pressed onto a rough stop meet those on a finer mesh, which are much shorter."""
+    conditions = [*rocking(2).conditions[:2], Contact("x1", gap=0.01, friction=Tresca(0.02)), rocking(2).conditions[3]]
+    coarse, fine = (
+        solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), Elasticity(1.0, 0.3, conditions=conditions)) for n in (2, 6)
+    )
+    for kind in ON_SPRINGS:
+        one, other = coarse.quantity(kind), fine.quantity(kind)
+        assert one.guaranteed, one.reason
+        assert max(one.lower, other.lower) <= min(one.upper, other.upper)
+        assert one.lower <= (other.lower + other.upper) / 2 <= one.upper
+        assert other.width < one.width / 3

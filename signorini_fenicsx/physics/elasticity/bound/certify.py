@@ -195,7 +195,8 @@ def gap_of_cells(
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells)
     np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
-    np.add.at(on_contact, problem.supports.on.facets.cells, problem.supports.gap(v))
+    on_supports = problem.supports.gap(v) * (0.5 if half else 1.0)
+    np.add.at(on_contact, problem.supports.on.facets.cells, on_supports)
     return mismatch, on_contact
 
 

@@ -53,7 +53,16 @@ class SupportsOfDisplacement:
 
     def gap(self, v: fem.Function | None = None) -> Array:
         """½∫ K(v − w)·(v − w) over each facet; without a v that of 0."""
-        off = -self.rest if v is None else v.x.array.reshape(-1, self.rest.shape[2])[self.on.nodes] - self.rest
+        return self._squares(-self.rest if v is None else self._coefficients(v) - self.rest)
+
+    def energy(self, v: fem.Function) -> Array:
+        """½∫ Kv·v over each facet."""
+        return self._squares(self._coefficients(v))
+
+    def _coefficients(self, v: fem.Function) -> Array:
+        return np.asarray(v.x.array.reshape(-1, self.rest.shape[2])[self.on.nodes])
+
+    def _squares(self, off: Array) -> Array:
         return np.asarray(np.einsum("nij,kl,nki,nlj->n", self.stiffness, self.mass, off, off) / 2)
 
     def matrices(self, left: Nodes, frames: Array) -> OfCells:
