@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from capabilities import GOLDEN, TOLERANCE, Capability, capabilities, differences, on_ranks, run
+from capabilities import GOLDEN, Capability, capabilities, differences, on_ranks, run
 
 
 @pytest.fixture(scope="module")
@@ -24,16 +24,14 @@ def test_each_capability_has_a_name_and_a_record(recorded: dict[str, Any]) -> No
     [pytest.param(each, id=each.name, marks=pytest.mark.slow if each.slow else ()) for each in capabilities()],
 )
 def test_results_are_those_recorded(capability: Capability, recorded: dict[str, Any], tmp_path: Path) -> None:
-    found = differences(recorded[capability.name], run(capability, tmp_path), capability.beside)
-    assert [each for each in found if each[0] > TOLERANCE] == []
+    assert capability.differences(recorded[capability.name], run(capability, tmp_path)) == []
 
 
 @pytest.mark.parallel(3)
 @pytest.mark.parametrize("capability", [pytest.param(each, id=each.name) for each in on_ranks()])
 def test_ranks_do_not_matter(capability: Capability, recorded: dict[str, Any], folder: Path) -> None:
     """On three ranks the numbers in all files are those recorded on one."""
-    found = differences(recorded[capability.name], run(capability, folder), capability.beside)
-    assert [each for each in found if each[0] > TOLERANCE] == []
+    assert capability.differences(recorded[capability.name], run(capability, folder)) == []
 
 
 def test_differences_are_found() -> None:
@@ -44,3 +42,7 @@ def test_differences_are_found() -> None:
     assert differences(one, {**one, "status": [1]})[0][0] == float("inf")
     assert differences(one, {"status": [0], "numbers": {}})[0][0] == float("inf")
     assert differences(one, other, {"p"}) == []
+    meshes = [{"status": [0], "numbers": {"summary.json/cells": [n], "summary.json/h": [1 / n]}} for n in (8.0, 9.0)]
+    assert Capability("solve crack", ()).differences(*meshes) == []
+    assert Capability("solve crack", ()).differences(meshes[0], {"status": [0], "numbers": {}}) != []
+    assert len(Capability("solve plate", ()).differences(*meshes)) == 2
