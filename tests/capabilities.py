@@ -418,12 +418,8 @@ def record(path: Path, word: str) -> None:
                 COMM.Barrier()
             collect_garbage(COMM)
             if COMM.rank == 0:
-                print(
-                    f"{time.perf_counter() - start:6.1f} s",
-                    found[capability.name]["status"],
-                    capability.name,
-                    flush=True,
-                )
+                seconds, status = time.perf_counter() - start, found[capability.name]["status"]
+                print(f"{seconds:6.1f} s", status, capability.name, flush=True)
     if COMM.rank == 0:
         path.write_text(json.dumps(found, indent=0, sort_keys=True) + "\n", encoding="utf-8")
 
