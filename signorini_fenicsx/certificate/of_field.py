@@ -124,13 +124,9 @@ def joined(
     repair: float | None = None,
     of_repaired: Certificate | None = None,
 ) -> FieldBound:
-    """The bounds from m² per owned cell, at most and by quadrature, and of a scalar the repair (collective).
-
-    m is as far from what quadrature gives as that is from the largest m at most.
-    """
-    spaces, (most, seen), b = solution.spaces, squares, certificate.sigma_bound
-    local = np.array([most.sum(), seen.sum(), ((np.sqrt(most) - np.sqrt(seen)) ** 2).sum()])
-    m, of_seen, apart = np.sqrt(spaces.mesh.comm.allreduce(local)).tolist()
+    """The bounds from m² per owned cell, at most and at least, and of a scalar the repair (collective)."""
+    spaces, (most, least), b = solution.spaces, squares, certificate.sigma_bound
+    m, of_least = np.sqrt(spaces.mesh.comm.allreduce(np.array([most.sum(), least.sum()]))).tolist()
     repaired = None if of_repaired is None or repair is None else of_repaired.bound + repair
     by_flux, trusted = m + b, certificate
     bound = by_flux
@@ -143,7 +139,7 @@ def joined(
     reason = next(filter(None, reasons), "")
     return FieldBound(
         bound=bound,
-        lower=max(of_seen - apart - b, 0.0),
+        lower=max(of_least - b, 0.0),
         relative=bound / size if size > 0 else math.inf,
         repair=repair,
         repaired=repaired,

@@ -8,13 +8,14 @@ many, the worst of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.expressions.quadratics import edges
 from signorini_fenicsx.expressions.series import Remainder
 from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.expressions.taylor import Regions, Switch, expanded
@@ -28,6 +29,8 @@ MOST, MOST_EACH = 20_000, 2
 """Largest number of parts that are looked at: the first number plus the second per simplex of the mesh."""
 SLIVER = 0.02
 """Parts are not cut near a vertex: at least this share of an edge away, unless the cut is exact."""
+STEEP = 4.0
+"""Sizes whose ratio is beyond this vary."""
 WIDE = 3.0
 """A part is cut so many times its blur away from a switch that is not affine."""
 FINEST = 1e-12
@@ -85,12 +88,12 @@ def look_everywhere(tree: Tree, vertices: Array, frame: Frame, look: Callable[[R
             half = np.where(regions.half > 0, regions.half, 1.0)
             box, some = rows[own] - chunk.start, todo[own]
             reach = (np.abs(x[:, :, some] - regions.centre[:, None, box]) / half[:, None, box]).max(axis=1)
-            remainder = Remainder.of(expanded(tree, regions)[0], regions.half, box, reach)
+            remainder = Remainder.of(expanded([tree], regions)[0][0], regions.half, box, reach)
             done[some] = look(remainder, some)
     left = np.flatnonzero(~done)
     for some in (left[begin : begin + CHUNK] for begin in range(0, len(left), CHUNK)):
         regions = Regions.of_simplices(vertices[some], frame.scale)
-        look(Remainder.of(expanded(tree, regions)[0], regions.half, slice(None), np.ones_like(regions.half)), some)
+        look(Remainder.of(expanded([tree], regions)[0][0], regions.half, slice(None), np.ones_like(regions.half)), some)
 
 
 def _chunks(number: int, rows: Indices) -> Iterator[tuple[slice, Indices]]:
@@ -102,20 +105,22 @@ def _chunks(number: int, rows: Indices) -> Iterator[tuple[slice, Indices]]:
 
 
 def in_parts(
-    tree: Tree,
+    trees: Sequence[Tree],
     vertices: Array,
     frame: Frame,
-    look: Callable[[Parts, Remainder], Array],
+    look: Callable[..., Array],
     need: Callable[[Parts, Array], Array],
+    sizes: Callable[[Array], Array] | None = None,
 ) -> tuple[Parts, Array]:
     """Cut simplices into parts until the needs of all parts together are at most 1 (collective).
 
     Args:
-        tree: The expression.
+        trees: The expressions.
         vertices: Those of the simplices.
         frame: The domain.
-        look: Gives what is known of parts, shape (parts, columns).
+        look: Gives what is known of parts from the remainder of each expression there, shape (parts, columns).
         need: Gives from this how much each part needs to be cut.
+        sizes: Gives sizes > 0 in points, see `_by_sizes`.
     """
 
     def looked(parts: Parts) -> tuple[Array, Array]:
@@ -123,10 +128,10 @@ def in_parts(
         for begin in range(0, max(len(parts.own), 1), CHUNK):
             some = parts.take(slice(begin, begin + CHUNK))
             regions = Regions.of_simplices(some.vertices, frame.scale)
-            series, switch = expanded(tree, regions)
-            remainder = Remainder.of(series, regions.half, slice(None), np.ones_like(regions.half))
-            seen.append(look(some, remainder))
-            cuts.append(_cuts(some, regions, switch))
+            series, switch = expanded(trees, regions)
+            whole = slice(None), np.ones_like(regions.half)
+            seen.append(look(some, *(Remainder.of(each, regions.half, *whole) for each in series)))
+            cuts.append(_cuts(some, regions, switch, sizes))
         return np.concatenate(seen), np.concatenate(cuts)
 
     parts = Parts(vertices, np.arange(len(vertices)), np.ones(len(vertices)))
@@ -158,10 +163,13 @@ def _worst(needs: Array, least: float, most: int, comm: MPI.Comm) -> Mask:
     return np.zeros(len(needs), dtype=bool)
 
 
-def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
+def _cuts(parts: Parts, regions: Regions, switch: Switch, sizes: Callable[[Array], Array] | None) -> Array:
     """Cuts of the parts: the numbers of two vertices each, and the share of their edge at the first."""
     first, second = parts.longest()
     share, rows = np.full(len(first), 0.5), np.arange(len(first))
+    if sizes is not None:
+        steep, *by_sizes = _by_sizes(parts.vertices, sizes)
+        first, second, share = (np.where(steep, *pair) for pair in zip(by_sizes, (first, second, share), strict=True))
     a = switch.at + np.einsum("in,icn->cn", switch.slope, regions.corners)
     low, high = a.argmin(axis=0), a.argmax(axis=0)
     least, most = a[low, rows], a[high, rows]
@@ -173,3 +181,24 @@ def _cuts(parts: Parts, regions: Regions, switch: Switch) -> Array:
         is_cut = switch.undecided & (place > margin) & (place < 1 - margin)
         first, second, share = (np.where(is_cut, *pair) for pair in ((low, first), (high, second), (place, share)))
     return np.column_stack([first, second, share])
+
+
+def _by_sizes(vertices: Array, sizes: Callable[[Array], Array]) -> tuple[Mask, Indices, Indices, Array]:
+    """Which parts are cut where sizes vary, and the cuts as in `_cuts`.
+
+    An edge is cut where a linear size is the geometric mean of those at its ends: (x − x_0)² is 0 there if it is 0 on
+    the edge. First come edges with a far smaller size in this place, then those with the largest ratio of their ends.
+    """
+    pairs = np.array(edges(vertices.shape[1]))
+    with np.errstate(all="ignore"):
+        a, b = np.moveaxis(sizes(vertices)[:, pairs], 2, 0)
+        place = np.nan_to_num((np.sqrt(a * b) - a) / (b - a), nan=0.5)
+        place = np.clip(place, SLIVER, 1 - SLIVER)
+        x = (1 - place[..., None]) * vertices[:, pairs[:, 0]] + place[..., None] * vertices[:, pairs[:, 1]]
+        least = np.minimum(a, b)
+        ratio = np.stack([least / sizes(x), np.maximum(a, b) / least])
+        crossed = ratio[0].max(axis=1) > STEEP
+    rows, chosen = np.arange(len(vertices)), np.where(crossed[:, None], *ratio).argmax(axis=1)
+    steep = crossed | (ratio[1][rows, chosen] > STEEP)
+    first, second = pairs[chosen].T
+    return steep, first, second, place[rows, chosen]

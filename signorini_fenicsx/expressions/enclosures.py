@@ -117,7 +117,7 @@ def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
         of_simplex = np.bincount(parts.own, np.where(np.isfinite(width), width, 0.0), number)[parts.own]
         return np.where(np.isfinite(width), weight[parts.own] * width * of_simplex, np.inf)
 
-    parts, of_parts = in_parts(tree, vertices, frame, look, need)
+    parts, of_parts = in_parts([tree], vertices, frame, look, need)
     share = parts.share[:, None] * np.column_stack([of_parts[:, 0], of_parts[:, 1], of_parts[:, 2] ** 2])
     share[np.isnan(share)] = np.inf
     middle, radius, square = (np.bincount(parts.own, column, number) for column in share.T)
@@ -170,7 +170,7 @@ def moments(
         wanted = weight[parts.own] * parts.share * of_parts[:, 0]
         return np.where(np.isnan(wanted), np.inf, wanted)
 
-    parts, of_parts = in_parts(tree, vertices, frame, look, need)
+    parts, of_parts = in_parts([tree], vertices, frame, look, need)
     share = parts.share[:, None] * of_parts
     share[np.isnan(share)] = np.inf
     unsure, square, *of_hats = (np.bincount(parts.own, column, number) for column in share.T)
@@ -229,7 +229,7 @@ def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int)
         wanted = weight[parts.own] * parts.share * of_parts[:, 2]
         return np.where(close, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
 
-    parts, of_parts = in_parts(tree, vertices, frame, look, need)
+    parts, of_parts = in_parts([tree], vertices, frame, look, need)
     share = parts.share[:, None] * of_parts
     share[np.isnan(share)] = np.inf
     norm, tilt, _ = (np.sqrt(np.bincount(parts.own, column, number)) for column in share.T)
@@ -357,7 +357,7 @@ def ranges(
         return np.where(size <= 0, 0.0, 1 + np.where(np.isnan(size), np.inf, size))
 
     rows = np.flatnonzero(unclear)
-    parts, of_parts = in_parts(tree, vertices[unclear], frame, look, need)
+    parts, of_parts = in_parts([tree], vertices[unclear], frame, look, need)
     of_parts[:, :2] = np.where(np.isnan(of_parts[:, :2]), [-np.inf, np.inf], of_parts[:, :2])
     own, least = rows[parts.own], of_parts[:, 2]
     enclosed[rows, 0], enclosed[rows, 1] = np.inf, -np.inf

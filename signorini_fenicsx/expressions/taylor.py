@@ -107,11 +107,12 @@ class _Condition(Truth):
         return _Condition(~self.possibly, ~self.surely, ~self.here)
 
 
-def expanded(tree: Tree, regions: Regions) -> tuple[Series, Switch]:
-    """The series of a tree on regions, and a switch for each that has one."""
+def expanded(trees: Sequence[Tree], regions: Regions) -> tuple[list[Series], Switch]:
+    """The series of trees on regions, and a switch for each region that has one."""
     algebra = _Taylor(regions)
+    known: dict[Tree, Series] = {}
     with np.errstate(all="ignore"):
-        return evaluate(tree, algebra, {}), algebra.switch
+        return [evaluate(tree, algebra, known) for tree in trees], algebra.switch
 
 
 class _Taylor(Logic):

@@ -19,17 +19,11 @@ from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature, face
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.certify import (
-    QUADRATIC,
-    UNBALANCED,
-    Admissible,
-    gap_on_gamma_s,
-    gap_parts,
-    scaled,
-)
+from signorini_fenicsx.physics.diffusion.bound.certify import UNBALANCED, Admissible, gap_on_gamma_s, gap_parts
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
+from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC, scaled
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside

@@ -42,21 +42,20 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import owned_cells
-from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.laws import Area, gap
-from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.points import Points, facet_type, in_cells, in_facets
+from signorini_fenicsx.discrete.points import facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.conductivity import enclosed
 from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux
-from signorini_fenicsx.physics.diffusion.bound.hidden import Pressure, degree_near, hidden_parts
+from signorini_fenicsx.physics.diffusion.bound.hidden import Pressure, hidden_parts
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, Projection
 from signorini_fenicsx.physics.diffusion.bound.mean_loads import load_left
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric, cell_metric
+from signorini_fenicsx.physics.diffusion.bound.mismatch import Energies
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory, load_oscillation, on_facets
 from signorini_fenicsx.physics.diffusion.bound.reaction import reaction_terms
@@ -64,8 +63,6 @@ from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
-QUADRATIC = 2
-"""Degree of |κ∇v − y|² where v is quadratic and κ a number."""
 ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
 OF_PENALTY = "the exact solution of the penalty problem"
@@ -118,9 +115,9 @@ class Admissible:
         solution: The solution.
         goal: The problem to which the distance is bounded.
         metric: Metric of the owned cells.
-        size: ‖σ_h‖.
+        size: ‖σ_h‖, at most by rounding too large.
         resolution: Encloses the data, and records what quadrature may miss.
-        deviation: S of κ, see `resolution`.
+        energies: Squares of energy norms.
         y: y.
         flux: y cell by cell.
         level: u*.
@@ -135,7 +132,7 @@ class Admissible:
     metric: CellMetric
     size: float
     resolution: Resolution
-    deviation: Array
+    energies: Energies
     y: fem.Function
     flux: CellFlux
     level: fem.Function
@@ -153,12 +150,15 @@ class Admissible:
         size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
         cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
         resolution = Resolution(spaces, data, size * cells ** (-1 / dim), comm.allreduce(metric.volume.sum()))
-        metric, deviation = resolution.conductivity(metric, size)
+        metric = enclosed(resolution, metric, data.kappa, size)
+        energies = Energies(resolution, metric, data.kappa)
+        if data.kappa.number is None:
+            size = math.sqrt(comm.allreduce(energies.squares(solution.cell_flux).least.sum()))
         y, flux, level, remainder = admissible_flux(solution, metric, goal)
         inside = Inside.of(solution, y, level, resolution)
         on = OnGammaS.of(solution, goal, metric, y)
         trace = law_trace(solution, metric, y, on, inside, field)
-        return cls(solution, goal, metric, size, resolution, deviation, y, flux, level, remainder, inside, on, trace)
+        return cls(solution, goal, metric, size, resolution, energies, y, flux, level, remainder, inside, on, trace)
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def gap_parts(
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:
         contact = contact + reaction.gap
-    mismatch = mismatches(of_y, trace, flux)
+    mismatch = of_y.energies.squares(flux, trace).most
     bound_so_far = math.sqrt(comm.allreduce((mismatch + contact + oscillation**2).sum()))
     hidden = hidden_parts(resolution, trace, of_v.solution.data.u_D, metric, pressure, inside, bound_so_far)
     contact = contact + hidden.gap
@@ -251,58 +251,3 @@ def gap_on_gamma_s(
         excess = law_gap.load.values[part.rows] + on.flux[part.rows, None] - q_S
         pressure = Pressure(part.key("psi"), part.data["psi"], facets, excess.max(axis=1, initial=0.0))
     return law_gap.per_cell(number), [] if goal.keeps_flux else law_gap.loads(spaces), pressure
-
-
-@dataclass(frozen=True)
-class FluxOf:
-    """κ∇v of a quadratic v, with κ itself: of ‖κ^½∇(w − v)‖² enclosures add to κ alone."""
-
-    v: fem.Function
-    kappa: Datum
-
-    def at(self, points: Points) -> Array:
-        """κ∇v in points, shape (n, points, dim)."""
-        return scaled(self.kappa.values(points), points.quadratic(self.v, gradient=True)[:, :, 1:])
-
-    def squares(self, _: float) -> Array:
-        """The squares that κ − κ̃ changes: there are none."""
-        return np.zeros(1)
-
-
-def scaled(kappa: Array, slope: Array) -> Array:
-    """κ times vectors in points; κ is a number in each, or a matrix."""
-    return kappa[:, :, None] * slope if kappa.ndim == 2 else np.asarray((kappa @ slope[..., None])[..., 0])
-
-
-def mismatches(own: Admissible, trace: Trace, flux: CellFlux | FluxOf) -> Array:
-    """Bound of ‖κ^½∇v − κ^-½y‖² per owned cell, from κ̃ and S = sup |κ − κ̃|, see `resolution` (collective).
-
-    Args:
-        own: Has κ.
-        trace: Has v.
-        flux: y.
-    """
-    spaces, kappa = own.solution.spaces, own.solution.data.kappa
-    mesh, far = spaces.mesh, np.delete(owned_cells(spaces.mesh), trace.cells)
-    of_kappa = QUADRATIC if kappa.number is not None else quadrature_degree(kappa)
-    squares = np.zeros(len(spaces.cell_measures))
-    for near, cells, degree in ((False, far, of_kappa), (True, trace.cells, degree_near(trace))):
-        for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), max(degree, QUADRATIC))):
-            slope = trace.jet(points, near=near, gradient=True)[:, :, 1:]
-            squares[points.rows] = points.integrals(_flux_gap(slope, flux.at(points), kappa.values(points)))
-    deviation, lowest = own.deviation, own.metric.kappa_min
-    if not mesh.comm.allreduce(bool((deviation > 0).any()), MPI.LOR):
-        return squares
-    root = np.sqrt((1 + deviation / lowest) * np.maximum(squares, 0.0))
-    root += deviation * np.sqrt(flux.squares(1.0)) / lowest**1.5
-    return np.asarray(root**2, dtype=np.float64)
-
-
-def _flux_gap(slope: Array, y: Array, kappa: Array) -> Array:
-    """κ⁻¹(κ∇v − y)·(κ∇v − y) in points; infinite where κ has no inverse."""
-    gap = scaled(kappa, slope) - y
-    if kappa.ndim == 2:
-        return np.asarray(np.einsum("nqi,nqi->nq", gap, gap) / kappa)
-    regular = np.linalg.det(kappa) != 0
-    inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
-    return np.where(regular, np.einsum("nqi,nqij,nqj->nq", gap, inverse, gap), np.inf)

@@ -55,6 +55,7 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, all_edges, relax
+from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.nodes import (
     Jumps,
@@ -271,7 +272,7 @@ def _with_exact_data(
     if data.u_D.number is None or trace.levels:
         changed.append(near_dirichlet)
     corners = facet_nodes(linear, spaces.facets)
-    used = [data.u_D, data.kappa, *(datum for datum, _, _ in trace.levels)]
+    used = [data.u_D, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
         for sign, datum in zip((1.0, -1.0), _bounds(on, part), strict=True):
             if datum is None or (datum.number is not None and not changed):
@@ -310,7 +311,9 @@ def _with_exact_data(
         touching=touching,
         altered=altered,
         hindrance=hindrance,
-        degree=quadrature_degree(*used),
+        degree=max(
+            quadrature_degree(*used, data.kappa), *(2 * min(datum.polynomial or 0, EXACT) + 2 for datum in used)
+        ),
     )
 
 

@@ -160,6 +160,8 @@ class _Missed:
         comm, frame = resolution.spaces.mesh.comm, resolution.spaces.frame
         inverse = of_all_cells(metric.inverse, len(metric.volume))[cells]
         factor = metric.volume[cells] * metric.high[cells] / np.linalg.eigvalsh(inverse)[:, 0]
+        rough_kappa = np.sqrt(2 * np.maximum(metric.rho[cells], 0.0) / metric.kappa_min[cells])
+        factor = factor * np.where(np.isfinite(rough_kappa), 1 + rough_kappa, 1.0) ** 2  # see `mismatch`
         weight = factor / max(SHARE * resolution.error, SMALLEST) ** 2
         limit = 1 / np.sqrt(max(comm.allreduce(len(cells)), 1) * weight)
         value, gradient = (2 * each for each in slopes(tree, vertices, frame, limit / 4))

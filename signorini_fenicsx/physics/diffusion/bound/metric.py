@@ -32,6 +32,7 @@ class CellMetric:
         low: The largest number ≤ 1 with κ ≥ low κ_h in the nodes of P2 on T.
         high: The smallest number ≥ 1 with κ ≤ high κ_h there.
         kappa_min: low times the smallest eigenvalue of κ_h.
+        rho: On T, κ is within ρ of a polynomial of degree K, infinite if nothing is known; 0 before it is enclosed.
     """
 
     jacobian: Array
@@ -42,6 +43,7 @@ class CellMetric:
     low: Array
     high: Array
     kappa_min: Array
+    rho: Array
 
     def squares(self, flux: CellFlux) -> Array:
         """∫_T σ·κ_h⁻¹σ of a flux of RT0."""
@@ -71,6 +73,7 @@ def cell_metric(spaces: Spaces, data: Data) -> CellMetric:
         low=low,
         high=high,
         kappa_min=low * np.linalg.eigvalsh(kappa_h)[:, 0],
+        rho=np.zeros(number),
     )
 
 

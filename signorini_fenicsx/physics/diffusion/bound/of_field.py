@@ -11,7 +11,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.certificate.of_field import FieldBound, joined
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
-from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, FluxOf, gap_parts, mismatches, summed
+from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.relaxation import all_edges
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -20,7 +20,7 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
     """The bounds of a scalar v (collective)."""
     goal = Goal.of(solution, for_signorini=True)
-    comm, kappa = solution.spaces.mesh.comm, solution.data.kappa
+    comm = solution.spaces.mesh.comm
     with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
         own = Admissible.of(solution, goal)
         certificate = summed(own, gap_parts(own, own, goal))
@@ -30,11 +30,10 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         of_repaired = summed(repaired, parts)
         all_edges(field.function_space).to_bernstein(field.x.array)
         flux, of_field = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
-        squares = mismatches(own, of_field, flux)
-        seen = mismatches(replace(own, deviation=np.zeros_like(own.deviation)), of_field, flux)
-        moved = np.sqrt(mismatches(own, repaired.trace, FluxOf(field, kappa))) + parts.hidden
+        squares = own.energies.squares(flux, of_field)
+        moved = np.sqrt(own.energies.squares(None, repaired.trace, field).most) + parts.hidden
     repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
-    return joined(solution, certificate, (squares, seen), own.size, repair, of_repaired)
+    return joined(solution, certificate, (squares.most, squares.least), own.size, repair, of_repaired)
 
 
 def _in_nodes(v: fem.Function) -> fem.Function:

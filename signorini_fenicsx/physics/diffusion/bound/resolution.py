@@ -7,9 +7,7 @@ certificate replaces a load e by a polynomial p; d = e − p is the difference.
   most (δ_T/π)‖d‖ |w|, as in `local_fields`. On a facet e of T, (d, w)_e ≤ C_e‖d‖_e |w| + |e| μ_e w_T. The means
   together are one load per cell, for which see `mean_loads`.
 
-- *κ*, with P2 interpolant κ̃ and S = sup |κ − κ̃| on T: ‖κ^½∇v − κ^-½y‖ ≤ ρ^½‖κ̃^½∇v − κ̃^-½y‖ + S‖y‖/(κ_min^½ κ̃_min),
-  ρ = 1 + S/κ̃_min, since κ^½∇v − κ^-½y = κ^½κ̃⁻¹(κ̃∇v − y) + κ^-½(κ − κ̃)κ̃⁻¹y. The same holds with κ and κ̃ exchanged,
-  and the quadrature has κ, so this is applied twice.
+- *κ*: see `mismatch`.
 - *u_D, ψ and bounds in Ω*, where v contains them themselves: see `hidden`.
 
 Polynomials are integrated exactly. Data given in Python have no trees; for these the bound relies on quadrature.
@@ -17,8 +15,8 @@ Polynomials are integrated exactly. Data given in Python have no trees; for thes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -34,7 +32,7 @@ from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
-from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, interpolated
+from signorini_fenicsx.expressions.quadratics import Quadratic
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.physics.diffusion.bound.local_fields import facet_constants
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
@@ -234,59 +232,6 @@ class Resolution:
             narrower = ranges(tree, self.vertices[cells[below]], None, self.spaces.frame, least, most)
             lo[below], hi[below] = narrower.lo, narrower.hi
         return Interval(lo, hi)
-
-    def conductivity(self, metric: CellMetric, size: float) -> tuple[CellMetric, Array]:
-        """The metric with low κ_h ≤ κ ≤ high κ_h on whole cells, and S per owned cell (collective).
-
-        With κ = κ̃ + δ, κ_h^-½κ̃κ_h^-½ is in each point a weighted mean of κ_h^-½κ_iκ_h^-½ for the Bernstein
-        coefficients κ_i of κ̃.
-
-        Args:
-            metric: The metric, with `low` and `high` from the nodes of P2 only.
-            size: ‖σ_h‖.
-        """
-        number, dim, kappa = len(metric.volume), metric.jacobian.shape[1], self.data.kappa
-        deviation = np.zeros(number)
-        pieces = [] if kappa.number is not None else self.pieces("kappa", kappa)
-        if not pieces:
-            return metric, deviation
-        coefficients = np.zeros((number, (dim + 1) * (dim + 2) // 2, dim, dim))
-        for tree, cells, entries in self._conductivities(pieces):
-            p = interpolated(tree, self.vertices[cells])
-            of_p = bernstein(p, self.vertices[cells])
-            if not is_polynomial(tree, 2):
-                tolerance = SHARE * self.error / max(size, SMALLEST) * np.abs(of_p).max(axis=1, initial=0.0)
-                enclosure = ranges(tree, self.vertices[cells], p, self.spaces.frame, -tolerance, tolerance)
-                deviation[cells] = np.hypot(deviation[cells], len(entries) ** 0.5 * enclosure.sup)
-            for i, j in entries:
-                coefficients[cells, :, i, j] = of_p
-        root = np.linalg.cholesky(of_all_cells(metric.inverse, number))[:, None]
-        ratios = np.linalg.eigvalsh(root.transpose(0, 1, 3, 2) @ coefficients @ root)
-        beside = np.linalg.norm(metric.inverse, axis=(1, 2)) * deviation
-        low, high = (
-            ratios[:, :, 0].min(axis=1, initial=1.0) - beside,
-            ratios[:, :, -1].max(axis=1, initial=1.0) + beside,
-        )
-        lost = ~(low > 0)
-        self.note("kappa", self.vertices[lost].mean(axis=1), np.flatnonzero(lost))
-        low, high, deviation = (
-            np.where(lost, metric.low, low),
-            np.where(lost, metric.high, high),
-            np.where(lost, 0.0, deviation),
-        )
-        return replace(metric, low=low, high=high, kappa_min=metric.kappa_min / metric.low * low), deviation
-
-    def _conductivities(
-        self, pieces: list[tuple[Tree | Rows, Indices]]
-    ) -> Iterator[tuple[Tree, Indices, list[tuple[int, int]]]]:
-        """Each tree of κ, the owned cells where it holds, and its entries of the matrix."""
-        dim = self.spaces.mesh.geometry.dim
-        for given, cells in pieces:
-            if isinstance(given, TREES):
-                yield given, cells, [(i, i) for i in range(dim)]
-                continue
-            for i, j in np.ndindex(dim, dim):
-                yield given[i][j], cells, [(i, j)]
 
     def flux(self, metric: CellMetric) -> Array:
         """A flux size per owned cell that makes only the share SHARE of the error."""

@@ -1,0 +1,286 @@
+"""‖κ^½∇v − κ^-½y‖² on cells, with what quadrature may miss of it: κ⁻¹ is no polynomial, even where κ is one.
+
+A quadrature Q has positive weights and is exact for polynomials up to its degree; ‖·‖_Q is a norm by it. On a simplex
+let κ be within ρ of a polynomial of degree K, in the norm of matrices, and κ ≥ k > 0. For any linear w and r = y − κw
+
+    |κ^½∇v − κ^-½y|² = (∇v − w)·κ(∇v + w) − 2y·(∇v − w) + r·κ⁻¹r.
+
+Let ∇v be a polynomial. Q errs in the first term by at most e = 2ρ‖∇v − w‖‖∇v + w‖, and not in the second one. Of the
+third, 0 ≤ ∫ r·κ⁻¹r ≤ ‖r‖²/k ≤ (‖r‖_Q + 2ρ‖w‖)²/k. So what Q gives of the whole is too small by at most
+
+    e + (‖r‖_Q + 2ρ‖w‖)²/k − Q(r·κ⁻¹r),   and too large by at most   e + Q(r·κ⁻¹r).
+
+w is κ⁻¹y in points near the vertices. Where κ hardly varies r is small, and both are of second order in it. Other cells
+are cut into parts, at places where κ is the geometric mean of its values at the ends of an
+edge: so also a κ of 1e-8 at a vertex needs few parts.
+
+On cells where v contains data themselves, v = P + χd as in `hidden`. Then e belongs to P, and ‖∇P‖_Q is at most
+‖∇v‖_Q + ‖∇(χd)‖_Q, for which `hidden` has the factor 1 + (2ρ/k)^½. Where such a cell is cut, the quadratic v stands for
+v, and κ_max^½ times the norm of the gradient of their difference is added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.reference_cells import SIMPLEX, positive_quadrature
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.points import CellPoints, Points, in_cells
+from signorini_fenicsx.expressions.cutting import in_parts
+from signorini_fenicsx.expressions.quadratics import INSIDE, barycentric_gradients
+from signorini_fenicsx.expressions.series import DEGREE, Remainder
+from signorini_fenicsx.expressions.simplices import Parts
+from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.conductivity import Conductivity, conductivities
+from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, Resolution, of_all_cells
+from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+
+QUADRATIC = 2
+"""Degree of |κ∇v − y|² where v is quadratic and κ a number."""
+LOOKED = 2 * (DEGREE + 1)
+"""Degree of |r|² for a κ of degree K."""
+CLOSE = 0.01
+"""A share of a square that may be missed."""
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Squares per owned cell: by quadrature, and by how much they may be too small and too large."""
+
+    seen: Array
+    small: Array
+    large: Array
+
+    @property
+    def most(self) -> Array:
+        """Upper bounds."""
+        return np.maximum(self.seen, 0.0) + self.small
+
+    @property
+    def least(self) -> Array:
+        """Lower bounds."""
+        return np.maximum(self.seen - self.large, 0.0)
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Squares of energy norms for one κ.
+
+    Attributes:
+        resolution: Encloses κ.
+        metric: Metric of the owned cells.
+        kappa: κ.
+    """
+
+    resolution: Resolution
+    metric: CellMetric
+    kappa: Datum
+
+    @property
+    def _degree(self) -> int:
+        """The degree of κ, K at most."""
+        return DEGREE if self.kappa.polynomial is None else min(self.kappa.polynomial, DEGREE)
+
+    def squares(self, flux: CellFlux | None, trace: Trace | None = None, less: fem.Function | None = None) -> Squares:
+        """‖κ^½∇(v − w) − κ^-½y‖² (collective).
+
+        Args:
+            flux: y; None for 0.
+            trace: Has v; None for 0.
+            less: w, quadratic, by its Bernstein coefficients; None for 0.
+        """
+        field = _Field(flux, trace, less)
+        mesh, varies = self.resolution.spaces.mesh, self.kappa.number is None
+        near_cells = np.empty(0, dtype=np.int32) if trace is None else trace.cells
+        far = np.delete(owned_cells(mesh), near_cells)
+        of_kappa = max(quadrature_degree(self.kappa), 2 * (self._degree + 1)) if varies else QUADRATIC
+        near_degree = QUADRATIC if trace is None else degree_near(trace) + self._degree
+        squares = Squares(*np.zeros((3, len(self.metric.volume))))
+        for near, cells, degree in ((False, far, of_kappa), (True, near_cells, near_degree)):
+            for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), degree)):
+                self._look(points, field, squares, near=near)
+        if varies and self.kappa.pieces is not None:
+            self._cut(field, squares, near_cells)
+        return squares
+
+    def _look(self, points: CellPoints, field: _Field, squares: Squares, *, near: bool) -> None:
+        """Look at the squares in the points of a quadrature (collective)."""
+        rows, slope, y = points.rows, field.slope(points, near=near), field.flux_at(points)
+        kappa = self.kappa.values(points)
+        off = scaled(kappa, slope) - y
+        squares.seen[rows] = points.integrals(_product(off, scaled(inverted(kappa), off)))
+        if self.kappa.number is not None or self.kappa.pieces is None:
+            return
+        ends = CellPoints(points.mesh, points.cells, _near_vertices(points.mesh.basix_cell()), np.empty(0))
+        w = _linear(scaled(inverted(self.kappa.values(ends)), field.flux_at(ends)), points.barycentric[0])
+        rule, known = points.weights / points.weights.sum(), (self.metric.rho[rows], self.metric.kappa_min[rows])
+        missed = _missed(kappa, slope, y, w, rule, *known)
+        squares.small[rows], squares.large[rows] = (self.metric.volume[rows] * each for each in missed)
+
+    def _cut(self, field: _Field, squares: Squares, near_cells: npt.NDArray[np.int32]) -> None:
+        """Cut the cells where too much may be missed (collective)."""
+        resolution, volume, mesh = self.resolution, self.metric.volume, self.resolution.spaces.mesh
+        total, missed = (SHARE * resolution.error) ** 2, squares.small
+        if field.trace is None:  # of ‖κ^-½y‖ a lower bound is wanted
+            total, missed = SHARE**2 * resolution.spaces.mesh.comm.allreduce(squares.seen.sum()), squares.large
+        rough = ~(missed <= np.maximum(total * volume / resolution.volume, CLOSE * squares.seen))
+        extra = self._of_data(field, rough[near_cells], near_cells)
+        for piece in conductivities(resolution, self.kappa):
+            cells = piece.cells[rough[piece.cells]]
+            ends = CellPoints(mesh, cells.astype(np.int32), basix.geometry(mesh.basix_cell()), np.empty(0))
+            local = field.slope(ends, near=False), field.flux_at(ends)
+            of_cells = _InParts(resolution, piece, cells, *local, volume[cells], total).squares()
+            bounded = np.isfinite(of_cells.small)
+            resolution.note("kappa", resolution.vertices[cells[~bounded]].mean(axis=1), cells[~bounded])
+            squares.small[cells[~bounded]] = squares.large[cells[~bounded]] = 0.0
+            chosen = cells[bounded]
+            squares.seen[chosen] = (np.sqrt(of_cells.seen[bounded]) + extra[chosen]) ** 2
+            squares.large[chosen] = (of_cells.large + of_cells.small)[bounded]
+            most = (np.sqrt(of_cells.most[bounded]) + extra[chosen]) ** 2
+            squares.small[chosen] = most - squares.seen[chosen]
+            resolution.record_missed("kappa", chosen, squares.small[chosen])
+
+    def _of_data(self, field: _Field, rough: Mask, near_cells: npt.NDArray[np.int32]) -> Array:
+        """κ_max^½‖∇(v − its quadratic)‖ on the rough cells of those near data, else 0 (collective)."""
+        extra, mesh, trace = np.zeros(len(self.metric.volume)), self.resolution.spaces.mesh, field.trace
+        if trace is None:
+            return extra
+        inverse = of_all_cells(self.metric.inverse, len(extra))
+        rule = positive_quadrature(mesh.basix_cell(), degree_near(trace) + self._degree)
+        for points in in_cells(mesh, near_cells[rough], *rule):
+            change = field.slope(points, near=True) - field.slope(points, near=False)
+            largest = self.metric.high[points.cells] / np.linalg.eigvalsh(inverse[points.cells])[:, 0]
+            extra[points.cells] = np.sqrt(largest * points.integrals(_product(change, change)))
+        return extra
+
+
+@dataclass(frozen=True)
+class _Field:
+    """∇(v − w) and y, see `Energies.squares`."""
+
+    flux: CellFlux | None
+    trace: Trace | None
+    less: fem.Function | None
+
+    def slope(self, points: Points, *, near: bool) -> Array:
+        """∇(v − w) in points, with the data that v contains themselves, or of its quadratic (collective)."""
+        dim = points.mesh.geometry.dim
+        if self.trace is None:
+            return np.zeros((*points.shape, dim))
+        slope = self.trace.jet(points, near=near, gradient=True)[:, :, 1:]
+        return slope if self.less is None else slope - points.quadratic(self.less, gradient=True)[:, :, 1:]
+
+    def flux_at(self, points: Points) -> Array:
+        """Y in points."""
+        return np.zeros((*points.shape, points.mesh.geometry.dim)) if self.flux is None else self.flux.at(points)
+
+
+@dataclass(frozen=True)
+class _InParts:
+    """Squares on some cells that are cut into parts.
+
+    Attributes:
+        resolution: Encloses κ.
+        piece: κ there.
+        cells: The cells.
+        slope: ∇v in their vertices, shape (cells, dim + 1, dim).
+        flux: y there.
+        volume: Of the cells.
+        total: So much may be missed of all squares together.
+    """
+
+    resolution: Resolution
+    piece: Conductivity
+    cells: Indices
+    slope: Array
+    flux: Array
+    volume: Array
+    total: float
+
+    def squares(self) -> Squares:
+        """The squares on these cells (collective)."""
+        vertices, frame = self.resolution.vertices[self.cells], self.resolution.spaces.frame
+        centre, hats = vertices.mean(axis=1), barycentric_gradients(vertices)
+        points, weights = positive_quadrature(SIMPLEX[vertices.shape[2]], LOOKED)
+        barycentric, rule = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
+
+        def look(parts: Parts, *remainders: Remainder) -> Array:
+            own, corners = parts.own, parts.vertices.shape[1]
+            at = 1 / corners + np.einsum("nqi,nvi->nqv", parts.vertices - centre[own, None], hats[own])
+            slope, y = (np.einsum("nqv,nvi->nqi", at, each[own]) for each in (self.slope, self.flux))
+            x = barycentric @ parts.vertices
+            middle = parts.vertices.mean(axis=1, keepdims=True)
+            ends = self.piece.at(middle + INSIDE * (parts.vertices - middle))
+            mean = y.mean(axis=1, keepdims=True)
+            w = _linear(scaled(inverted(ends), mean + INSIDE * (y - mean)), barycentric)
+            kappa, slope, y = self.piece.at(x), barycentric @ slope, barycentric @ y
+            off = scaled(kappa, slope) - y
+            rho, least = self.piece.distance(remainders, DEGREE), self.piece.least(parts.vertices, remainders)
+            seen = _product(off, scaled(inverted(kappa), off)) @ rule
+            return np.stack([seen, *_missed(kappa, slope, y, w, rule, rho, least)], axis=1)
+
+        def need(parts: Parts, of_parts: Array) -> Array:
+            seen, small, _ = of_parts.T
+            wanted = self.volume[parts.own] * parts.share * small / max(self.total, 1e-300)
+            return np.where(small <= CLOSE * seen, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
+
+        parts, of_parts = in_parts(self.piece.trees, vertices, frame, look, need, self.piece.smallest)
+        share = parts.share[:, None] * of_parts
+        share[np.isnan(share)] = np.inf
+        return Squares(*(self.volume * np.bincount(parts.own, column, len(self.cells)) for column in share.T))
+
+
+def _missed(
+    kappa: Array, slope: Array, y: Array, w: Array, rule: Array, rho: Array, least: Array
+) -> tuple[Array, Array]:
+    """By how much the mean of |κ^½∇v − κ^-½y|² by a quadrature may be too small and too large, see the module."""
+
+    def mean(a: Array, b: Array) -> Array:
+        return np.asarray(_product(a, b) @ rule)
+
+    r = y - scaled(kappa, w)
+    of_kappa = 2 * rho * np.sqrt(mean(slope - w, slope - w) * mean(slope + w, slope + w))
+    of_r, size = mean(r, scaled(inverted(kappa), r)), np.sqrt(mean(r, r)) + 2 * rho * np.sqrt(mean(w, w))
+    with np.errstate(all="ignore"):
+        whole = np.where(least > 0, size**2 / least, np.where(size > 0, np.inf, 0.0))
+        return of_kappa + np.maximum(whole - of_r, 0.0), of_kappa + of_r
+
+
+def _product(a: Array, b: Array) -> Array:
+    return np.einsum("nqi,nqi->nq", a, b)
+
+
+def _linear(values: Array, barycentric: Array) -> Array:
+    """In points with these barycentric coordinates the linear functions with given values near the vertices."""
+    mean = values.mean(axis=1, keepdims=True)
+    return np.asarray(mean + barycentric @ ((values - mean) / INSIDE))
+
+
+def _near_vertices(cell: basix.CellType) -> Array:
+    """Points of the reference cell near its vertices."""
+    corners = basix.geometry(cell)
+    return np.asarray(corners.mean(axis=0) + INSIDE * (corners - corners.mean(axis=0)))
+
+
+def scaled(kappa: Array, slope: Array) -> Array:
+    """κ times vectors in points; κ is a number in each, or a matrix."""
+    return kappa[:, :, None] * slope if kappa.ndim == 2 else np.asarray((kappa @ slope[..., None])[..., 0])
+
+
+def inverted(kappa: Array) -> Array:
+    """κ⁻¹ in points; infinite where there is none."""
+    with np.errstate(all="ignore"):
+        if kappa.ndim == 2:
+            return 1 / kappa
+        regular = np.linalg.det(kappa) != 0
+        inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
+        return np.where(regular[..., None, None], inverse, np.inf)
