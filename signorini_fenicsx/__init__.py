@@ -24,8 +24,9 @@ Solving it:
 
 `signorini_fenicsx.extend` has what your own algorithms, discretisations and laws need.
 
-Impossible input raises `InputError`; a run without a solution raises `NumericalFailure`. For examples see
-`help(signorini_fenicsx.api)`; the command line is `signorini`.
+Impossible input raises `InputError`; a run without a solution raises `NumericalFailure`, and one whose solution is kept
+`LaterFailure`, if something failed that came after. For examples see `help(signorini_fenicsx.api)`; the command line is
+`signorini`.
 """
 
 import importlib

@@ -39,6 +39,14 @@ def signorini(folder: Path, *arguments: str) -> Ended:
     return subprocess.CompletedProcess(arguments, status, *COMM.bcast((out.getvalue(), err.getvalue())))
 
 
+def ended(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
+    """Exit status of a command in this process, which prints as ever."""
+    monkeypatch.setattr(sys, "argv", ["signorini", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    return end.value.code
+
+
 def launched(folder: Path, *arguments: str, ranks: int = 1) -> Ended:
     """Run `signorini` in new processes."""
     return run(folder, "signorini", *arguments, ranks=ranks)

@@ -62,6 +62,9 @@ def patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
                 raise
             for form in cache.glob("*.c") if compiling else ():  # DOLFINx tells the one that it waits for in words only
                 _await(form, until)
+        except OSError as error:
+            advice = "set XDG_CACHE_HOME to a folder in which compiled forms can be kept"
+            raise OSError(error.errno, f"{error.strerror or error}; {advice}", error.filename) from None
         except cffi.VerificationError as error:
             reason = re.sub(r"\['([^']*)'.*\]", r"\1", str(error))  # the command without its arguments
             advice = "install one and Python's headers, such as gcc, libc6-dev and python3-dev"

@@ -4,6 +4,8 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
+EXIT_FAILED, EXIT_BAD_INPUT, EXIT_LATER = 1, 2, 3
+
 
 class InOneSentence(Exception):
     """An error whose message says all: a notebook shows it without a traceback."""
@@ -29,8 +31,19 @@ class NumericalFailure(InOneSentence):
         self.solution = solution
 
 
+class LaterFailure(NumericalFailure):
+    """The problem is solved and its solution is kept; something that came after it failed: exit status 3."""
+
+
 class WriteFailure(Exception):
-    """A library could not write on this rank, and the other ranks may wait for it forever: exit status 1."""
+    """A library could not write on this rank, and the other ranks may wait for it forever."""
+
+
+def in_words(error: BaseException) -> str:
+    """An error in one sentence; with its type, where its words were not written for users."""
+    if isinstance(error, OSError):
+        return f"{error.filename or 'file system'}: {error.strerror or error}"
+    return str(error) if isinstance(error, InOneSentence | WriteFailure) else f"{type(error).__name__}: {error}"
 
 
 class LinearSolveFailure(NumericalFailure):

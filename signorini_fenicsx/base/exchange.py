@@ -15,6 +15,7 @@ opened one below the other, none of them through a link, see `folder_below`: wha
 import contextlib
 import errno
 import fcntl
+import itertools
 import json
 import os
 import shutil
@@ -127,6 +128,7 @@ class Area:
             OSError: If this is not possible, for example because the file system has no locks.
         """
         self.target, self.path = target, area_of(target)
+        self._numbers = itertools.count()
         with contextlib.ExitStack() as opened:
             self._parent = opened.enter_context(folder_below(target.parent))
             try:
@@ -176,23 +178,23 @@ class Area:
                 _delete(self._at, name)
 
     def staging(self) -> Path:
-        """Make a new folder for the files of this process."""
-        name = str(os.getpid())
-        os.mkdir(name, dir_fd=self._at)
-        return self.path / name
+        """Make a new folder for files of this process."""
+        self._staging = f"{os.getpid()}{next(self._numbers)}"  # never the same twice: other machines may remember it
+        os.mkdir(self._staging, dir_fd=self._at)
+        return self.path / self._staging
 
     def commit(self, end: str, *, add: bool = False) -> None:
-        """Make the files of this process the results (`DONE`) or the failure (`FAILED`) of the target.
+        """Make the files of the last staging folder the results (`DONE`) or the failure (`FAILED`) of the target.
 
         Args:
             end: `DONE` or `FAILED`.
             add: Keep earlier results with other names.
         """
-        staging = self.path / str(os.getpid())
+        staging, place = self.path / self._staging, self.target if end == DONE else failed_place(self.target)
         files = [path for path in staging.rglob("*") if path.is_file()]
         names = {path.relative_to(staging).as_posix() for path in files}
         with folder_below(self._at, staging.name) as folder:
-            _write_list(folder, names | (self._listed(self.target) if add else set()))
+            _write_list(folder, names | (self._listed(place) if add else set()))
         for path in (*files, staging / MANIFEST):
             _flush(path)  # some file systems report only now that the disk is full
         os.rename(staging.name, end, src_dir_fd=self._at, dst_dir_fd=self._at)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage, on_root
 
 STOP = "stop"
@@ -34,19 +34,20 @@ def hand_out(
 
     Raises:
         InputError: If `work` raised it in a group; all groups end after their current task.
+        NumericalFailure: Likewise.
         OSError: Likewise, for example on a full disk.
     """
     size = min(ranks_per_task, comm.size)
     index = comm.rank // size
     group = comm.Split(index if index < comm.size // size else MPI.UNDEFINED, comm.rank)
-    failure: InputError | OSError | None = None
+    failure: InputError | NumericalFailure | OSError | None = None
     if group != MPI.COMM_NULL:
         try:
             for name in names:
                 if on_root(group, partial(_claimed, claims, name)):
                     work(name, group)
                     collect_garbage(group)  # otherwise the number of communicators grows from run to run
-        except (InputError, OSError) as error:
+        except (InputError, NumericalFailure, OSError) as error:
             failure = error
             (claims / STOP).touch()
         group.Free()

@@ -23,6 +23,8 @@ from signorini_fenicsx.base.progress import doing
 
 FORWARDING = 0.5
 """Seconds in which mpirun can forward the last message of a rank; it loses the message when the rank aborts at once."""
+PATIENCE = 10.0
+"""Seconds in which the other ranks have to come to where one of them has failed."""
 
 
 def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
@@ -70,6 +72,26 @@ def passed_on[T](comm: MPI.Comm, block: T) -> T:
     So each rank sees the blocks of all, one after the other, and never holds more than two (collective).
     """
     return comm.sendrecv(block, (comm.rank + 1) % comm.size, source=(comm.rank - 1) % comm.size)
+
+
+def first_words(comm: MPI.Comm, words: str, otherwise: Callable[[str], NoReturn]) -> str:
+    """The words of the first rank that has some, on all ranks; empty if none has (collective).
+
+    A rank with words waits a while only: other ranks may be in a collective call in which they wait for it.
+
+    Args:
+        comm: Communicator.
+        words: Why this rank could not go on with the others; empty if it could.
+        otherwise: Called with these words where the others do not come; it ends the program on all ranks.
+    """
+    mine, first = np.array([comm.rank if words else comm.size]), np.empty(1, dtype=np.int64)
+    request, until = comm.Iallreduce(mine, first, MPI.MIN), time.monotonic() + PATIENCE
+    while words and not request.Test():
+        if time.monotonic() > until:
+            otherwise(words)
+        time.sleep(0.01)
+    request.Wait()
+    return "" if first[0] == comm.size else comm.bcast(words, root=int(first[0]))
 
 
 def gather_rows(comm: MPI.Comm, rows: npt.NDArray) -> npt.NDArray | None:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import InputError, LaterFailure, NumericalFailure, in_words
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off
 from signorini_fenicsx.base.progress import doing
@@ -134,6 +134,7 @@ def adapt[S: Solved](
 
     Raises:
         InputError: If the first mesh has too many cells.
+        LaterFailure: If the bound or the quantity cannot be found; its `solution` is that of the mesh.
         NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
     """
     check_kind("domain", domain, Domain)
@@ -151,8 +152,11 @@ def adapt[S: Solved](
         solution = solve_on(domain, start)
         check_kind("what `problem` returns", solution, Solved)
         start = solution if solution.method.starts_from_sets else None
-        certificate = certify(solution)
-        interval = None if measure is None else measure(solution)
+        try:
+            certificate = certify(solution)
+            interval = None if measure is None else measure(solution)
+        except Exception as error:
+            raise LaterFailure(in_words(error), solution) from error
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         row = _row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds)
         on_row(row if interval is None else MeasuredRow(**vars(row), lower=interval.lower, upper=interval.upper))

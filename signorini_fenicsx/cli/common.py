@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
@@ -60,20 +60,25 @@ def results_place(output: Path | None, name: str) -> Path:
 
 
 @contextlib.contextmanager
-def failure_kept(folder: ResultsFolder, write: Callable[[Any], None]) -> Iterator[None]:
+def failure_kept(folder: ResultsFolder, **wanted: bool) -> Iterator[None]:
     """Write the last state of a run that fails in this context, and add its place to the message (collective).
 
     Args:
-        folder: Where.
-        write: Writes the solution that a failure holds (collective).
+        folder: Where. A state that solves the problem is published there, any other is that of a failed run.
+        wanted: Which pictures, see `SolutionFiles.publish_others`.
 
     Raises:
         NumericalFailure: The failure of the run.
     """
+    from signorini_fenicsx.output.writing import Found, SolutionFiles
+
     try:
         yield
     except NumericalFailure as failure:
-        if failure.solution is not None:
-            write(failure.solution)
-            failure.args = (f"{failure}; the last state is in {folder.keep_failed()}",)
+        state = failure.solution
+        if state is not None:
+            files = SolutionFiles(state).publish(folder, failed=not state.converged)
+            files.publish_others(folder, Found(), **wanted)
+            if not state.converged:
+                failure.args = (f"{failure}; {folder.last_state()}",)
         raise

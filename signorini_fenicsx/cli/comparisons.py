@@ -72,7 +72,7 @@ def convergence(
     """
     from signorini_fenicsx.cli.comparison_report import ConvergenceReport
     from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
-    from signorini_fenicsx.output.writing import write_convergence
+    from signorini_fenicsx.output.writing import publish_convergence
 
     comm, report = MPI.COMM_WORLD, ConvergenceReport(quiet=quiet, as_json=as_json)
     problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
@@ -84,8 +84,7 @@ def convergence(
     with ResultsFolder(comm, results_place(output, f"{problem.name}-convergence")) as folder:
         report.heading(problem, comm)
         rows = convergence_study(problem, way, steps, reference, comm, on_row=report.errors)
-        write_convergence(problem, way, reference, rows, folder.path, comm)
-        folder.publish()
+        publish_convergence(problem, way, reference, rows, folder, comm)
         report.slopes(fitted_slopes(rows, way), way, problem.method)
         report.published(folder.target)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -112,16 +113,20 @@ def solve_in_time(
     from signorini_fenicsx.output.evolution import write_evolution
     from signorini_fenicsx.output.steps import StepFolder
 
-    with ResultsFolder(comm, results_place(output, case.name), saves_state=False) as folder:
+    with ResultsFolder(comm, results_place(output, case.name)) as folder:
         start = None if start_from is None else load_solution(start_from, comm)
         steps = StepFolder(comm, folder.target)
         done = steps.begin(case, start_from, restart=restart)
         report.heading(case, comm)
         report.columns(case, certified=certify_steps)
-        last, quantities = _go_on(case, comm, start, steps, done, StepBounds() if certify_steps else None, report)
-        write_evolution(folder.path, steps, last, quantities, plot=plot)
-        folder.publish()
-        steps.remove()
+        bounds = StepBounds() if certify_steps else None
+        last, quantities = _go_on(case, folder, start, steps, done, bounds, report)
+        failures = len(folder.failures)
+        write_evolution(folder, steps, last, quantities, plot=plot)
+        if len(folder.failures) == failures:
+            steps.remove()
+        else:
+            folder.failures["steps"] = f"`--restart` writes again what is made of the steps in {steps.path}"
         summary = on_root(comm, lambda: json.loads((folder.target / "summary.json").read_text(encoding="utf-8")))
         report.finished(last.solution, summary, quantities, certified=certify_steps)
         report.published(folder.target)
@@ -129,7 +134,7 @@ def solve_in_time(
 
 def _go_on(
     case: CaseFile,
-    comm: MPI.Comm,
+    folder: ResultsFolder,
     start: Solved | None,
     steps: StepFolder,
     done: int,
@@ -138,13 +143,16 @@ def _go_on(
 ) -> tuple[Instant, Mapping[str, Quantity]]:
     """Do all steps after those that are done; the last one again if all are (collective).
 
+    A bound or quantities that cannot be found are in the failures of the folder; the steps go on.
+
     Returns:
         The last step, and the intervals for its quantities.
     """
     from signorini_fenicsx.cases.solving import evolve_case, quantities_of, shared_domain
-    from signorini_fenicsx.output.evolution import row_of
+    from signorini_fenicsx.output.evolution import UNBOUNDED, row_of
 
     assert case.time is not None
+    comm = folder.comm
     done = min(done, case.time.steps - 1)
     told = done if bounds is None else max(0, done - MOST_BEFORE)
     past = None if told == 0 else (lambda own: steps.past(own, told))
@@ -155,12 +163,15 @@ def _go_on(
         for instant in evolve_case(
             case, comm, domain=domain, start=start, past=past, on_step=lambda step: end_if_told(comm)
         ):
-            certificate = None if bounds is None else bounds.certify(instant)
+            certificate = None
+            if bounds is not None:
+                certificate = folder.attempt("error bounds", partial(bounds.certify, instant))
             if instant.step <= done:
                 continue
-            quantities = quantities_of(instant.solution)
+            quantities = folder.attempt("quantities", partial(quantities_of, instant.solution)) or {}
             now = time.perf_counter()
             row = row_of(instant, certificate, quantities, now - began)
+            row |= UNBOUNDED if certificate is None and bounds is not None else {}
             steps.save(instant, row)
             report.step(row)
             last, began, done = instant, now, instant.step

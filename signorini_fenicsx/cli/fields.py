@@ -1,20 +1,15 @@
 """The command that tells how wrong a function of another program is: certify."""
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.results import ResultsFolder
-from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.cli.common import any_case, failure_kept, results_place
 from signorini_fenicsx.cli.options import CaseName, Json, MeshSize, OutputFolder, Plot, Quiet, Settings, Verbose
-
-if TYPE_CHECKING:
-    from signorini_fenicsx.contact.history import Step
 
 MOST_LEVELS = 5
 
@@ -42,26 +37,20 @@ def certify(
     from signorini_fenicsx.cases.solving import solve_case
     from signorini_fenicsx.certificate.of_field import bound_field
     from signorini_fenicsx.cli.solution_report import SolutionReport
-    from signorini_fenicsx.output.writing import write_solution
+    from signorini_fenicsx.output.writing import Found, SolutionFiles
 
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, verbose=verbose, as_json=as_json)
     if not 0 <= refine <= MOST_LEVELS:
         raise InputError(f"--refine {refine}: must be between 0 and {MOST_LEVELS}")
     problem = any_case(comm, case, settings, h=h)
     domain, v = field_of_case(problem, str(field), name, refine, comm)
-
-    def on_step(row: "Step") -> None:
-        report.step(row)
-        end_if_told(comm)
-
     with ResultsFolder(comm, results_place(output, f"{problem.name}-certify")) as folder:
         report.begin(problem, comm)
-        write = partial(write_solution, folder=folder.path, plot=plot)
-        with failure_kept(folder, write):
-            solution = solve_case(problem, comm, domain=domain, on_step=on_step)
-            bounds = bound_field(solution, v)
-        write(solution, certificate=bounds.certificate, of_field=bounds)
-        folder.publish()
-        report.solution(solution, bounds.certificate)
-        report.field(bounds)
+        with failure_kept(folder, plot=plot):
+            solution = solve_case(problem, comm, domain=domain, on_step=report.followed(comm))
+        files = SolutionFiles(solution).publish(folder)
+        bounds = folder.attempt("error bound", lambda: bound_field(solution, v))
+        found = Found() if bounds is None else Found(certificate=bounds.certificate, of_field=bounds)
+        files.publish_others(folder, found, plot=plot)
+        report.solution(solution, found)
         report.published(folder.target)

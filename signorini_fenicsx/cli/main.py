@@ -18,7 +18,14 @@ from mpi4py import MPI
 from rich.console import Console
 
 from signorini_fenicsx.base import local_options, progress
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_FAILED,
+    EXIT_LATER,
+    InputError,
+    LaterFailure,
+    NumericalFailure,
+)
 from signorini_fenicsx.base.parallel import (
     FORWARDING,
     abort_all_on_exception,
@@ -29,8 +36,6 @@ from signorini_fenicsx.base.parallel import (
 from signorini_fenicsx.base.signals import Interruption, listen_again, listening, outlive_readers
 from signorini_fenicsx.cli.app import app
 
-EXIT_FAILED = 1
-EXIT_BAD_INPUT = 2
 LOCAL = "--local-options"
 """Any command takes this word: configuration files of libraries in the current folder are read, see `local_options`."""
 MAX_WORDS = 800, 200
@@ -46,7 +51,7 @@ def _run(command: Callable[[], object]) -> int:
         return EXIT_BAD_INPUT
     except NumericalFailure as failure:
         _complain("failed", str(failure))
-        return EXIT_FAILED
+        return EXIT_LATER if isinstance(failure, LaterFailure) else EXIT_FAILED
     except OSError as error:  # a full disk, a folder that is gone; an impossible path
         is_input = error.errno == errno.ENAMETOOLONG
         _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")

@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
+from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.cli.case_report import CaseReport
-from signorini_fenicsx.contact.history import Step
+from signorini_fenicsx.contact.history import OnStep, Step
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
-    from signorini_fenicsx.rigorous.proof import Proof
+    from signorini_fenicsx.output.writing import Found
     from signorini_fenicsx.rigorous.proven import Proven
 
 PARTS = {"gap": "energy gap", "oscillation": "data within cells", "remainder": "solver and penalty"}
@@ -42,6 +43,15 @@ class SolutionReport(CaseReport):
         counts = "".join(f"{name:>9}" for name in names)
         self.table(f"{'n':>4}{counts} {'‖δσ‖_V':>10} {'‖δu‖_Q':>10} {'seconds':>9}")
 
+    def followed(self, comm: MPI.Comm) -> OnStep:
+        """What is to be called after each iteration: it prints it, and ends the run if a signal has told so."""
+
+        def on_step(row: Step) -> None:
+            self.step(row)
+            end_if_told(comm)
+
+        return on_step
+
     def step(self, row: Step) -> None:
         """Print an iteration with sites as soon as it is done; of many on a terminal only those such as 30 or 400."""
         if row.sites == 0:
@@ -56,15 +66,9 @@ class SolutionReport(CaseReport):
         changes = f"{row.sigma_change:10.2e} {row.u_change:10.2e} {row.seconds:9.2f}"
         self.row(f"{row.iteration:4d}{counts} {changes}{' rough' * row.rough}")
 
-    def solution(
-        self,
-        result: Solved,
-        certificate: Certificate,
-        proof: Proof | None = None,
-        quantities: Mapping[str, Quantity] | None = None,
-    ) -> None:
-        """Print the summary of a finished run (collective)."""
-        summary, water = result.summary(), seepage(result)
+    def solution(self, result: Solved, found: Found) -> None:
+        """Print the summary of a finished run, and what is known of its solution (collective)."""
+        summary, water, certificate = result.summary(), seepage(result), found.certificate
         rough = f", {summary['rough_steps']} of them rough" if summary["rough_steps"] else ""
         lines = {
             "converged": f"{summary['reason']} after {counted(summary['iterations'], 'iteration')}{rough}",
@@ -77,18 +81,21 @@ class SolutionReport(CaseReport):
         }
         if "errors" in summary:
             lines["errors"] = named(summary["errors"], ".4e")
-        lines["certified"] = bound(certificate)
-        if (error := summary.get("errors", {}).get("energy", 0.0)) > 0 and math.isfinite(certificate.bound):
-            lines["certified"] += f"; bound/error {certificate.bound / error:.3g}" if not certificate.of else ""
-        if proof is not None and proof.proven is not None:
-            lines["proved"] = proved(proof.proven, certificate.error, proof.seconds)
-        lines |= {name: interval(quantity) for name, quantity in (quantities or {}).items()}
+        if certificate is not None:
+            lines["certified"] = bound(certificate)
+            if (error := summary.get("errors", {}).get("energy", 0.0)) > 0 and math.isfinite(certificate.bound):
+                lines["certified"] += f"; bound/error {certificate.bound / error:.3g}" if not certificate.of else ""
+            if found.proof is not None and found.proof.proven is not None:
+                lines["proved"] = proved(found.proof.proven, certificate.error, found.proof.seconds)
+        lines |= {name: interval(quantity) for name, quantity in (found.quantities or {}).items()}
         lines["seconds"] = named(summary["timings"], ".2f")
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
         self.notes(result.spaces.notices)
+        if found.of_field is not None:
+            self._field(found.of_field)
 
-    def field(self, bound: FieldBound) -> None:
+    def _field(self, bound: FieldBound) -> None:
         """Print how wrong a function of the user is."""
         share = f", {100 * bound.relative:.3g} % of ‖σ_h‖" if bound.relative < 1 else ""
         repair = "" if bound.repair is None else f"; it is {bound.repair:.1e} from an admissible function"

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from signorini_fenicsx.cases.case import Case, CaseFile
     from signorini_fenicsx.certificate.certificate import Certificate
-    from signorini_fenicsx.contact.history import Step
     from signorini_fenicsx.quantities import Quantity
     from signorini_fenicsx.rigorous.proof import Proof
     from signorini_fenicsx.solving.solved import Solved
@@ -65,19 +64,14 @@ def solve(
     from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.checkpoint import load_solution
-    from signorini_fenicsx.output.writing import write_solution
+    from signorini_fenicsx.output.writing import Found, SolutionFiles
 
     said = {"quiet": quiet, "verbose": verbose, "as_json": as_json}
-    comm, report, write = MPI.COMM_WORLD, SolutionReport(**said), partial(write_solution, plot=plot, html=html)
-
-    def on_step(row: "Step") -> None:
-        report.step(row)
-        end_if_told(comm)
-
+    comm, report = MPI.COMM_WORLD, SolutionReport(**said)
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
-    _refuse_lacking(problem, {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini})
     only_steady = {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini}
+    _refuse_lacking(problem, only_steady)
     if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
         from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 
@@ -88,25 +82,28 @@ def solve(
         on_root(comm, lambda: _check_provable(problem))
     with ResultsFolder(comm, results_place(output, problem.name)) as folder:
         report.begin(problem, comm)
-        with failure_kept(folder, lambda state: write(state, folder.path)):
+        with failure_kept(folder, plot=plot, html=html):
             start = None if start_from is None else load_solution(start_from, comm)
-            solution = solve_case(problem, comm, domain=shared_domain(start, problem), start=start, on_step=on_step)
-            certificate = certify(solution, for_signorini=for_signorini or rigorous)
-            proof = _proof(solution, certificate) if rigorous else None
-            quantities = quantities_of(solution)
-        write(solution, folder.path, certificate=certificate, proof=proof, quantities=quantities)
-        folder.publish()
-        report.solution(solution, certificate, proof, quantities)
+            solution = solve_case(
+                problem, comm, domain=shared_domain(start, problem), start=start, on_step=report.followed(comm)
+            )
+        files = SolutionFiles(solution).publish(folder)
+        certificate = folder.attempt("error bound", lambda: certify(solution, for_signorini=for_signorini or rigorous))
+        proof = folder.attempt("proof", lambda: _proof(solution, certificate)) if rigorous else None
+        quantities = folder.attempt("quantities", lambda: quantities_of(solution))
+        found = Found(certificate=certificate, proof=proof, quantities=quantities)
+        files.publish_others(folder, found, plot=plot, html=html)
+        report.solution(solution, found)
         report.published(folder.target)
         if proof is not None and proof.proven is None:
-            raise NumericalFailure(f"the bound is not proved: {proof.reason}; the results are in {folder.target}")
+            raise NumericalFailure(f"the bound is not proved: {proof.reason}")
 
 
-def _proof(solution: Any, certificate: "Certificate") -> "Proof":
-    """The proof of a bound, whose library takes a second to load (collective)."""
+def _proof(solution: Any, certificate: "Certificate | None") -> "Proof | None":
+    """The proof of a bound, whose library takes a second to load; None without a bound (collective)."""
     from signorini_fenicsx.rigorous.proof import proof_of
 
-    return proof_of(solution, certificate.v)
+    return None if certificate is None else proof_of(solution, certificate.v)
 
 
 def _is_in_time(
@@ -185,20 +182,17 @@ def adapt(
       signorini adapt my-case.toml --quantity discharge --width 0.01
     """
     from signorini_fenicsx.cases.solving import adapt_case
-    from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, AdaptRow
+    from signorini_fenicsx.certificate.adaptive import AdaptRow
     from signorini_fenicsx.cli.adapt_report import AdaptReport
-    from signorini_fenicsx.output.writing import write_adapt, write_solution
+    from signorini_fenicsx.output.writing import Found, SolutionFiles, draw_adapt, write_adapt
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
-    wanted, part, narrow = _checked(target, max_cells, theta, quantity, width)
-    most = max_cells or DEFAULT_MAX_CELLS
+    wanted, part, narrow, most = _checked(target, max_cells, theta, quantity, width)
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
     values = option.overrides(settings, **options)
-    problem = on_root(comm, lambda: _on_first_mesh(case, values))
-    refuse_idle(problem, **options)
+    problem = on_root(comm, lambda: _on_first_mesh(case, values, options))
     _refuse_lacking(problem, {"--html": html})
-    rows: list[AdaptRow] = []
-    measured, measure = _measuring(problem, quantity)
+    rows, (measured, measure) = list[AdaptRow](), _measuring(problem, quantity)
 
     def on_row(row: AdaptRow) -> None:
         rows.append(row)
@@ -209,38 +203,31 @@ def adapt(
     with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
         report.heading(problem, comm)
         report.columns(wanted, most, {} if quantity is None else {quantity: narrow})
-        with failure_kept(folder, lambda state: write_solution(state, folder.path, plot=plot, html=html)):
+        with failure_kept(folder, plot=plot, html=html):
             solution, certificate = refined(theta=part)
-            quantities = dict(measured)
-            if uniform:
-                refined(theta=1.0)
-        write_solution(solution, folder.path, certificate=certificate, quantities=quantities, plot=plot, html=html)
-        write_adapt(solution, rows, folder.path)
-        _refuse_missed(folder, most, certificate, wanted, quantities, narrow)
-        folder.publish()
+        quantities = dict(measured)
+        missed, table = _missed(certificate, wanted, quantities, narrow), partial(write_adapt, rows, comm)
+        files = SolutionFiles(solution).publish(folder, failed=bool(missed), others={"adapt.csv": table})
+        if uniform:
+            folder.attempt("uniform refinement", lambda: refined(theta=1.0))
+            folder.attempt("adapt.csv", partial(table, folder.path))
+        files.publish_others(folder, Found(certificate=certificate, quantities=quantities), plot=plot, html=html)
+        folder.attempt("pictures of the refinement", partial(draw_adapt, solution, rows, folder.path))
+        if missed:
+            raise NumericalFailure(f"{missed}, with the largest mesh of at most {most} cells; {folder.last_state()}")
         report.adapted(rows, solution.best_rate, certificate, quantities)
         report.published(folder.target)
 
 
-def _refuse_missed(
-    folder: ResultsFolder,
-    most: int,
-    certificate: "Certificate",
-    target: float | None,
-    quantities: "Mapping[str, Quantity]",
-    width: float | None,
-) -> None:
-    """Tell that a run of so many cells at most ended before one of its targets was reached (collective).
-
-    Raises:
-        NumericalFailure: If it did.
-    """
+def _missed(
+    certificate: "Certificate", target: float | None, quantities: "Mapping[str, Quantity]", width: float | None
+) -> str:
+    """How far a run was from its targets when it ended, in words; empty if it has reached one, or has none."""
     reached = [] if target is None else [("relative error", certificate.relative, target)]
     reached += [(f"length of {name}", each.width, width or 0.0) for name, each in quantities.items()]
-    if reached and all(not value <= limit for _, value, limit in reached):
-        told = ", ".join(f"{what} ≤ {value:.3g}, not {limit:g}" for what, value, limit in reached)
-        kept = folder.keep_failed()
-        raise NumericalFailure(f"{told}, with the largest mesh of at most {most} cells; the last state is in {kept}")
+    if any(value <= limit for _, value, limit in reached):
+        return ""
+    return ", ".join(f"{what} ≤ {value:.3g}, not {limit:g}" for what, value, limit in reached)
 
 
 def _measuring(case: "CaseFile", name: str | None) -> "tuple[dict[str, Quantity], Callable[[Solved], Quantity] | None]":
@@ -265,12 +252,14 @@ def _measuring(case: "CaseFile", name: str | None) -> "tuple[dict[str, Quantity]
 
 def _checked(
     target: str | None, max_cells: int | None, theta: str, quantity: str | None, width: str | None
-) -> tuple[float | None, float, float | None]:
-    """The relative error to reach, the share of the error to refine, and the length of an interval to reach.
+) -> tuple[float | None, float, float | None, int]:
+    """The relative error to reach, the share of the error to refine, the length of an interval to reach, most cells.
 
     Raises:
         InputError: If one of the options of `adapt` is not valid, or none of them defines the end.
     """
+    from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS
+
     if (quantity is None) is not (width is None):
         raise InputError("adapt: --quantity and --width, the length of its interval to reach, belong together")
     if target is None and max_cells is None and width is None:
@@ -281,11 +270,16 @@ def _checked(
         raise InputError(f"--theta {theta}: must be between {MIN_THETA:g}, which refines hardly anything, and 1")
     if max_cells is not None and max_cells < 1:
         raise InputError(f"--max-cells {max_cells}: must be at least 1")
-    return wanted, part, None if width is None else option.positive("--width", width)
+    narrow = None if width is None else option.positive("--width", width)
+    return wanted, part, narrow, max_cells or DEFAULT_MAX_CELLS
 
 
-def _on_first_mesh(name: str, values: dict[str, object]) -> "CaseFile":
-    """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0)."""
+def _on_first_mesh(name: str, values: dict[str, object], options: Mapping[str, object]) -> "CaseFile":
+    """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0).
+
+    Raises:
+        InputError: If it is not valid, or its method does not have one of these options.
+    """
     from signorini_fenicsx.cases.case import load_case
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
     from signorini_fenicsx.meshes.shapes import shape_of
@@ -293,7 +287,9 @@ def _on_first_mesh(name: str, values: dict[str, object]) -> "CaseFile":
     case = load_case(name)
     shape = case.with_values(values).geometry.shape
     first = {} if shape is None else {"solve.h": shape_of(shape).diameter / FIRST_MESH}
-    return case.with_values(first | values)
+    problem = case.with_values(first | values)
+    refuse_idle(problem, **options)
+    return problem
 
 
 def export(
@@ -316,7 +312,7 @@ def export(
     from signorini_fenicsx.certificate.certify import certify
     from signorini_fenicsx.cli.case_report import CaseReport
     from signorini_fenicsx.output.checkpoint import load_solution
-    from signorini_fenicsx.output.writing import write_solution
+    from signorini_fenicsx.output.writing import Found, SolutionFiles
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet, as_json=as_json)
     own = os.path.realpath(output or results) == os.path.realpath(results)
@@ -329,8 +325,8 @@ def export(
         raise InputError(f"{results}: is a run in time, whose last step would replace it; give --output")
     with ResultsFolder(comm, output or results) as folder:
         report.heading(solution, comm)
-        certified = solution.converged and not is_step  # the bound of a step needs the steps before
-        certificate = certify(solution, for_signorini=for_signorini) if certified else None
-        write_solution(solution, folder.path, certificate=certificate, plot=plot, html=html)
-        folder.publish(add=own)
+        files, certificate = SolutionFiles(solution).publish(folder, add=own), None
+        if solution.converged and not is_step:  # the bound of a step needs the steps before
+            certificate = folder.attempt("error bound", lambda: certify(solution, for_signorini=for_signorini))
+        files.publish_others(folder, Found(certificate=certificate), plot=plot, html=html)
         report.published(folder.target)

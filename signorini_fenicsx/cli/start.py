@@ -9,7 +9,7 @@ EXIT_BAD_INPUT = 2
 
 
 def main() -> None:
-    """Entry point; exit status 2 without DOLFINx.
+    """Entry point; exit status 2 without DOLFINx, or without a home, in which DOLFINx keeps compiled forms.
 
     On several ranks NumPy and MUMPS have one thread each, unless OMP_NUM_THREADS says otherwise: the threads of one
     rank would wait for those of another one.
@@ -21,6 +21,9 @@ def main() -> None:
             "pip install 'signorini_fenicsx[dolfinx]', or use a Python that has it, such as that of Debian's "
             "python3-dolfinx\n"
         )
+        sys.exit(EXIT_BAD_INPUT)
+    if os.path.expanduser("~") == "~":
+        sys.stderr.write("error: HOME is not set, and the system knows no home of this user; set HOME to a folder\n")
         sys.exit(EXIT_BAD_INPUT)
     from mpi4py import MPI
 

@@ -52,10 +52,10 @@ def study(
         if retry_failed:
             on_root(comm, lambda: folder.forget_failures(runs))
         with Progress(runs, folder, comm, report) as progress:
-            run_study(
+            undrawn = run_study(
                 runs, declared.ranks_per_run, folder, comm, title=declared.title or declared.name, on_run=progress.say
             )
         report.results(folder.path)
         if as_json:
             report.json(on_root(comm, lambda: listing(declared, runs, folder)))
-        check_all_succeeded(runs, folder, comm)
+        check_all_succeeded(runs, folder, comm, undrawn)

@@ -61,7 +61,7 @@ class StudyReport(Report):
 
 def _end(record: Record) -> str:
     """How a run ended: its seconds, and why it failed."""
-    return f"  {record.seconds:.1f} s" + (f"  {record.reason}" if record.status is Status.FAILED else "")
+    return f"  {record.seconds:.1f} s" + ("" if record.complete else f"  {record.reason}")
 
 
 def listing(study: Study, runs: Sequence[Run], folder: StudyFolder) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.progress import doing
+from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
@@ -24,6 +26,8 @@ from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.solved import Solved
 
 BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
+UNBOUNDED = {**dict.fromkeys(BOUNDS, math.inf), "guaranteed": False, "relies_on": "", "bound_is": ""}
+"""What a row has in the place of a bound that could not be found."""
 
 
 def row_of(
@@ -63,12 +67,12 @@ def _relies_on(certificate: Certificate) -> str:
 
 
 def write_evolution(
-    folder: Path, steps: StepFolder, last: Instant, quantities: Mapping[str, Quantity], *, plot: bool
+    results: ResultsFolder, steps: StepFolder, last: Instant, quantities: Mapping[str, Quantity], *, plot: bool
 ) -> None:
-    """Write all files of a run in time into an existing folder (collective).
+    """Publish the results of a run in time, then add the fields of all steps, and pictures (collective).
 
     Args:
-        folder: The folder.
+        results: The folder.
         steps: All steps.
         last: The last of them.
         quantities: The intervals for its quantities, by their names.
@@ -77,26 +81,36 @@ def write_evolution(
     Raises:
         InputError: If the steps cannot be read.
         OSError: On all ranks, if the disk is full.
-        WriteFailure: If a library cannot write, at least on this rank.
     """
     solution, rows = last.solution, steps.rows()
     comm, kind = solution.spaces.mesh.comm, type(solution.table())
 
-    def tables() -> None:
-        write_rows(folder / "steps.csv", rows[0], rows)
-        _write_sites(folder, steps, rows, solution, kind)
-
-    on_root(comm, tables)
     times = [row["t"] for row in rows]
-    fields = solution.fields()
-    series = ((t, steps.fields(solution.spaces, step, fields)) for step, t in enumerate(times, start=1))
-    write_fields(folder, solution.spaces, series, len(times))
-    write_checkpoint(folder, solution)
-    if plot:
+
+    def tables() -> None:
+        write_rows(results.path / "steps.csv", dict.fromkeys(key for row in rows for key in row), rows)
+        _write_sites(results.path, steps, rows, solution, kind)
+
+    def write() -> None:
+        fields = solution.fields()
+        series = ((t, steps.fields(solution.spaces, step, fields)) for step, t in enumerate(times, start=1))
+        write_fields(results.path, solution.spaces, series, len(times))
+
+    def draw() -> None:
         with doing("drawing"):
-            _draw(folder, steps, rows, times, solution, kind)
-    summary = with_quantities(solution.summary(), quantities)
-    on_root(comm, lambda: write_summary(folder, summary | _along(rows)))
+            _draw(results.path, steps, rows, times, solution, kind)
+
+    def summarise() -> None:
+        summary = with_quantities(solution.summary(), quantities)
+        on_root(comm, lambda: write_summary(results.path, summary | _along(rows)))
+
+    write_checkpoint(results.path, solution)
+    results.attempt("tables", lambda: on_root(comm, tables))
+    results.attempt("summary", summarise)
+    results.publish()
+    results.attempt("fields", write)
+    if plot:
+        results.attempt("pictures", draw)
 
 
 def _along(rows: Sequence[Row]) -> dict[str, Any]:

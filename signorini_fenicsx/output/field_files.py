@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -38,16 +39,21 @@ def write_fields(folder: Path, spaces: MeshSpaces, times: Iterable[tuple[float |
     """
     vtx: dict[str, Vtx] = {}
     xdmf = Xdmf(folder, spaces)
-    for t, fields in times:
-        give_back_memory()  # the files take more than the fields
-        for name, of_file in fields.items():
-            if name not in vtx:
-                vtx[name] = Vtx(folder / f"{name}.bp", spaces, number, in_cells=name == IN_CELLS)
-            vtx[name].write(t or 0.0, of_file)
-        xdmf.write(t, fields)
-    for file in vtx.values():
-        file.close()
-    xdmf.close()
+    try:
+        for t, fields in times:
+            give_back_memory()  # the files take more than the fields
+            for name, of_file in fields.items():
+                if name not in vtx:
+                    vtx[name] = Vtx(folder / f"{name}.bp", spaces, number, in_cells=name == IN_CELLS)
+                vtx[name].write(t or 0.0, of_file)
+            xdmf.write(t, fields)
+        for file in vtx.values():
+            file.close()
+        xdmf.close()
+    except BaseException:
+        for file in vtx.values():
+            file.leave_open()
+        raise
 
 
 def check_room(folder: Path, sizes: Mapping[str, int]) -> None:
@@ -76,8 +82,6 @@ class Vtx:
     The format is BP4: with ADIOS2's newer BP5, several ranks wait for each other forever if the disk is full.
     """
 
-    _file: io.VTXWriter
-
     def __init__(self, path: Path, spaces: MeshSpaces, times: int, *, in_cells: bool):
         """Keep what the file is; nothing on disk changes.
 
@@ -90,6 +94,7 @@ class Vtx:
         self._path, self._times, self._in_cells = path, times, in_cells
         self._spaces: Any = spaces  # those with linear fields on subcells have their mesh
         self._functions: list[fem.Function] = []
+        self._file: Any = None
 
     def write(self, t: float, fields: Sequence[Field]) -> None:
         """Write the fields of a time.
@@ -116,13 +121,17 @@ class Vtx:
         heads = 12_000 + 3_000 * comm.size + 7_000 * self._times
         size = topology.index_map(topology.dim).size_global * of_cell + heads
         on_root(comm, lambda: check_room(self._path.parent, {self._path.name: size}))
-        with _told():
+        with _told(), _with_home():
             self._file = io.VTXWriter(comm, self._path, self._functions, engine="BP4")
 
     def close(self) -> None:
         """Write what is left."""
         with _told():
             self._file.close()
+
+    def leave_open(self) -> None:
+        """Never close the file, even when it is freed: that would wait for other ranks, or abort the process."""
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._file))
 
     def _function(self, field: Field) -> fem.Function:
         mesh = self._spaces.mesh if self._in_cells else self._spaces.Lambda.mesh
@@ -156,8 +165,20 @@ def _on_subcells(values: Array) -> Array:
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """Tell if ADIOS2 fails. The file then stays open: closing would wait for other ranks, or abort."""
+    """Tell if ADIOS2 fails."""
     try:
         yield
-    except RuntimeError as error:  # kept as the cause: it holds the open file
+    except RuntimeError as error:
         raise WriteFailure("the fields for ParaView cannot be written") from error
+
+
+@contextmanager
+def _with_home() -> Iterator[None]:
+    """Set HOME in this context if it is not set: ADIOS2 looks for its settings there, and ends the process without."""
+    key, is_set = "HOME", "HOME" in os.environ
+    os.environ.setdefault(key, os.devnull)
+    try:
+        yield
+    finally:
+        if not is_set:
+            del os.environ[key]

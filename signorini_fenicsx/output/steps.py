@@ -100,6 +100,9 @@ class StepFolder:
         beyond = self._places()[about["time"]["steps"] :]  # if there are to be fewer steps
         for entry in [*self.path.glob("*.part"), *beyond]:
             delete(entry)
+        with self._told():
+            for array in self.path.glob("*/*.npy"):
+                read_header(array)  # damage is bad input, so it is told before anything is solved
         return len(self._places())
 
     def _places(self) -> list[Path]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self
 
 from mpi4py import MPI
 
@@ -17,6 +19,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
+from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import CaseFile
@@ -37,6 +40,162 @@ from signorini_fenicsx.solving.solved import Solved
 if TYPE_CHECKING:  # SciPy takes a second to load
     from signorini_fenicsx.rigorous.proof import Proof
 
+type Write = Callable[[Path], None]
+"""Writes files into a folder."""
+NONE: Mapping[str, Write] = MappingProxyType({})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What is known of a solution beside itself.
+
+    Attributes:
+        certificate: Its error bound, or None.
+        proof: The result of the attempt to prove the bound, or None.
+        quantities: Intervals of quantities by their names, or None.
+        of_field: How wrong a function of the user is, or None.
+    """
+
+    certificate: Certificate | None = None
+    proof: Proof | None = None
+    quantities: Mapping[str, Quantity] | None = None
+    of_field: FieldBound | None = None
+
+    def added_to(self, summary: dict[str, Any]) -> dict[str, Any]:
+        """The summary of the solution with what is known (collective)."""
+        certificate = self.certificate
+        if certificate is not None:
+            about = certificate.summary() | ({} if self.proof is None else self.proof.summary())
+            timings = summary["timings"] | {"certificate": certificate.seconds}
+            summary = summary | {"certificate": about, "timings": timings}
+        summary = with_quantities(summary, self.quantities or {})
+        return summary if self.of_field is None else summary | {"field": self.of_field.summary()}
+
+
+class SolutionFiles:
+    """Writes the files of a solution into folders. Its methods are collective.
+
+    Each of them raises an OSError on all ranks if the disk is full, and a `WriteFailure` if a library cannot write, at
+    least on this rank.
+    """
+
+    def __init__(self, solution: Solved, found: Found | None = None):
+        """Keep what is to be written; nothing on disk changes."""
+        self._solution, self._comm, self.found = solution, solution.spaces.mesh.comm, found or Found()
+        self._watch = Stopwatch()
+
+    def publish(
+        self, results: ResultsFolder, *, add: bool = False, failed: bool = False, others: Mapping[str, Write] = NONE
+    ) -> Self:
+        """Publish the solution: its checkpoint, and with it tables and summary, see `ResultsFolder`.
+
+        Args:
+            results: The folder.
+            add: Keep earlier results with other names.
+            failed: Keep it as that of a failed run.
+            others: Further tables, what they are and what writes them into a folder.
+
+        Returns:
+            This object.
+        """
+        self.checkpoint(results.path)
+        for what, write in {"tables": self.tables, "summary": self.summary, **others}.items():
+            results.attempt(what, partial(write, results.path))
+        results.keep_failed() if failed else results.publish(add=add)
+        return self
+
+    def publish_others(
+        self, results: ResultsFolder, found: Found, *, plot: bool = False, html: bool = False, fields: bool = True
+    ) -> None:
+        """Add what is known beside the solution, and pictures and fields, for which no solution may be lost.
+
+        Args:
+            results: The folder, in which the solution is published.
+            found: What is known.
+            plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
+            html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
+            fields: Also write the fields for ParaView.
+        """
+        self.found = found
+        wanted = {"pictures": self.pictures, "solution.html": self.page, "fields": self.fields}
+        chosen = [what for what, given in zip(wanted, (plot, html, fields), strict=True) if given]
+        for what in ["summary", *chosen, "summary"]:
+            results.attempt(what, partial(wanted.get(what, self.summary), results.path))
+
+    def checkpoint(self, folder: Path) -> None:
+        """Write the solution itself."""
+        with self._watch.phase("output"):
+            write_checkpoint(folder, self._solution)
+
+    def tables(self, folder: Path) -> None:
+        """Write the tables of sites, of iterations, and others that the physics has."""
+        with self._watch.phase("output"):
+            write_sites(folder, self._solution)
+            others = self._solution.other_tables()
+            if self._line is not None:
+                others |= {"phreatic_line": dict(zip(("x", "y"), self._line.T, strict=True))}
+            for name, columns in others.items():
+                on_root(self._comm, partial(write_columns, folder / f"{name}.csv", [columns]))
+            history = self._solution.outcome.history
+            on_root(self._comm, lambda: write_table(folder / "history.csv", Step, history))
+
+    def summary(self, folder: Path) -> None:
+        """Write `summary.json`."""
+        with self._watch.phase("output"):
+            summary = self.found.added_to(self._about)
+        timings = summary["timings"] | self._watch.longest(self._comm)
+        on_root(self._comm, lambda: write_summary(folder, summary | {"timings": timings}))
+
+    def pictures(self, folder: Path) -> None:
+        """Draw PNGs."""
+        self._draw(lambda pictures, scene: pictures.draw_all(folder, scene))
+        if self.found.of_field is not None:
+            _draw_field(folder / "field.png", self.found.of_field)
+
+    def page(self, folder: Path) -> None:
+        """Write `solution.html`."""
+        self._draw(lambda pictures, scene: pictures.write_page(folder / "solution.html", scene))
+
+    def fields(self, folder: Path) -> None:
+        """Write the fields for ParaView."""
+        with self._watch.phase("output"):
+            of_files = dict(self._solution.fields())
+            bounds = [each for each in (self.found.certificate, self.found.of_field) if each is not None]
+            indicators = [Field(each.indicator.name, owned_values(each.indicator)) for each in bounds]
+            of_files[IN_CELLS] = [*of_files[IN_CELLS], *indicators]
+            write_fields(folder, self._solution.spaces, [(None, of_files)], 1)
+
+    def _draw(self, drawn: Callable[[Any, Any], None]) -> None:
+        """Draw the scene of the solution, perhaps with a phreatic line, on rank 0."""
+        from signorini_fenicsx.output import pictures  # takes a second to import
+
+        with self._watch.phase("output"), doing("drawing"):
+            scene = self._scene
+            on_root(self._comm, lambda: None if scene is None else drawn(pictures, scene))
+
+    @cached_property
+    def _scene(self) -> Any:
+        """The scene of the solution, perhaps with a phreatic line, on rank 0; None elsewhere."""
+        from signorini_fenicsx.output import pictures
+
+        return pictures.gathered_scene(self._solution, self.found.certificate, self._line)
+
+    @cached_property
+    def _water(self) -> Any:
+        """The water in Baiocchi's dam, or None."""
+        return seepage(self._solution)
+
+    @property
+    def _line(self) -> Array | None:
+        """The phreatic line, or None."""
+        return None if self._water is None else self._water.phreatic_line
+
+    @cached_property
+    def _about(self) -> dict[str, Any]:
+        """The summary of the solution itself."""
+        summary = self._solution.summary()
+        return summary if self._water is None else summary | {"seepage": self._water.summary()}
+
 
 @collector_off()
 def write_solution(
@@ -51,9 +210,9 @@ def write_solution(
     html: bool = False,
     fields: bool = True,
 ) -> None:
-    """Write all files of a solution into a folder, one after the other (collective).
+    """Write all files of a solution into a folder, one after the other, the solution itself first (collective).
 
-    `Solution.write` writes them completely or not at all, and leaves nothing of an earlier result.
+    `Solution.write` writes them so that nothing of an earlier result is left.
 
     Args:
         solution: The solution.
@@ -73,41 +232,12 @@ def write_solution(
     """
     check_kind("solution", solution, Solved)
     check_kind("folder", folder, str, Path)
-    folder, comm, watch = Path(folder), solution.spaces.mesh.comm, Stopwatch()
-    on_root(comm, lambda: _make(folder))
-    with watch.phase("output"):
-        write_checkpoint(folder, solution)  # first: it is complete even if the disk is too full for the others
-        write_sites(folder, solution)
-        water, others = seepage(solution), solution.other_tables()
-        line = None if water is None else water.phreatic_line
-        if line is not None:
-            others |= {"phreatic_line": dict(zip(("x", "y"), line.T, strict=True))}
-        for name, columns in others.items():
-            on_root(comm, partial(write_columns, folder / f"{name}.csv", [columns]))
-        if plot or html:
-            with doing("drawing"):
-                draw(folder, solution, certificate, line, plot=plot, html=html)
-        if plot and of_field is not None:
-            _draw_field(folder / "field.png", of_field)
-        on_root(comm, lambda: write_table(folder / "history.csv", Step, solution.outcome.history))
-        if fields:
-            of_files, bounds = dict(solution.fields()), [each for each in (certificate, of_field) if each is not None]
-            indicators = [Field(each.indicator.name, owned_values(each.indicator)) for each in bounds]
-            of_files[IN_CELLS] = [*of_files[IN_CELLS], *indicators]
-            write_fields(folder, solution.spaces, [(None, of_files)], 1)
-        summary = solution.summary()
-        if water is not None:
-            summary["seepage"] = water.summary()
-        if certificate is not None:
-            summary["certificate"] = certificate.summary()
-            summary["timings"] |= {"certificate": certificate.seconds}
-        if proof is not None:
-            summary["certificate"] |= proof.summary()
-        summary = with_quantities(summary, quantities or {})
-        if of_field is not None:
-            summary["field"] = of_field.summary()
-    summary["timings"] |= watch.longest(comm)
-    on_root(comm, lambda: write_summary(folder, summary))
+    found = Found(certificate=certificate, proof=proof, quantities=quantities, of_field=of_field)
+    place, files = Path(folder), SolutionFiles(solution, found)
+    on_root(solution.spaces.mesh.comm, lambda: _make(place))
+    chosen = [files.pictures] * plot + [files.page] * html + [files.fields] * fields
+    for write in (files.checkpoint, files.tables, files.summary, *chosen, files.summary):
+        write(place)
 
 
 def with_quantities(summary: dict[str, Any], quantities: Mapping[str, Quantity]) -> dict[str, Any]:
@@ -145,25 +275,6 @@ def write_sites(folder: Path, solution: Solved) -> None:
     on_root(comm, lambda: write_columns(folder / f"{table.name}.csv", [solution.columns(whole)]))
 
 
-def draw(
-    folder: Path, solution: Solved, certificate: Certificate | None, line: Array | None, *, plot: bool, html: bool
-) -> None:
-    """Draw a solution, perhaps with a phreatic line, on rank 0 (collective)."""
-    gathered = gather(solution, None if certificate is None else certificate.indicator)
-
-    def write() -> None:
-        if gathered is not None:
-            from signorini_fenicsx.output import pictures  # takes a second to import
-
-            scene = pictures.scene_of(solution, gathered, certificate, line)
-            if plot:
-                pictures.draw_all(folder, scene)
-            if html:
-                pictures.write_page(folder / "solution.html", scene)
-
-    on_root(solution.spaces.mesh.comm, write)
-
-
 def _draw_field(path: Path, of_field: FieldBound) -> None:
     """Draw how wrong a function is in each cell, on rank 0 (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
@@ -178,21 +289,17 @@ def _draw_field(path: Path, of_field: FieldBound) -> None:
     on_root(solution.spaces.mesh.comm, write)
 
 
-def write_convergence(
-    case: CaseFile, vary: Vary, reference: int, rows: list[ErrorRow], folder: Path, comm: MPI.Comm
+def publish_convergence(
+    case: CaseFile, vary: Vary, reference: int, rows: list[ErrorRow], results: ResultsFolder, comm: MPI.Comm
 ) -> None:
-    """Write `convergence.csv`, `convergence.png` and `summary.json` of a study (collective)."""
+    """Publish `convergence.csv` and `summary.json` of a study, then its picture (collective)."""
+    against = {
+        Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
+        Vary.EPS: "alg1 on the same mesh",
+    }.get(vary, f"alg1, h = 2^-{reference}")
 
     def write() -> None:
-        from signorini_fenicsx.output import pictures
-
-        write_rows(folder / "convergence.csv", rows[0].columns(), [row.columns() for row in rows])
-        against = {
-            Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
-            Vary.EPS: "alg1 on the same mesh",
-        }.get(vary, f"alg1, h = 2^-{reference}")
-        title = f"{case.name}, {case.solve.algorithm}, against {against}"
-        pictures.draw_errors(folder / "convergence.png", rows, vary, title)
+        write_rows(results.path / "convergence.csv", rows[0].columns(), [row.columns() for row in rows])
         summary = {
             "case": case.name,
             "algorithm": case.solve.algorithm,
@@ -202,24 +309,36 @@ def write_convergence(
             "slopes": fitted_slopes(rows, vary),
             "ranks": comm.size,
         }
-        write_summary(folder, summary)
+        write_summary(results.path, summary)
+
+    def draw() -> None:
+        from signorini_fenicsx.output import pictures  # takes a second to import
+
+        title = f"{case.name}, {case.solve.algorithm}, against {against}"
+        pictures.draw_errors(results.path / "convergence.png", rows, vary, title)
 
     on_root(comm, write)
+    results.publish()
+    results.attempt("picture", lambda: on_root(comm, draw))
 
 
-def write_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
-    """Write `adapt.csv`, `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
+def write_adapt(rows: list[AdaptRow], comm: MPI.Comm, folder: Path) -> None:
+    """Write `adapt.csv` of an adaptive run (collective)."""
+    on_root(comm, lambda: write_table(folder / "adapt.csv", type(rows[0]), rows))
+
+
+def draw_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
+    """Draw `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
 
     scene = pictures.gathered_scene(solution)
 
-    def write() -> None:
-        write_table(folder / "adapt.csv", type(rows[0]), rows)
+    def draw() -> None:
         pictures.draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
         if scene is not None:
             pictures.draw_mesh(folder / "mesh.png", scene)
 
-    on_root(solution.spaces.mesh.comm, write)
+    on_root(solution.spaces.mesh.comm, draw)
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:

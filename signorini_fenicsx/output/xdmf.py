@@ -193,7 +193,7 @@ def _in_space(field: Field) -> Array:
 
 def _first_of(masks: Mask) -> Indices:
     """The first column of each row that holds, or −1."""
-    return np.where(masks.any(axis=1), masks.argmax(axis=1), -1)
+    return np.column_stack([~masks.any(axis=1), masks]).argmax(axis=1) - 1
 
 
 def _parts(domain: Domain, facets: npt.NDArray[np.int32]) -> Indices:

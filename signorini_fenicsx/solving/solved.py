@@ -337,6 +337,8 @@ class Solved(ABC):
     ) -> None:
         """Write the files of the command line into a folder, where they replace an earlier result (collective).
 
+        The solution itself is there first, whatever fails afterwards.
+
         Args:
             folder: The folder; it is created if it does not exist.
             certificate: Its error bound, which is written as well.
@@ -345,12 +347,13 @@ class Solved(ABC):
 
         Raises:
             InputError: If the folder cannot be written or contains other files.
+            LaterFailure: If the solution is written, but not all of the others.
         """
-        from signorini_fenicsx.output.writing import write_solution
+        from signorini_fenicsx.output.writing import Found, SolutionFiles
 
         with ResultsFolder(self.spaces.mesh.comm, folder) as place:
-            write_solution(self, place.path, certificate=certificate, plot=plot, html=html)
-            place.publish()
+            files = SolutionFiles(self).publish(place)
+            files.publish_others(place, Found(certificate=certificate), plot=plot, html=html)
 
     @collector_off()
     def summary(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, in_words
 from signorini_fenicsx.base.exchange import PARTIAL, clear, complete, failed_place
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.reading import text_of
@@ -54,9 +54,10 @@ class Record:
     Attributes:
         status: DONE or FAILED.
         summary: Its `summary.json`.
-        reason: Why the run ended, in words; empty if it measured errors.
+        reason: Why the run ended, in words; empty if it measured errors. If it is not complete, what failed.
         seconds: Wall time of the run.
         ranks: Number of its ranks.
+        complete: Whether it has a solution, and nothing that came after that failed.
     """
 
     status: Status
@@ -64,6 +65,7 @@ class Record:
     reason: str
     seconds: float
     ranks: int
+    complete: bool
 
 
 class StudyFolder:
@@ -128,26 +130,35 @@ class StudyFolder:
             InputError: If it is damaged.
         """
         status = self.status(run)
-        folder = self.place(run) if status is Status.DONE else failed_place(self.place(run))
+        folder = self._ended(run, status)
         try:
             summary = dict(json.loads(text_of(folder / "summary.json")))
             own = json.loads(text_of(folder / RECORD))
             reason = own.get("reason", summary.get("reason", ""))
-            return Record(status, summary, str(reason), float(own["seconds"]), int(own["ranks"]))
+            return Record(status, summary, str(reason), float(own["seconds"]), int(own["ranks"]), "reason" not in own)
         except (OSError, ValueError, TypeError, LookupError, RecursionError):
             raise InputError(f"{folder}: is damaged; delete it, and the run will be done again") from None
 
-    def forget_failures(self, runs: Sequence[Run]) -> None:
-        """Let failed runs be tried again (rank 0)."""
-        for run in runs:
-            if self.status(run) is Status.FAILED:
-                clear(self.place(run).parent, failed_place(self.place(run)))
+    def _ended(self, run: Run, status: Status) -> Path:
+        """The folder of a run that has ended with this status."""
+        return self.place(run) if status is Status.DONE else failed_place(self.place(run))
 
-    def write_tables(self, runs: Sequence[Run], title: str) -> None:
-        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, and a picture (rank 0).
+    def forget_failures(self, runs: Sequence[Run]) -> None:
+        """Let runs that failed, or are not complete, be tried again (rank 0)."""
+        for run in runs:
+            if (status := self.status(run)) is Status.FAILED or (
+                status is Status.DONE and not self.record(run).complete
+            ):
+                clear(self.place(run).parent, self._ended(run, status))
+
+    def write_tables(self, runs: Sequence[Run], title: str) -> str:
+        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, then a picture (rank 0).
 
         The table has one row per run, or per level of a run that measures errors: first what varies, then the results,
         then what is the same in all runs. What depends on how the study was launched is only in the timings.
+
+        Returns:
+            Why the picture cannot be drawn; empty if it can.
         """
         import pyarrow.parquet  # takes a second to import
 
@@ -168,10 +179,14 @@ class StudyFolder:
         part = self.path / "table.parquet.part"
         pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table), part)
         part.rename(part.with_suffix(""))
-        part = self.path / "study.part.png"
-        if draw_study(part, table, varied, title):
-            part.rename(self.path / "study.png")
         (self.path / "versions.json").write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
+        part = self.path / "study.part.png"
+        try:
+            if draw_study(part, table, varied, title):
+                part.rename(self.path / "study.png")
+        except Exception as error:
+            return f"study.png: {in_words(error)}; the tables are in {self.path}"
+        return ""
 
     def _open(self) -> None:
         try:

@@ -102,10 +102,12 @@ def scene_of(
     )
 
 
-def gathered_scene(solution: Solved, certificate: Certificate | None = None) -> Scene | None:
+def gathered_scene(
+    solution: Solved, certificate: Certificate | None = None, phreatic_line: Array | None = None
+) -> Scene | None:
     """The scene of a solution on rank 0; None elsewhere (collective)."""
     gathered = gather(solution, None if certificate is None else certificate.indicator)
-    return None if gathered is None else scene_of(solution, gathered, certificate)
+    return None if gathered is None else scene_of(solution, gathered, certificate, phreatic_line)
 
 
 def caption(solution: Solved, fields: Fields, certificate: Certificate | None) -> str:

@@ -100,14 +100,16 @@ def draw_errors(path: Path, rows: list[ErrorRow], vary: Vary, title: str) -> Non
 @mpl.rc_context(style.STYLE)
 def draw_quantities(path: Path, rows: Sequence[Mapping[str, Any]], title: str) -> None:
     """Draw quantities with their intervals over time, if the steps have some (rank 0)."""
-    names = [key[len(QUANTITY) : -len(VALUE)] for key in rows[0] if key.startswith(QUANTITY) and key.endswith(VALUE)]
+    keys = dict.fromkeys(key for row in rows for key in row if key.startswith(QUANTITY) and key.endswith(VALUE))
+    names = [key[len(QUANTITY) : -len(VALUE)] for key in keys]
     if not names:
         return
     sheet, times = Sheet([4.4], [2.2] * len(names), bars=False, title=title), [row["t"] for row in rows]
     for place, name in enumerate(names):
         axes = sheet.panel(place, 0)
         value, lower, upper = (
-            np.array([row[f"{QUANTITY}{name}.{key}"] for row in rows]) for key in ("value", "lower", "upper")
+            np.array([row.get(f"{QUANTITY}{name}.{key}", np.nan) for row in rows])
+            for key in ("value", "lower", "upper")
         )
         bounded = np.isfinite(lower) & np.isfinite(upper)
         axes.fill_between(times, lower, upper, where=bounded, color=style.CONTACT, alpha=0.3, linewidth=0)

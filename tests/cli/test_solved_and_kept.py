@@ -1,0 +1,261 @@
+"""A solution that exists is kept, whatever comes after it fails: one sentence, and exit status 3."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import meshio
+import pytest
+from commands import Ended, read_rows, run, signorini
+
+from signorini_fenicsx.cases import solving
+from signorini_fenicsx.certificate import adaptive, of_field
+from signorini_fenicsx.certificate.step_bounds import StepBounds
+from signorini_fenicsx.output import evolution, pictures, writing
+from signorini_fenicsx.physics.diffusion.bound import certify as bound
+from signorini_fenicsx.studies import picture
+
+SOLVE = ("example1", "--h", "1/4", "--output", "x", "-q")
+TIMES = ("moving_transition", "--h", "1/4", "--output", "x", "-q")
+THREE = ("--set", "time.steps=3", "--set", "time.end=0.3")
+FIELDS = {"solution.bp", "solution.xdmf", "solution.h5", "multiplier.bp", "multiplier.xdmf", "boundary.xdmf", "show.py"}
+TABLES = {"checkpoint", "facets.csv", "files.json", "history.csv"}
+BROKEN = "ValueError: it is broken"
+
+type Breaking = Callable[..., Ended]
+
+
+@pytest.fixture
+def breaking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Breaking:
+    """Runs a command while functions of modules fail."""
+
+    def failing(*_: object, **_options: object) -> object:
+        raise ValueError("it is broken")
+
+    def done(of: dict[str, Any], *arguments: str) -> Ended:
+        with monkeypatch.context() as during:
+            for name, place in of.items():
+                during.setattr(place, name, failing)
+            return signorini(tmp_path, *arguments)
+
+    return done
+
+
+def told(done: Ended) -> str:
+    """What a command says that has kept its solution, without the place."""
+    assert done.returncode == 3, done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    words, found, _ = done.stderr.partition("; the solution is in ")
+    assert found, done.stderr
+    return words.removeprefix("failed: ")
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_everything_fails(breaking: Breaking, tmp_path: Path):
+    """The checkpoint and the summary are there alone, and nothing of an earlier result; export does the rest."""
+    (tmp_path / "x").mkdir()
+    earlier = {"written_by": "signorini_fenicsx.base", "files": ["old.csv"]}
+    (tmp_path / "x" / "files.json").write_text(json.dumps(earlier))
+    (tmp_path / "x" / "old.csv").touch()
+    of = {"certificate_of": bound, "quantities_of": solving, "write_sites": writing, "write_fields": writing}
+    done = breaking(of | {"draw_all": pictures, "write_page": pictures}, "solve", *SOLVE, "--plot", "--html")
+    failed = ("tables", "error bound", "quantities", "pictures", "solution.html", "fields")
+    assert told(done) == "; ".join(f"{what}: {BROKEN}" for what in failed)
+    assert names(tmp_path / "x") == {"checkpoint", "files.json", "summary.json"}
+    assert json.loads((tmp_path / "x" / "summary.json").read_text())["converged"]
+    assert signorini(tmp_path, "export", "x", "-q").returncode == 0
+    assert names(tmp_path / "x") == FIELDS | TABLES | {"summary.json"}
+    assert names(tmp_path) == {"x"}
+
+
+def test_the_others_are_written(breaking: Breaking, tmp_path: Path):
+    done = breaking({"certificate_of": bound, "draw_all": pictures}, "solve", *SOLVE, "--plot", "--html")
+    assert told(done) == f"error bound: {BROKEN}; pictures: {BROKEN}"
+    assert names(tmp_path / "x") == FIELDS | TABLES | {"solution.html", "summary.json"}
+
+
+def test_export_and_certify_and_convergence(breaking: Breaking, tmp_path: Path):
+    assert signorini(tmp_path, "solve", *SOLVE).returncode == 0
+    assert told(breaking({"certificate_of": bound}, "export", "x", "-q", "--plot")) == f"error bound: {BROKEN}"
+    assert names(tmp_path / "x") >= {"overview.png", *FIELDS}
+    convergence = ("convergence", "example1", "--levels", "1:2", "--reference", "3", "--output", "y", "-q")
+    assert told(breaking({"draw_errors": pictures}, *convergence)) == f"picture: {BROKEN}"
+    assert names(tmp_path / "y") == {"convergence.csv", "files.json", "summary.json"}
+    points, cells = [[0, 0], [1, 0], [1, 1], [0, 1]], [("triangle", [[0, 1, 2], [0, 2, 3]])]
+    meshio.Mesh(points, cells, point_data={"u": [0.0] * 4}).write(tmp_path / "mine.vtu")
+    certify = ("certify", "example1", "--field", "mine.vtu", "--h", "1/4", "--output", "z", "-q")
+    assert told(breaking({"bound_field": of_field}, *certify)) == f"error bound: {BROKEN}"
+    assert names(tmp_path / "z") >= FIELDS | TABLES
+
+
+def test_adapt(breaking: Breaking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The uniform meshes for comparison, and pictures, come after; a bound that fails on a mesh leaves its solution."""
+    adapt = ("adapt", "example1", "--max-cells", "100", "--h", "1/2", "--output", "x", "-q")
+    assert told(breaking({"draw_bounds": pictures}, *adapt)) == f"pictures of the refinement: {BROKEN}"
+    assert names(tmp_path / "x") >= {"adapt.csv", "summary.json", *FIELDS}
+    assert told(breaking({"certificate_of": bound}, *adapt)) == BROKEN
+    assert names(tmp_path / "x") == FIELDS | TABLES | {"summary.json"}
+    dorfler = adaptive.dorfler
+
+    def adaptive_only(values: Any, theta: float, comm: Any) -> Any:
+        assert theta < 1, "it is broken"
+        return dorfler(values, theta, comm)
+
+    with monkeypatch.context() as during:
+        during.setattr(adaptive, "dorfler", adaptive_only)
+        done = signorini(tmp_path, *adapt, "--uniform", "--plot")
+    assert told(done).startswith("uniform refinement: AssertionError: it is broken")
+    assert {row["refinement"] for row in read_rows(tmp_path / "x" / "adapt.csv")} == {"adaptive", "uniform"}
+    assert names(tmp_path / "x") >= {"adapt.png", "mesh.png", "overview.png"}
+
+
+def test_times(breaking: Breaking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Bounds that fail in a step do not end the steps; if the fields fail, the steps stay, and a restart has them."""
+    certify = StepBounds.certify
+
+    def second_fails(bounds: StepBounds, instant: Any) -> object:
+        if instant.step == 2:
+            raise ValueError("it is broken")
+        return certify(bounds, instant)
+
+    with monkeypatch.context() as during:
+        during.setattr(StepBounds, "certify", second_fails)
+        done = signorini(tmp_path, "solve", *TIMES, *THREE, "--certify-steps")
+    assert told(done) == f"error bounds: {BROKEN}"
+    bounds = [float(row["bound"]) for row in read_rows(tmp_path / "x" / "steps.csv")]
+    assert [value < 1e9 for value in bounds] == [True, False, True]
+    largest = json.loads((tmp_path / "x" / "summary.json").read_text())["time"]["largest"]
+    assert (largest["bound"], largest["guaranteed"]) == (None, False)
+    assert names(tmp_path) == {"x"}
+    words = told(breaking({"write_fields": evolution, "quantities_of": solving}, "solve", *TIMES, *THREE, "--plot"))
+    assert words.startswith(
+        f"quantities: {BROKEN}; fields: {BROKEN}; `--restart` writes again what is made of the steps"
+    )
+    assert names(tmp_path / "x") >= {"checkpoint", "contact.png", "facets.csv", "steps.csv", "summary.json"}
+    assert names(tmp_path) == {"x", "x.steps"}
+    assert signorini(tmp_path, "solve", *TIMES, *THREE, "--restart").returncode == 0
+    assert names(tmp_path) == {"x"}
+    assert names(tmp_path / "x") >= FIELDS
+
+
+def test_study(breaking: Breaking, tmp_path: Path):
+    """A run whose bound fails is done, and its row says what failed; the picture comes last; both can be done again."""
+    (tmp_path / "s.toml").write_text('case = "example1"\n[vary]\nh = ["1/2", "1/4"]')
+    study = ("study", "s.toml", "--output", "s", "-q")
+    done = breaking({"certificate_of": bound}, *study)
+    assert done.returncode == 3
+    assert f"2 of 2 runs are solved, but not complete, the first one with h = 0.5: error bound: {BROKEN}" in done.stderr
+    rows = read_rows(tmp_path / "s" / "table.csv")
+    assert [(row["status"], row["reason"]) for row in rows] == 2 * [("done", f"error bound: {BROKEN}")]
+    assert all(float(row["contact_measure"]) >= 0 for row in rows)
+    done = breaking({"draw_study": picture}, *study, "--retry-failed")
+    assert done.returncode == 3
+    assert f"study.png: {BROKEN}; the tables are in" in done.stderr
+    rows = read_rows(tmp_path / "s" / "table.csv")
+    assert all(float(row["certificate.bound"]) > 0 for row in rows)
+    assert signorini(tmp_path, *study).returncode == 0
+    assert names(tmp_path / "s") >= {"study.png", "table.csv", "table.parquet", "versions.json"}
+
+
+def test_failed_runs_keep_their_state_without_pictures(breaking: Breaking, tmp_path: Path):
+    few = ("--set", "solve.max_iterations=1", "--no-predict", "--plot")
+    done = breaking({"draw_all": pictures}, "solve", *SOLVE, *few)
+    assert done.returncode == 1
+    assert f"the last state is in {tmp_path}/x.failed; pictures: {BROKEN}" in done.stderr
+    assert names(tmp_path / "x.failed") >= FIELDS | TABLES
+
+
+NO_PARTS = 'SetFactory("OpenCASCADE"); Disk(1) = {0, 0, 0, 1}; Physical Surface("all") = {1}; Mesh.MeshSizeMin = 0.5;'
+OPEN = '[geometry]\nfile = "disk.geo"\n[problem]\nf = -1\nobstacle = -0.1\n'
+
+
+def test_a_mesh_without_parts_and_no_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Without names of parts, and without HOME, which ADIOS2 reads, all files of fields are there."""
+    (tmp_path / "disk.geo").write_text(NO_PARTS)
+    (tmp_path / "open.toml").write_text(OPEN)
+    monkeypatch.setenv("XDG_CACHE_HOME", os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")))
+    monkeypatch.delenv("HOME")
+    done = run(tmp_path, "signorini", "solve", "open.toml", "-q", "--output", "x", "--plot", "--html", ranks=1)
+    assert done.returncode == 0, done.stderr
+    assert names(tmp_path / "x") >= {"boundary.xdmf", "overview.png", "solution.bp", "solution.html", "solution.xdmf"}
+    assert set(meshio.read(tmp_path / "x" / "boundary.xdmf").cell_data["part"][0]) == {-1}
+
+
+KILLED = """
+import os, signal, sys
+from signorini_fenicsx.output import writing
+writing.write_fields = lambda *arguments: os.kill(os.getpid(), signal.SIGKILL)
+from signorini_fenicsx.cli import main as cli
+cli.main()
+"""
+
+
+def test_a_kill_while_fields_are_written(tmp_path: Path):
+    """The solution, its bound and its pictures are there already."""
+    (tmp_path / "killed.py").write_text(KILLED)
+    done = run(tmp_path, sys.executable, "killed.py", "solve", *SOLVE, "--plot", ranks=1)
+    assert done.returncode == -9
+    assert names(tmp_path / "x") >= TABLES | {"overview.png"}
+    assert json.loads((tmp_path / "x" / "summary.json").read_text())["certificate"]["bound"] > 0
+
+
+ONE_RANK = """
+from mpi4py import MPI
+from signorini_fenicsx.base import parallel
+from signorini_fenicsx.cli import main as cli
+from signorini_fenicsx.output import writing
+from signorini_fenicsx.certificate import certify
+parallel.PATIENCE, whole, fields = 0.5, certify.certify, writing.write_fields
+def fail():
+    if MPI.COMM_WORLD.rank == 1:
+        raise ValueError("it is broken")
+certify.certify = lambda *arguments, **options: (whole(*arguments, **options), fail())[0]
+writing.write_fields = lambda *arguments: (fail(), fields(*arguments))
+cli.main()
+"""
+
+
+def test_a_failure_on_one_rank(tmp_path: Path):
+    """All ranks go on without the bound that one of them does not have, and end if one of them waits in vain."""
+    (tmp_path / "failing.py").write_text(ONE_RANK)
+    done = run(tmp_path, sys.executable, "failing.py", "solve", *SOLVE, ranks=3)
+    assert done.returncode == 3, done.stderr
+    assert done.stderr.count(f"failed: error bound: {BROKEN}; fields: {BROKEN}; free on the disk: ") == 1
+    assert names(tmp_path / "x") == TABLES | {"summary.json"}
+
+
+DROPPED = """
+import gc
+import signorini_fenicsx
+import dolfinx.mesh
+from mpi4py import MPI
+from signorini_fenicsx import Diffusion, LaterFailure, domain_of, solve
+from signorini_fenicsx.output.xdmf import Xdmf
+def failing(*arguments):
+    raise ValueError("it is broken")
+Xdmf.write = failing
+solution = solve(domain_of(dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 2, 2), {}), Diffusion(f=1))
+try:
+    solution.write("x")
+except LaterFailure as failure:
+    print(failure)
+del solution
+gc.collect()
+print("alive")
+"""
+
+
+def test_an_open_file_that_is_dropped(tmp_path: Path):
+    """In Python a failure while a file for ParaView is open is an exception; the process lives on, and ends well."""
+    done = subprocess.run([sys.executable, "-c", DROPPED], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[0].startswith(f"fields: {BROKEN}; the solution is in")
+    assert done.stdout.splitlines()[1] == "alive"
+    assert names(tmp_path / "x") >= TABLES
