@@ -4,11 +4,11 @@ import contextlib
 
 import numpy as np
 import pytest
-from elastic import box
+from elastic import box, two_boxes
 from mpi4py import MPI
 from scipy.optimize import linprog
 
-from signorini_fenicsx.api import Contact, Dirichlet, Elasticity, Neumann, Tresca, solve
+from signorini_fenicsx.api import Contact, Dirichlet, Elasticity, Neumann, Pressure, Support, Tresca, solve
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.laws import Regulator
 from signorini_fenicsx.physics.elasticity.rigid_motions import Limits, _in_words
@@ -116,3 +116,30 @@ def test_at_the_end_of_regulators(n: int):
     for share in (1 - NEAR, 1 + NEAR):
         load = Neumann("y1", ["0", f"{12 * share * most}*(x - 0.5)"])
         assert is_held(n, 2, [*laws, Neumann("x1"), load]) == (share < 1)
+
+
+def test_weak_springs_hold_what_is_in_balance():
+    """A body under pressure from all sides: motions are told along the axes, and what is advised is right."""
+    domain, p = box(MPI.COMM_SELF, 2, [1.0, 2.0], [3.0, 3.0]), 0.1
+    ends = ("x0", "x1", "y0", "y1")
+
+    def told(*held: Dirichlet) -> str:
+        free = [Pressure(end, p) for end in ends if end not in [part for each in held for part in each.parts]]
+        with pytest.raises(InputError) as caught:
+            solve(domain, Elasticity(1.0, 0.3, conditions=[*free, *held]))
+        return str(caught.value)
+
+    for way, held in (("(1, 0)", []), ("(0, 1)", [Dirichlet("x0", 0, components="x")])):
+        message = told(*held)
+        assert f"can move rigidly, along {way}: " in message
+        assert "weak springs on a part (support) hold it" in message
+    pushed = [Neumann("y1", ["0.2", "-0.1"]), *(Neumann(end) for end in ends[:3])]
+    with pytest.raises(InputError, match=r"along \(1, 0\)|along \(0, -1\)") as caught:
+        solve(domain, Elasticity(1.0, 0.3, conditions=pushed))
+    assert "weak springs" not in str(caught.value)
+    springs = [Pressure(end, p) for end in ends]
+    solution = solve(domain, Elasticity(1.0, 0.3, conditions=[*springs, Support("y0", [1e-4, 1e-4])]))
+    assert np.abs(solution.stresses + p * np.eye(2)).max() < 2e-4 * p
+    free = [Neumann(["left", "right", "bottom", "top"])]
+    with pytest.raises(InputError, match=r"along \(1, 0\), that is all bodies together: "):
+        solve(two_boxes(MPI.COMM_SELF, 2, 2), Elasticity(1.0, 0.3, conditions=[Contact("fault"), *free]))

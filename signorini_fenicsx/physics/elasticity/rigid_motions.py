@@ -51,18 +51,20 @@ class Unprevented:
         loads: What the loads do on it, if it is a unit translation or the rotation by a unit angle.
         holds: What friction and laws take of it at most.
         on_mesh: Whether it is prevented on finer meshes, as far as values at vertices tell.
+        balanced: Whether the loads do nothing on it.
     """
 
     words: str
     loads: float
     holds: float
     on_mesh: bool
+    balanced: bool
 
     def why(self) -> str:
         """What is missing, in words."""
         finer = " on this mesh; a finer one may" if self.on_mesh else ""
         works = f"; the loads do the work {self.loads:.4g} on it, and friction and laws take at most {self.holds:.4g}"
-        return f"{self.words}: {HELD_BY}{finer}{works if self.holds > 0 else ''}"
+        return f"{self.words}: {HELD_BY}{finer}{works if self.holds > 0 else ''}{WEAK if self.balanced else ''}"
 
 
 def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
@@ -116,12 +118,14 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
     motion = limits.unprevented()
     if motion is None:
         return means, None
+    motion = limits.plainer(motion, bodies.plain(free))
     at_vertices = np.concatenate([each.reshape(-1, free.shape[1]) for each in moves])
     on_mesh = _limits(spaces, data, work, at_vertices, most).unprevented() is None
     words, unit = bodies.in_words(free @ motion)
     loads = float(work @ motion)
     holds = loads - float(limits.work @ motion) + limits.rubbed(motion)
-    return means, Unprevented(words, loads * most / unit, holds * most / unit, on_mesh)
+    balanced = abs(loads) <= SLACK and holds <= 0
+    return means, Unprevented(words, loads * most / unit, holds * most / unit, on_mesh, balanced)
 
 
 def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array, most: float) -> Limits:
@@ -148,6 +152,10 @@ def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array,
     return Limits(spaces.mesh.comm, work, rows, slips, shears)
 
 
+WEAK = (
+    "; the loads do not push it, so weak springs on a part (support) hold it and hardly change anything else: per area "
+    "far below E/L with the size L of the body"
+)
 HELD_BY = "neither the parts where u is given nor springs nor contact under these loads prevent that"
 
 
@@ -288,12 +296,41 @@ class Bodies:
         words, unit = _in_words(by_body[body], self.middle, self.size)
         if self.number == 1:
             return words, unit
-        spaces, mine = self.spaces, self.of_cell == body
-        measure = Cells(spaces.vertices).measure
-        weighed = np.column_stack([measure[:, None] * spaces.vertices.mean(axis=1), measure])[mine].sum(axis=0)
-        *sums, total = spaces.mesh.comm.allreduce(weighed).tolist()
-        place = ", ".join(f"{x / total:.3g}" for x in sums)
-        return f"{words}, that is the body around ({place})", unit
+        if np.abs(by_body - by_body[0]).max() <= TURNS:
+            return f"{words}, that is all bodies together", unit
+        return f"{words}, that is the body around ({_without_rounding(self._centers()[body], self.size)})", unit
+
+    def _centers(self) -> Array:
+        """The centroids of the bodies, and that of all (collective)."""
+        vertices = self.spaces.vertices
+        measure = Cells(vertices).measure
+        sums = self._summed(self.of_cell, np.column_stack([measure[:, None] * vertices.mean(axis=1), measure]))
+        sums = np.vstack([sums, sums.sum(axis=0)])
+        return np.asarray(sums[:, :-1] / sums[:, -1:])
+
+    def plain(self, free: Array) -> Array:
+        """Motions that are easy to tell, by their shares of free ones (collective).
+
+        They are translations along the axes and rotations about the centroid, one way and the other, of all bodies
+        together and then of each; only those that are free.
+
+        Args:
+            free: The basis of the free motions.
+        """
+        dim, *centers = self.spaces.dim, *self._centers()
+        motions = []
+        for moved, center in zip([slice(None), *range(self.number)], [centers[-1], *centers[:-1]], strict=True):
+            at_center = self._moved(center)
+            of_one = np.eye(at_center.shape[1])
+            of_one[dim:, :dim] = -at_center[:, dim:].T
+            of_all = np.zeros((len(of_one), self.number, len(of_one)))
+            of_all[:, moved] = of_one if isinstance(moved, int) else of_one[:, None]
+            motions.append(of_all.reshape(len(of_one), -1))
+        plain = np.concatenate(motions)
+        plain = np.pad(plain, ((0, 0), (0, len(free) - plain.shape[1])))
+        shares = plain @ free
+        shares = shares[np.abs(shares @ free.T - plain).max(axis=1) <= FREE]
+        return np.concatenate([shares, -shares])
 
 
 @dataclass(frozen=True)
@@ -319,9 +356,7 @@ class Limits:
 
     def unprevented(self) -> Array | None:
         """A motion with an entry 1 or −1, or None (collective)."""
-        stuck = self.slips[self._sticks].reshape(-1, len(self.work))
-        sizes, vectors = np.linalg.eigh(self.comm.allreduce(stuck.T @ stuck))
-        still = vectors[:, sizes > FREE**2].T
+        still = self._still()
         cuts = np.empty((0, len(self.work)))
         way = self.work / (np.linalg.norm(self.work) or 1.0)  # where the loads push is told first
         for objective in np.concatenate([way[None], np.eye(len(way)), -np.eye(len(way))]):
@@ -334,6 +369,25 @@ class Limits:
                     return np.asarray(motion)
                 cuts = np.concatenate([cuts, more])
         return None
+
+    def plainer(self, motion: Array, others: Array) -> Array:
+        """The first of some other motions that nothing prevents either, or this one (collective).
+
+        They are tried by what the loads do on them. If the loads push this motion, they push the other one.
+        """
+        still, pushed = self._still(), self.work @ motion > SLACK
+        for other in others[np.argsort(-np.round(others @ self.work / SLACK), kind="stable")]:
+            if pushed and self.work @ other <= SLACK:
+                break
+            if np.abs(still @ other).max(initial=0.0) <= FREE and len(self._violated(other)) == 0:
+                return np.asarray(other)
+        return motion
+
+    def _still(self) -> Array:
+        """Motions whose shares must be 0 as they would slip where friction has no limit, orthonormal (collective)."""
+        stuck = self.slips[self._sticks].reshape(-1, len(self.work))
+        sizes, vectors = np.linalg.eigh(self.comm.allreduce(stuck.T @ stuck))
+        return np.asarray(vectors[:, sizes > FREE**2].T)
 
     @property
     def _sticks(self) -> Mask:
