@@ -1,4 +1,4 @@
-"""Elastic supports: exact states, bodies held by springs alone, rates, bounds, quantities, derivatives, files, refusals."""
+"""Elastic supports: exact states, bodies on springs alone, rates, bounds, quantities, derivatives, files, refusals."""
 
 import json
 from pathlib import Path
