@@ -39,8 +39,8 @@ def did_you_mean(wrong: str, names: Iterable[str]) -> str:
 
 
 def printable(text: str) -> str:
-    """A text from outside, safe to print on a terminal."""
-    return "".join(character if character.isprintable() else "?" for character in text)
+    """A text from outside, safe to print on a terminal: what is not printable is shown as Python writes it."""
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
 
 
 def counted(number: int, noun: str) -> str:

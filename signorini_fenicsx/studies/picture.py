@@ -137,7 +137,7 @@ def _curves(axes: Axes, rows: Sequence[Row], wanted: Plan, key: str) -> list[Any
     for index, (label, own) in enumerate(groups.items()):
         if numeric:
             own = sorted(own, key=lambda row: row[wanted.x])
-        x = [row[wanted.x] if numeric else value_in_words(row.get(wanted.x)) for row in own]
+        x = [row[wanted.x] if numeric else style.readable(value_in_words(row.get(wanted.x))) for row in own]
         y = [row[key] if _is_number(row.get(key)) else np.nan for row in own]
         (curve,) = axes.plot(
             x, y, marker="os^Dv"[index % 5], markersize=4, linestyle=LINES[index % 4] if numeric else "", label=label

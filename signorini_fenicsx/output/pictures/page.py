@@ -10,6 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.text import printable
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.meshes.domain import FAR
 from signorini_fenicsx.output.pictures import style
@@ -59,7 +60,7 @@ def write_page(path: Path, scene: Scene) -> None:
         {"label": sheet.name, "method": "restyle", "args": ["visible", [bool(n in (-1, number)) for n in owner]]}
         for number, sheet in enumerate(sheets)
     ]
-    text = f"{html.escape(scene.title)}<br><sub>{plain(scene.caption)}</sub>"
+    text = f"{html.escape(printable(scene.title))}<br><sub>{plain(scene.caption)}</sub>"
     figure.update_layout(
         title={"text": text, "x": 0.5, "y": 0.98, "yanchor": "top"},
         scene=_axes(scene, origin) | {"camera": CAMERA},

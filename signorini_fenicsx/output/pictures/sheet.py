@@ -1,7 +1,9 @@
 """Figures of panels in rows and columns, placed in inches: room for labels is known beforehand, nothing is measured."""
 
 import io
+import logging
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
+
+from signorini_fenicsx.output.pictures import style
 
 LEFT, RIGHT, ABOVE, BELOW = 0.75, 0.2, 0.36, 0.54
 """Room around a panel: for its numbers and label on the left, for its title, for its numbers and label below."""
@@ -20,6 +25,8 @@ BAR = 1.05
 EDGE = 0.1
 LINE, ENTRY = 0.2, 0.21
 """Height of a line of the title and of a row of the legend."""
+LINES = 10
+"""Most lines of the title."""
 WORDS = 1.85
 """Width of an entry of the legend."""
 LETTER = 0.082
@@ -55,7 +62,7 @@ class Sheet(Figure):
         super().__init__(dpi=dpi)
         self._widths, self._heights, self._bar = widths, heights, BAR if bars else RIGHT
         self._across = EDGE + sum(LEFT + width + self._bar for width in widths)
-        self._lines = _wrapped(title, self._across - 1) if title else []
+        self._lines = _wrapped(title, self._across - 1)[:LINES] if title else []
         self._places: dict[Axes, tuple[float, float, float, float]] = {}
         self.legend_below([])
 
@@ -118,6 +125,19 @@ class Sheet(Figure):
     @property
     def _top(self) -> float:
         return EDGE + LINE * len(self._lines)
+
+    def draw(self, renderer: Any) -> None:
+        """Draw the figure with all texts as they can be shown; letters that no font has are boxes."""
+        for text in self.findobj(Text):
+            text.set_text(style.readable(text.get_text()))
+        of_mathematics = logging.getLogger("matplotlib.mathtext")
+        before, of_mathematics.disabled = of_mathematics.disabled, True
+        try:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "Glyph .* missing")
+                super().draw(renderer)
+        finally:
+            of_mathematics.disabled = before
 
     def save(self, path: Path) -> None:
         """Write a PNG."""

@@ -1,16 +1,21 @@
 """The common style of all pictures: fonts, colours, colour limits, numbers in mathematical type."""
 
+import contextlib
 import math
+import re
+from functools import cache
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.mathtext import MathTextParser
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.text import printable
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certificate import Certificate
 
 STYLE = {
-    "font.family": "STIXGeneral",
+    "font.family": ["STIXGeneral", "DejaVu Sans"],  # the second one has more letters
     "mathtext.fontset": "stix",
     "font.size": 10,
     "axes.titlesize": 10.5,
@@ -31,6 +36,8 @@ OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "
 those of Okabe and Ito: colour-blind readers tell them apart."""
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
 
+DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
+"""Mathematics in a line."""
 QUANTILE = 0.99
 """The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
 
@@ -61,6 +68,24 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
     if high > 1.2 * usual > 0:
         return min(low, usual), usual, "max"
     return low, high if high - low > TIE * high else low + (abs(low) or 1.0), "neither"
+
+
+def readable(text: str) -> str:
+    """A text, perhaps of several lines, as Matplotlib can show it: mathematics that it cannot read as it is written.
+
+    Texts of users are among those of pictures, so none of them may fail.
+    """
+    return "\n".join("".join(map(_piece, DOLLARS.split(printable(line)))) for line in text.split("\n"))
+
+
+@cache
+def _piece(text: str) -> str:
+    """A part of a line as it is if it is mathematics that can be read, and without mathematics otherwise."""
+    if DOLLARS.fullmatch(text):
+        with contextlib.suppress(Exception):
+            MathTextParser("path").parse(text)
+            return text
+    return re.sub(r"(?<!\\)\$", r"\$", text)
 
 
 def letter(number: int) -> str:
