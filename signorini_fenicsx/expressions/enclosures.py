@@ -107,7 +107,7 @@ def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array
     number = len(vertices)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        x, rule = _points(parts.vertices)
+        x, rule = in_points(parts.vertices)
         d = values(tree, x) - _of_simplices(p, vertices, parts, x)[:, :, 0]
         rho, middle = 2 * remainder.distance(), d @ rule
         return np.stack([middle, rho, np.sqrt(d**2 @ rule) + rho], axis=1)
@@ -160,7 +160,7 @@ def moments(
     slopes, centre = barycentric_gradients(vertices), vertices.mean(axis=1)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        x, rule = _points(parts.vertices)
+        x, rule = in_points(parts.vertices)
         hats = 1 / corners + np.einsum("nqi,nvi->nqv", x - centre[parts.own, None], slopes[parts.own])
         d = values(tree, x) - np.einsum("nqa,na->nq", basis(hats), p[parts.own])
         rho = 2 * remainder.distance()
@@ -214,7 +214,7 @@ def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int)
     shown = projection.distance(tree, vertices, degree)
 
     def look(parts: Parts, remainder: Remainder) -> Array:
-        x, rule = _points(parts.vertices)
+        x, rule = in_points(parts.vertices)
         value, gradient = values_and_gradient(tree, x)
         d, subtracted = projection.at(parts.own, x)
         d, gradient = value - d, gradient - subtracted
@@ -259,7 +259,7 @@ class _Projection:
         coefficients = np.empty((len(vertices), basis.shape[1]))
         for begin in range(0, len(vertices), CHUNK):
             some = slice(begin, begin + CHUNK)
-            coefficients[some] = values(tree, _points(vertices[some])[0]) @ (weights[:, None] * basis)
+            coefficients[some] = values(tree, in_points(vertices[some])[0]) @ (weights[:, None] * basis)
         measure = 1 / math.factorial(corners - 1)
         return cls(coefficients * measure, vertices[:, 0], barycentric_gradients(vertices)[:, 1:])
 
@@ -285,7 +285,7 @@ class _Projection:
         distances = np.empty((2, len(vertices)))
         for begin in range(0, len(vertices), CHUNK):
             own = np.arange(begin, min(begin + CHUNK, len(vertices)))
-            x, weights = _points(vertices[own], degree)
+            x, weights = in_points(vertices[own], degree)
             value, gradient = values_and_gradient(tree, x)
             subtracted, slope = self.at(own, x)
             distances[0, own] = np.sqrt((value - subtracted) ** 2 @ weights)
@@ -395,7 +395,7 @@ def _less(near: Quadratic, p: Quadratic, vertices: Array, parts: Parts) -> Quadr
     return Quadratic(near.value - jet[:, 0], near.gradient - jet[:, 1:], near.hessian - hessian)
 
 
-def _points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:
+def in_points(vertices: Array, degree: int = 2 * DEGREE) -> tuple[Array, Array]:
     """Points of a quadrature in each simplex, shape (n, points, dim), and its weights > 0 with sum 1."""
     points, weights = _rule(vertices.shape[1], degree)
     return vertices[:, :1] + points @ (vertices[:, 1:] - vertices[:, :1]), weights

@@ -10,9 +10,15 @@ from typing import Any, ClassVar
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.points import CellPoints, Points, facet_quadrature
+from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
 from signorini_fenicsx.quantities.kinds import Integral, Mean
@@ -27,6 +33,8 @@ NEVER = 2.0**40
 """The scale of τ if the solution does not change with it: the quantity is known, and its length is rounding."""
 NEAR = 1e-6
 """The first τ moves u by this share at least of how far ψ, gaps and u_D are from 0: less may be rounding where u is."""
+SHARE = 0.02
+"""What may be wrong of integrals is aimed at to be this share of what is known besides."""
 NOTHING = 1e-12
 """An integral that is at most this share of what it could be by the size of its integrand is rounding of 0."""
 
@@ -77,7 +85,8 @@ class Beside[Fields](ABC):
                     of_v, of_y = (above, below) if (sign < 0) is not self.of_flux else (below, above)
                     half = self.half(of_v, of_y)
                     radius = half.value / tau + half.unseen + rounding
-                    bounds.append((self.value(of_v, of_y) + sign * radius, half.reason))
+                    value, missed = self.value(of_v, of_y, SHARE * radius)
+                    bounds.append((value + sign * (radius + missed), half.reason))
         except (NumericalFailure, InputError) as failure:
             return Ends(-math.inf, math.inf, 0.0, f"{FAILED}: {failure}")
         PETSc.garbage_cleanup(self.comm)
@@ -129,8 +138,8 @@ class Beside[Fields](ABC):
         """The right side of the theorem (collective)."""
 
     @abstractmethod
-    def value(self, of_v: Fields, of_y: Fields) -> float:
-        """The quantity of v, or of y (collective)."""
+    def value(self, of_v: Fields, of_y: Fields, enough: float) -> Array:
+        """The quantity of v, or of y, and by how much it may be wrong; `enough` as in `products` (collective)."""
 
     @abstractmethod
     def discrete(self) -> float:
@@ -158,36 +167,87 @@ class Beside[Fields](ABC):
 
 
 class Integrals[Fields](Beside[Fields]):
-    """The problems beside that of a solution for the integral of u with a weight, or its mean."""
+    """The problems beside that of a solution for the integral of u with a weight, or its mean.
+
+    Attributes:
+        weight: The weight.
+    """
 
     of_flux = False
     kind: Integral
 
+    def __init__(self, solution: Any, kind: Integral):
+        super().__init__(solution, kind)
+        names = "xyz"[: self.spaces.mesh.geometry.dim]
+        self.weight: Datum = datum_of(self.spaces, "weight", parsed(kind.weight, names, "weight"))
+
     def interval(self) -> Quantity:
         """The interval (collective)."""
         quantity = super().interval()
-        return quantity.divided(self._of_weight()) if isinstance(self.kind, Mean) else quantity
+        if not isinstance(self.kind, Mean):
+            return quantity
+        integral, square, measure = self._sizes()
+        most = max(abs(quantity.lower), abs(quantity.upper))
+        enough = SHARE * quantity.width / most * abs(integral) if 0 < most < math.inf else math.inf
+        known = integral**2 > NOTHING**2 * square * measure
+        return quantity.divided(*(self._of_weight(enough) if known else (0.0, 0.0)))
 
-    def value(self, of_v: Fields, of_y: Fields) -> float:
+    def value(self, of_v: Fields, of_y: Fields, enough: float) -> Array:
         """The integral of v (collective)."""
-        return self.integral(of_v)
+        return np.asarray(self.comm.allreduce(self.integral(of_v, enough)))
 
     def discrete(self) -> float:
         """The integral of the v of the solution (collective)."""
-        return self.integral(self.admissible(self.solution))
+        fields = self.admissible(self.solution)
+        return float(self.value(fields, fields, math.inf)[0])
 
     def response(self) -> float:
         """The size of the flux under the weight as a load (collective)."""
         length, direction = self.spaces.length, self.kind.direction
-        square = self.integral(power=2) * (length if self.kind.parts else 1.0)
+        square = self._sizes()[1] * (length if self.kind.parts else 1.0)
         size = 1.0 if direction is None else math.hypot(*direction)
         return math.sqrt(square) * size * length * self.softness() / 4
 
-    def _of_weight(self) -> float:
-        """The integral of the weight, 0 if it is rounding (collective)."""
-        integral, square, measure = (self.integral(power=power) for power in (1, 2, 0))
-        return integral if integral**2 > NOTHING**2 * square * measure else 0.0
+    @property
+    def cells(self) -> Indices:
+        """The owned cells over which it is an integral, if it is over cells."""
+        if not self.kind.region:
+            return owned_cells(self.spaces.mesh).astype(np.int64)
+        return np.unique(np.concatenate([self.domain.regions[name] for name in self.kind.region])).astype(np.int64)
+
+    def _where(self) -> list[Points]:
+        """Points of a quadrature in the cells, or in the facets of each part."""
+        mesh, degree = self.spaces.mesh, quadrature_degree(self.weight, power=2)
+        if self.kind.parts:
+            return [facet_quadrature(mesh, self.domain.facets[part], degree) for part in self.kind.parts]
+        return [CellPoints(mesh, self.cells.astype(np.int32), *positive_quadrature(mesh.basix_cell(), degree))]
+
+    def _sizes(self) -> list[float]:
+        """The integrals of the weight, of its square and of 1, by quadrature (collective)."""
+        sums = np.zeros(3)
+        for points in self._where():
+            values = self.weight.values(points)
+            sums += [points.integrals(values**power).sum() for power in (1, 2, 0)]
+        integrals: list[float] = self.comm.allreduce(sums).tolist()
+        return integrals
+
+    def _of_weight(self, enough: float) -> tuple[float, float]:
+        """The integral of the weight, and by how much it may be wrong; `enough` as in `products` (collective)."""
+        total = np.zeros(2)
+        for points in self._where():
+            measure = points.scale * points.weights.sum()
+            if self.weight.pieces is None:
+                total[0] += points.integrals(self.weight.values(points)).sum()
+            for tree, _ in self.weight.pieces or ():  # everywhere
+                total += products(tree, points.vertices, measure, _one, 0, self.spaces.frame, enough).total
+        value, radius = self.comm.allreduce(total).tolist()
+        return value, radius
 
     @abstractmethod
-    def integral(self, of: Fields | None = None, power: int = 1) -> float:
-        """The integral of v, or for None of 1, times a power of the weight (collective)."""
+    def integral(self, of: Fields, enough: float) -> Array:
+        """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
+
+
+def _one(own: Indices, x: Array) -> Array:
+    """1 in points."""
+    return np.ones(x.shape[:2])

@@ -79,16 +79,16 @@ class Quantity:
         """The length of the interval."""
         return self.upper - self.lower
 
-    def divided(self, total: float) -> Quantity:
-        """The mean, from an integral and that of its weight.
+    def divided(self, total: float, radius: float) -> Quantity:
+        """The mean, from an integral and that of its weight, which may be wrong by a radius.
 
         Raises:
             InputError: If the weight has no integral other than 0.
         """
-        if not abs(total) > 0:
+        if not abs(total) > radius:
             raise InputError("weight: its integral is 0, so there is no mean with it")
-        lower, upper = sorted((self.lower / total, self.upper / total))
-        return replace(self, value=self.value / total, lower=lower, upper=upper)
+        ends = [end / (total + sign * radius) for end in (self.lower, self.upper) for sign in (-1.0, 1.0)]
+        return replace(self, value=self.value / total, lower=min(ends), upper=max(ends))
 
     def columns(self, name: str) -> dict[str, float | bool | str]:
         """All of it for a row of a table, whose columns are the same for each quantity."""

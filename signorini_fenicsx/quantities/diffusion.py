@@ -9,24 +9,30 @@ import basix
 import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells
-from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.certificate.laws import half_gap
+from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature, facet_type, in_cells, in_facets
+from signorini_fenicsx.discrete.points import facet_type, in_facets
 from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.certify import UNBALANCED, Admissible, gap_on_gamma_s, gap_parts
+from signorini_fenicsx.physics.diffusion.bound.certify import (
+    UNBALANCED,
+    Admissible,
+    gap_on_gamma_s,
+    gap_parts,
+)
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
-from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC, scaled
+from signorini_fenicsx.physics.diffusion.bound.near_quadratic import NearQuadratic
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities import beside
-from signorini_fenicsx.quantities.beside import Beside
+from signorini_fenicsx.quantities.beside import SHARE, Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind
 from signorini_fenicsx.quantities.shifts import Posed, in_regions, with_flux, with_trace
@@ -85,7 +91,7 @@ def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> Half:
     at_each = parts.contact - parts.reaction
     local = np.array([squares.sum(), at_each.sum(), resolution.missed.sum()])
     total, at_sites, missed = comm.allreduce(local).tolist()
-    value = (math.sqrt(total) + 2 * ROUNDING * of_y.size) ** 2 / 4 + max(at_sites, 0.0) / 2
+    value = (math.sqrt(total) + parts.left + 2 * ROUNDING * of_y.size) ** 2 / 4 + max(at_sites, 0.0) / 2
     share = (math.sqrt(missed) + parts.left) / math.sqrt(value) if value > 0 else 0.0
     return Half(value, reason_of(of_y, share), squares / 4 + np.maximum(at_each, 0.0) / 2)
 
@@ -96,8 +102,6 @@ class _Beside(Beside[Admissible]):
     def __init__(self, solution: Solution, kind: Flux | Integral):
         super().__init__(solution, kind)
         self._posed: Posed = (solution.boundary, solution.problem.parsed(self.spaces.mesh.geometry.dim))
-        names = "xyz"[: self.spaces.mesh.geometry.dim]
-        self.weight = datum_of(self.spaces, "weight", parsed(kind.weight, names, "weight"))
         self.kappa: float = solution.data.conductance * self.spaces.length
 
     def posed(self, tau: float) -> Posed:
@@ -147,6 +151,8 @@ class Fluxes(_Beside):
 
     def __init__(self, solution: Solution, kind: Flux):
         super().__init__(solution, kind)
+        names = "xyz"[: self.spaces.mesh.geometry.dim]
+        self.weight = datum_of(self.spaces, "weight", parsed(kind.weight, names, "weight"))
         self.by_quadrature = "" if self.weight.polynomial is not None else WEIGHT
         boundary, problem = self.posed(0.0)
         self.moves_walls = boundary == self._posed[0] and problem.u_D is not self._posed[1].u_D
@@ -168,15 +174,40 @@ class Fluxes(_Beside):
         unseen = float(self.comm.allreduce(of_y.resolution.load.largest @ of_y.metric.volume))
         return replace(right_side, unseen=unseen)
 
-    def value(self, of_v: Admissible, of_y: Admissible) -> float:
+    def value(self, of_v: Admissible, of_y: Admissible, enough: float) -> Array:
         """The flux of y', and under laws with a weight that of η', which has the same means (collective)."""
-        flux = flux_through(self.spaces, of_y.y, self.kind.parts, self.weight.ufl)
+        if self.weight.number is not None or self.weight.pieces is None:
+            total = np.array([flux_through(self.spaces, of_y.y, self.kind.parts, self.weight.ufl), 0.0])
+        else:
+            total = self.comm.allreduce(self._weighted(of_y, enough))
         if self.weight.number is not None:
-            return flux
+            return total
         more = 0.0
         for load in gap_on_gamma_s(of_v, of_y, of_v.goal, half_gap)[1][:1]:
             more = load.points.integrals(load.values * self.weight.values(load.points))[self._rows].sum()
-        return flux + float(self.comm.allreduce(more))
+        return total + [float(self.comm.allreduce(more)), 0.0]
+
+    def _weighted(self, of_y: Admissible, enough: float) -> Array:
+        """The flux of y' with a weight by text, and by how much it may be wrong, on this rank (collective)."""
+        facets = np.unique(np.concatenate([self.domain.facets[part] for part in self.kind.parts]))
+        on, total = (
+            in_facets(self.spaces.mesh, facets, *basix.make_quadrature(facet_type(self.spaces.mesh.topology.dim), 0)),
+            np.zeros(2),
+        )
+        outward = -np.take_along_axis(on.slopes, on.local[:, None, None], axis=1)
+        outward /= np.linalg.norm(outward, axis=2, keepdims=True)
+        flux = (of_y.flux.at(on)[:, :1] * outward).sum(axis=2)
+        for tree, _ in self.weight.pieces or ():
+            total += products(
+                tree,
+                on.vertices,
+                on.scale * on.weights.sum(),
+                lambda own, x: np.broadcast_to(flux[own], x.shape[:2]),
+                0,
+                self.spaces.frame,
+                enough,
+            ).total
+        return total
 
     def discrete(self) -> float:
         """The flux of σ_h (collective)."""
@@ -187,38 +218,18 @@ class Fluxes(_Beside):
         return math.sqrt(self.kappa * self.comm.allreduce(self.spaces.cell_measures.sum())) / self.spaces.length
 
 
-class Integrals(_Beside, beside.Integrals[Admissible]):
+class Integrals(beside.Integrals[Admissible], _Beside):
     """The integral of u with a weight, or its mean."""
 
-    def integral(self, of: Admissible | None = None, power: int = 1) -> float:
-        """The integral of v, or for None of 1, times a power of the weight (collective)."""
-        mesh, total, trace = self.spaces.mesh, 0.0, None if of is None else of.trace
-        degree = min(QUADRATIC + power * quadrature_degree(self.weight), DEGREES[1])
-        fine = degree if trace is None else max(degree, degree_near(trace))
-        for part in self.kind.parts:
-            total += self._on_part(part, fine, trace, power)
+    def integral(self, of: Admissible, enough: float) -> Array:
+        """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
+        near = NearQuadratic.of(of)
         if not self.kind.parts:
-            cells = owned_cells(mesh)
-            if self.kind.region:
-                cells = np.unique(np.concatenate([self.domain.regions[name] for name in self.kind.region]))
-            near = np.isin(cells, [] if trace is None else trace.cells)
-            for close, some, of_degree in ((False, cells[~near], degree), (True, cells[near], fine)):
-                for points in in_cells(mesh, some.astype(np.int32), *positive_quadrature(mesh.basix_cell(), of_degree)):
-                    v = 1.0 if trace is None else trace.jet(points, near=close)[:, :, 0]
-                    total += points.integrals(self.weight.values(points) ** power * v).sum()
-        return float(self.comm.allreduce(total))
-
-    def _on_part(self, part: str, degree: int, trace: Trace | None, power: int) -> float:
-        """The share of this rank in the integral over a part; inside the domain of the jump of v (collective)."""
-        mesh, facets = self.spaces.mesh, self.domain.facets[part]
-        if trace is not None and part in self.solution.boundary.inner:
-            on = facet_quadrature(mesh, self.spaces.facets, degree)
-            everywhere, v = np.isin(self.spaces.facets, facets), trace.on_gamma_s(on)
-        else:
-            on = facet_quadrature(mesh, facets, degree)
-            everywhere = np.ones(len(facets), dtype=bool)
-            v = np.ones(on.shape) if trace is None else trace.jet(on, near=True)[:, :, 0]
-        return float(on.integrals(self.weight.values(on) ** power * v)[everywhere].sum())
+            return near.integral(self.weight, self.cells, enough)
+        inner, total = self.solution.boundary.inner, np.zeros(2)
+        for part in self.kind.parts:
+            total += near.on_facets(self.weight, self.domain.facets[part], enough, jump=part in inner)
+        return total
 
 
 SQUARE = 8
@@ -231,15 +242,16 @@ def energy(solution: Solution) -> Quantity:
     with np.errstate(all="ignore"):
         own = Admissible.of(solution, goal)
         parts = gap_parts(own, own, goal)
-    comm, resolution = solution.spaces.mesh.comm, own.resolution
+    comm, osc, missing = solution.spaces.mesh.comm, parts.oscillation, parts.left + ROUNDING * own.size
     mismatch = np.sqrt(parts.mismatch + parts.reaction)
-    local = (parts.mismatch + parts.contact).sum() / 2 + (parts.oscillation * (mismatch + parts.oscillation / 2)).sum()
-    below, missed = comm.allreduce(np.array([local, resolution.missed.sum()])).tolist()
-    upper = _of_v(solution, goal, own.trace)
+    local = (parts.mismatch + parts.contact).sum() / 2 + (osc * (mismatch + osc / 2)).sum()
+    sums = np.array([local, ((mismatch + osc) ** 2).sum(), own.resolution.missed.sum()])
+    below, squares, missed = comm.allreduce(sums).tolist()
+    below = max(below, 0.0) + missing * (math.sqrt(squares) + missing / 2)
+    value, wrong = _of_v(own, parts.hidden, SHARE * below)
     if own.trace.hindrance or not math.isfinite(own.remainder):
-        return Quantity(upper, -math.inf, math.inf, False, own.trace.hindrance or UNBALANCED)
-    rounding = ROUNDING * own.size * (math.sqrt(2 * max(below, 0.0)) + own.size * ROUNDING)
-    lower = upper - max(below, 0.0) - rounding
+        return Quantity(value, -math.inf, math.inf, False, own.trace.hindrance or UNBALANCED)
+    lower, upper = value - below - wrong, value + wrong
     reason = reason_of(own, (math.sqrt(missed) + parts.left) / math.sqrt(below) if below > 0 else 0.0)
     return Quantity((lower + upper) / 2, lower, upper, not reason, reason)
 
@@ -250,44 +262,43 @@ def reason_of(of_y: Admissible, share: float) -> str:
     return reservation(unresolved, sorted(of_y.resolution.by_quadrature))
 
 
-def _of_v(solution: Solution, goal: Goal, trace: Trace) -> float:
-    """J(v) (collective)."""
-    spaces, data, mesh = solution.spaces, solution.data, solution.spaces.mesh
-    near = np.isin(owned_cells(mesh), trace.cells)
-    laws = () if data.inside is None else data.inside.of_regions
-    of_data = quadrature_degree(data.f, data.kappa, data.c) + 2 * QUADRATIC
-    if laws:
-        of_data = max(of_data, SQUARE, quadrature_degree(*(datum for part in laws for datum in part.data.values())))
-    total = 0.0
-    for close, cells, degree in ((False, ~near, of_data), (True, near, max(of_data, degree_near(trace)))):
-        rule = positive_quadrature(mesh.basix_cell(), min(degree, DEGREES[1]))
-        for points in in_cells(mesh, owned_cells(mesh)[cells], *rule):
-            total += points.integrals(_density(solution, trace, points, close=close)).sum()
-        for part in laws:
-            for points in in_cells(mesh, part.rows[cells[part.rows]].astype(np.int32), *rule):
-                v = trace.jet(points, near=close)[:, :, 0]
-                total += points.integrals(energies(part, points, v)).sum()
-    degree = min(max(quadrature_degree(data.g_N), degree_near(trace)), DEGREES[1])
-    on = facet_quadrature(mesh, spaces.neumann_facets, degree)
-    total -= on.integrals(data.g_N.values(on) * trace.jet(on, near=True)[:, :, 0]).sum()
-    degree = min(max(goal.degree(), degree_near(trace)), DEGREES[1])
-    rule = basix.make_quadrature(facet_type(mesh.topology.dim), degree)
-    on = in_facets(mesh, spaces.facets, *rule)
-    v = trace.on_gamma_s(on)
-    for part in goal.parts:
-        some = in_facets(mesh, spaces.facets[part.rows], *rule)
-        flux_h = None if goal.plain else goal.flux_h[part.rows]
-        total += some.integrals(energies(part, some, v[part.rows], flux_h)).sum()
-    return float(mesh.comm.allreduce(total))
+def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
+    """J(v), and by how much it may be wrong (collective).
 
-
-def _density(solution: Solution, trace: Trace, points: CellPoints, *, close: bool) -> np.ndarray:
-    """½κ|∇v|² + ½cv² − fv in points, with the load that a step in time takes from those before (collective)."""
-    data = solution.data
-    jet, kappa = trace.jet(points, near=close, gradient=True), data.kappa.values(points)
-    v, slope = jet[:, :, 0], jet[:, :, 1:]
-    load = data.f.values(points)
+    Args:
+        own: Has v.
+        hidden: What quadrature may miss of ‖κ^½∇v‖ on cells.
+        enough: As in `products`.
+    """
+    spaces, data, near = own.solution.spaces, own.solution.data, NearQuadratic.of(own)
+    cells, half, minus = owned_cells(spaces.mesh).astype(np.int64), np.array([0.5, 0.5]), np.array([-1.0, 1.0])
+    total = half * near.of_gradient(data.kappa, hidden, enough) + minus * near.integral(data.f, cells, enough)
+    total += minus * near.on_facets(data.g_N, spaces.neumann_facets, enough)
+    if data.c.number != 0:
+        total += half * near.integral(data.c, cells, enough, power=2)
     if data.memory is not None:
-        load = load + data.memory.x.array[points.cells, None]
-    density: np.ndarray = (scaled(kappa, slope) * slope).sum(axis=2) / 2 + data.c.values(points) * v**2 / 2 - load * v
-    return density
+        load = data.memory.x.array
+        total[0] -= near.seen(lambda at, jet: load[at.cells, None] * jet[:, :, 0], cells, 0).sum()
+        total[1] += np.abs(load[cells]) * spaces.cell_measures @ near.off
+    for part in () if data.inside is None else data.inside.of_regions:
+        degree = max(SQUARE, quadrature_degree(*part.data.values()))
+        total[0] += near.seen(lambda at, jet, of=part: energies(of, at, jet[:, :, 0]), part.rows, degree).sum()
+    return [float(each) for each in spaces.mesh.comm.allreduce(total + _of_laws(own, near, enough))]
+
+
+def _of_laws(own: Admissible, near: NearQuadratic, enough: float) -> Array:
+    """The energies of the laws on Γ_S, and by how much they may be wrong, of this rank (collective)."""
+    spaces, goal, total = own.solution.spaces, own.goal, np.zeros(2)
+    degree = min(max(goal.degree(), degree_near(own.trace)), DEGREES[1])
+    rule = basix.make_quadrature(facet_type(spaces.mesh.topology.dim), degree)
+    v = own.trace.on_gamma_s(in_facets(spaces.mesh, spaces.facets, *rule))
+    for part in goal.parts:
+        if type(part.law) is Signorini:
+            for jump in (False, True):
+                rows = part.rows[np.isin(part.rows, spaces.inner.rows) == jump]
+                total += [-1.0, 1.0] * near.on_facets(part.data["q_S"], spaces.facets[rows], enough, jump=jump)
+            continue
+        some = in_facets(spaces.mesh, spaces.facets[part.rows], *rule)
+        flux_h = None if goal.plain else goal.flux_h[part.rows]
+        total[0] += some.integrals(energies(part, some, v[part.rows], flux_h)).sum()
+    return total

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import basix
 import basix.ufl
@@ -22,6 +23,9 @@ from signorini_fenicsx.base.small_matrices import squares_of, times
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.solution import Solution
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.physics.diffusion.bound.law_bounds import LawTrace
 
 type Indices = npt.NDArray[np.int32]
 
@@ -48,6 +52,7 @@ class Trace:
         altered: Those of these cells where not only a bound in Ω may make a difference.
         hindrance: Why no continuous function is admissible, in words; empty if one is. The same on all ranks.
         degree: Degree of a quadrature in `cells`.
+        parts: What it is made of.
     """
 
     v: fem.Function
@@ -59,6 +64,7 @@ class Trace:
     altered: Indices
     hindrance: str
     degree: int
+    parts: LawTrace
 
     def jet(self, points: Points, *, near: bool, gradient: bool = False) -> Array:
         """The jet of the admissible function in points of `cells` (near) or of others (collective)."""

@@ -92,7 +92,7 @@ def summed(own: Admissible, parts: GapParts) -> Certificate:
     enclosed = np.sqrt(missed) + parts.left
     gap = Gap(
         squares=parts.mismatch + parts.contact,
-        oscillation=parts.oscillation,
+        oscillation=_with_more(parts.oscillation, parts.left, own.metric, spaces.mesh.comm),
         remainder=own.remainder,
         size=own.size,
         v=own.trace.v,
@@ -169,8 +169,8 @@ class GapParts:
         mismatch: ‖κ∇v − y‖².
         reaction: ‖c^-½ g‖², see `reaction`; a part of `contact`.
         contact: Twice what laws and cu add to the gap.
-        oscillation: osc_T, with its share of `left`.
-        left: What the means of the loads may add.
+        oscillation: osc_T, without `left`.
+        left: What the means of the loads may add, beside |w| in all cells together.
         hidden: What quadrature may miss of ‖κ^½∇v‖; it is in the mismatch.
         of_laws: The load s_T − η of laws in Ω; None without any.
     """
@@ -214,7 +214,6 @@ def gap_parts(
     mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
     least = None if reaction is None else reaction.least
     left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * bound_so_far))
-    oscillation = _with_more(oscillation, left, metric, comm)
     return GapParts(mismatch, of_reaction, contact, oscillation, left, hidden.slope, of_laws)
 
 

@@ -314,6 +314,7 @@ def _with_exact_data(
         degree=max(
             quadrature_degree(*used, data.kappa), *(2 * min(datum.polynomial or 0, EXACT) + 2 for datum in used)
         ),
+        parts=trace,
     )
 
 

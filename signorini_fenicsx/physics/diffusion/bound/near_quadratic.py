@@ -1,0 +1,299 @@
+"""Integrals of data times an admissible v, with how wrong they may be: for v as a quadratic on each cell.
+
+v is quadratic but for cells near Γ_D and near bounds of u, where it is r away from p = v_2 + v_1 of `conforming`.
+There r is within δ of a polynomial: u_D and the levels that v contains are within ρ of one, and where a bound b cuts v
+off, it changes v by at most sup (b − ℓ − p)_+. `products` encloses integrals of data e times p. If e is within ρ_e of a
+polynomial, a quadrature that is exact for products and squares of both polynomials has ∫er, but for
+
+    2|T|^½ (δ(‖e‖ + 2ρ_e|T|^½) + ρ_e(‖r‖_Q + δ|T|^½)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import basix
+import dolfinx.mesh
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells
+from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.points import CellPoints, cells_of_facets, facet_quadrature, in_cells
+from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
+from signorini_fenicsx.expressions.enclosures import BESIDE, distances
+from signorini_fenicsx.expressions.products import EXACT, Products, products
+from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, interpolated
+from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.expressions.tree import polynomial_degree
+from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, scaled
+from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
+from signorini_fenicsx.physics.diffusion.bound.interpolants import edge_order, in_nodes, quadratic_of
+from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST
+
+SHARP = 1e-3
+"""How far v is from polynomials is found up to about this share of its error."""
+MOST = 12
+"""Polynomials up to this degree are known as such where v contains them."""
+CUT_OFFS = 2
+"""Degree of a product of two χ."""
+
+
+@dataclass(frozen=True)
+class NearQuadratic:
+    """An admissible v as quadratics.
+
+    Integrals are arrays of two numbers, the value and its radius, of this rank. Those of data given in Python are by
+    quadrature, without a radius.
+
+    Attributes:
+        own: Has v.
+        p: The quadratics on the owned cells.
+        delta: δ, per owned cell.
+        off: Bound of |r|.
+        degree: Of the polynomials near r.
+    """
+
+    own: Admissible
+    p: Quadratic
+    delta: Array
+    off: Array
+    degree: int
+
+    @classmethod
+    def of(cls, own: Admissible) -> NearQuadratic:
+        """The quadratics near the v of a solution (collective)."""
+        spaces, data = own.solution.spaces, own.solution.data
+        p = quadratic_of(own.resolution.vertices, _in_nodes(own.trace.v) + _in_nodes(own.trace.parts.moved))
+        of_u = spaces.length ** (1 - spaces.mesh.topology.dim / 2) / math.sqrt(data.conductance * spaces.length)
+        return cls(own, p, *_beside(own, p, max(SHARP * own.resolution.error * of_u, SMALLEST)))
+
+    def at(self, cells: Indices, x: Array) -> Array:
+        """The quadratics and their gradients in points of owned cells, shape (n, points, 1 + d)."""
+        return self.p.of(cells).at(x - self.own.resolution.vertices[cells].mean(axis=1, keepdims=True))
+
+    def integral(self, datum: Datum, cells: Indices, enough: float, *, power: int = 1) -> Array:
+        """The integral of a datum times v or v² over owned cells (collective); `enough` is as in `products`."""
+        if datum.pieces is None:
+            degree = quadrature_degree(datum) + power * QUADRATIC
+            seen = self.seen(lambda at, jet: datum.values(at) * jet[:, :, 0] ** power, cells, degree)
+            return np.array([seen.sum(), 0.0])
+        total, measure, found = np.zeros(2), self.own.solution.spaces.cell_measures, np.zeros((2, len(self.off)))
+        for tree, rows in _pieces(datum, cells):
+            some = cells[rows]
+            of_tree = self._enclosed(tree, some, lambda jet: jet[:, :, 0] ** power, power * QUADRATIC, enough)
+            total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
+        near = np.intersect1d(cells, self.own.trace.cells)
+        if power == 2:
+            nodes = bernstein(self.p.of(near), self.own.resolution.vertices[near])
+            off = self.off[near] * (2 * np.abs(nodes).max(axis=1, initial=0.0) + self.off[near])
+            return total + [0.0, (off * np.sqrt(measure[near])) @ found[0, near]]
+
+        def rest(at: CellPoints, jet: Array) -> Array:
+            return np.asarray(jet[:, :, 0] - self.at(at.cells, at.x)[:, :, 0])
+
+        degree = self._degree(datum)
+        seen, squares = (
+            self.seen(density, near, degree)[near]
+            for density in (lambda at, jet: datum.values(at) * rest(at, jet), lambda at, jet: rest(at, jet) ** 2)
+        )
+        return total + _with_rest(seen, squares, self.delta[near], *found[:, near], measure[near])
+
+    def of_gradient(self, kappa: Datum, hidden: Array, enough: float) -> Array:
+        """The integral of κ∇v·∇v (collective).
+
+        Where v is not quadratic it is by quadrature, which may miss 2ρ∫|∇v|² and `hidden`.
+
+        Args:
+            kappa: κ.
+            hidden: What quadrature may miss of the root of the integral, per owned cell.
+            enough: As in `products`.
+        """
+
+        def density(at: CellPoints, jet: Array) -> Array:
+            slope = jet[:, :, 1:]
+            return (scaled(kappa.values(at), slope) * slope).sum(axis=2)
+
+        cells, near, degree = owned_cells(self._mesh), self.own.trace.cells, quadrature_degree(kappa)
+        if kappa.pieces is None:
+            return np.array([self.seen(density, cells, degree).sum(), 0.0])
+        seen = self.seen(density, near, degree)
+        steep = self.seen(lambda at, jet: (jet[:, :, 1:] ** 2).sum(axis=2), near, QUADRATIC)
+        whole = max(self._mesh.comm.allreduce(float(steep.sum())), SMALLEST)
+        apart, frame = np.zeros(len(steep)), self.own.solution.spaces.frame
+        for given, rows in _pieces(kappa, near):
+            for tree, _, _ in _entries(given, self._mesh.geometry.dim):
+                limit = np.full(len(rows), enough / (8 * whole))
+                rho = distances(tree, self.own.resolution.vertices[near[rows]], frame, limit)
+                apart[near[rows]] = np.hypot(apart[near[rows]], rho)
+        missed = 2 * apart * steep + hidden * (2 * np.sqrt(np.maximum(seen, 0.0)) + hidden)
+        total, far = np.array([seen.sum(), missed.sum()]), np.setdiff1d(cells, near)
+        for given, rows in _pieces(kappa, far):
+            some = far[rows]
+            for tree, i, j in _entries(given, self._mesh.geometry.dim):
+
+                def squares(jet: Array, i: list[int] = i, j: list[int] = j) -> Array:
+                    return np.asarray((jet[:, :, i] * jet[:, :, j]).sum(axis=2))
+
+                total += self._enclosed(tree, some, squares, QUADRATIC, enough).total
+        return total
+
+    def on_facets(self, datum: Datum, facets: Indices, enough: float, *, jump: bool = False) -> Array:
+        """The integral of a datum times v over boundary facets; inside the domain of its jump (collective)."""
+        spaces, trace, total = self.own.solution.spaces, self.own.trace, np.zeros(2)
+        degree = min(max(self._degree(datum), quadrature_degree(datum) + QUADRATIC, degree_near(trace)), DEGREES[1])
+        on, order = facet_quadrature(self._mesh, facets, degree), np.argsort(spaces.facets)
+        sides, on_gamma_s = [on.cells], order[np.searchsorted(spaces.facets[order], facets)] if jump else order[:0]
+        if jump:
+            across = np.full(len(order), -1)
+            across[spaces.inner.rows] = cells_of_facets(self._mesh, spaces.inner.facets)[0]
+            sides.append(across[on_gamma_s])
+        measure, known = on.scale * on.weights.sum(), [part.pieces is not None for _, part in datum.by_facets(facets)]
+
+        def p(own: Indices, x: Array) -> Array:
+            values = [self.at(side[own], x)[:, :, 0] for side in sides]
+            return np.asarray(values[0] - sum(values[1:]))
+
+        if jump:
+            v = trace.on_gamma_s(facet_quadrature(self._mesh, spaces.facets, degree))[on_gamma_s]
+        else:
+            v = trace.jet(on, near=True)[:, :, 0]
+        if not all(known):
+            return np.array([on.integrals(datum.values(on) * v).sum(), 0.0])
+        found = np.zeros((2, len(facets)))
+        for mask, part in datum.by_facets(facets):
+            for tree, rows in _pieces(part, on.cells[mask]):
+                some = np.flatnonzero(mask)[rows]
+                of_tree = products(
+                    tree,
+                    on.vertices[some],
+                    measure[some],
+                    lambda own, x, of=some: p(of[own], x),
+                    QUADRATIC,
+                    spaces.frame,
+                    enough,
+                )
+                total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
+        rest = v - p(np.arange(len(facets)), on.x)
+        seen, squares = on.integrals(datum.values(on) * rest), on.integrals(rest**2)
+        return total + _with_rest(seen, squares, sum(self.delta[side] for side in sides), *found, measure)
+
+    def _degree(self, datum: Datum) -> int:
+        """Degree of a quadrature for products and squares of polynomials near a datum and near r."""
+        of_datum = DEGREE if (exact := datum.polynomial) is None or exact > EXACT else exact
+        return max(of_datum + self.degree, 2 * of_datum, 2 * self.degree)
+
+    @property
+    def _mesh(self) -> dolfinx.mesh.Mesh:
+        return self.own.solution.spaces.mesh
+
+    def seen(self, density: Callable[[CellPoints, Array], Array], cells: Indices, degree: int) -> Array:
+        """Integrals by quadrature over some owned cells, 0 over others (collective).
+
+        Args:
+            density: What is integrated, from points and the jet of v there.
+            cells: The cells, ascending.
+            degree: Of the quadrature, where v is quadratic.
+        """
+        trace, integrals = self.own.trace, np.zeros(len(self.off))
+        near = np.isin(cells, trace.cells)
+        for close, some in ((True, cells[near]), (False, cells[~near])):
+            of_all = min(max(degree, degree_near(trace) if close else 0), DEGREES[1])
+            rule = positive_quadrature(self._mesh.basix_cell(), of_all)
+            for at in in_cells(self._mesh, some.astype(np.int32), *rule):
+                integrals[at.cells] = at.integrals(density(at, trace.jet(at, near=close, gradient=True)))
+        return integrals
+
+    def _enclosed(
+        self, tree: Tree, cells: Indices, of_jet: Callable[[Array], Array], degree: int, enough: float
+    ) -> Products:
+        """The integrals of a tree times what is made of p (collective)."""
+        return products(
+            tree,
+            self.own.resolution.vertices[cells],
+            self.own.solution.spaces.cell_measures[cells],
+            lambda own, x: of_jet(self.at(cells[own], x)),
+            degree,
+            self.own.solution.spaces.frame,
+            enough,
+        )
+
+
+def _in_nodes(function: fem.Function) -> Array:
+    """The values in the nodes of P2 of a linear function, or of a quadratic one by Bernstein coefficients."""
+    cell = function.function_space.mesh.basix_cell()
+    values, ends = function.x.array[cell_dofs(function.function_space)], np.array(basix.topology(cell)[1])
+    number = len(basix.topology(cell)[0])
+    middle = values[:, ends].mean(axis=2)
+    if values.shape[1] > number:
+        middle = (values[:, number:] + middle) / 2
+    return np.concatenate([values[:, :number], middle], axis=1)
+
+
+def _beside(own: Admissible, p: Quadratic, tolerance: float) -> tuple[Array, Array, int]:
+    """δ, the bound of |r|, and the degree of the polynomials near r (collective)."""
+    vertices, parts, frame = own.resolution.vertices, own.trace.parts, own.solution.spaces.frame
+    cells, corners, degree = own.trace.cells.astype(np.int64), vertices.shape[1], QUADRATIC
+    delta, off = np.zeros((2, len(vertices)))
+    x, order = vertices[cells], [*range(corners), *edge_order(corners)]
+    tops, enough = bernstein(p.of(cells), x), np.full(len(cells), tolerance)
+
+    def with_trees(datum: Datum, chi: fem.Function) -> Iterator[tuple[Tree, Indices]]:
+        touched = chi.x.array[cell_dofs(chi.function_space)][cells].any(axis=1)
+        return ((tree, rows[touched[rows]]) for tree, rows in _pieces(datum, cells))
+
+    for datum, chi in ((parts.u_D[0], parts.near_dirichlet), *((level, near) for level, _, near in parts.levels)):
+        for tree, rows in with_trees(datum, chi):
+            off[cells[rows]] += BESIDE * distances(tree, x[rows], frame, enough[rows], QUADRATIC)
+            if is_polynomial(tree, MOST):
+                degree = max(degree, polynomial_degree(tree) or 0)
+                continue
+            degree = max(degree, DEGREE)
+            delta[cells[rows]] += distances(tree, x[rows], frame, enough[rows])
+    for bound in parts.bounds:
+        depth = bound.depth * (1 - _in_nodes(bound.near)[cells][:, order])
+        free = np.ones(depth.shape)
+        for level, _, chi in parts.levels:
+            if level is bound.datum:  # v is b but for (1 − χ)(b − I_hb) and what p is beside I_hb
+                free -= _in_nodes(chi)[cells][:, order]
+        for tree, rows in with_trees(bound.datum, bound.near):
+            rho = BESIDE * distances(tree, x[rows], frame, enough[rows], QUADRATIC)[:, None]
+            nearest = (
+                (interpolated(tree, x[rows]), rho),
+                (quadratic_of(x[rows], in_nodes(tree, x[rows])), free[rows] * rho),
+            )
+            ends = [bound.sign * (bernstein(near, x[rows]) - tops[rows]) - depth[rows] + more for near, more in nearest]
+            above = np.min([end.max(axis=1, initial=0.0) for end in ends], axis=0)
+            delta[cells[rows]] += above
+            off[cells[rows]] = np.maximum(off[cells[rows]], above)
+    return delta, off, degree + CUT_OFFS
+
+
+def _with_rest(seen: Array, squares: Array, delta: Array, norm: Array, rho: Array, measure: Array) -> Array:
+    """∫er by quadrature and its radius, see the module, from ∫r² by quadrature."""
+    root = np.sqrt(measure)
+    r = np.sqrt(squares) + delta * root
+    radius = np.where(delta > 0, delta * (norm + 2 * np.where(delta > 0, rho, 0.0) * root), 0.0)
+    radius += np.where(r > 0, np.where(r > 0, rho, 0.0) * r, 0.0)
+    return np.array([seen.sum(), 2 * (root * radius).sum()])
+
+
+def _pieces(datum: Datum, cells: Indices) -> Iterator[tuple[Any, Indices]]:
+    """What a datum was given as, each with the positions of its cells among some; nothing if it is Python."""
+    for given, inside in datum.pieces or ():
+        yield given, np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])
+
+
+def _entries(kappa: Any, dim: int) -> Iterator[tuple[Tree, list[int], list[int]]]:
+    """The entries of κ, and of which components of a jet the products with each are summed."""
+    slopes = list(range(1, 1 + dim))
+    if isinstance(kappa, TREES):
+        yield kappa, slopes, slopes
+        return
+    for i, j in np.ndindex(dim, dim):
+        yield kappa[i][j], [1 + i], [1 + j]
