@@ -24,6 +24,8 @@ EXACT = 15
 """Polynomials up to this degree are integrated exactly."""
 OF_SUMS = 1e-12
 """Rounding of a sum, as a share of that of the sizes."""
+SHARPEST = 1e-10
+"""Nothing sharper is aimed at than this share of the sum of the sizes."""
 SMALLEST = 1e-100
 """Tolerances are at least this."""
 
@@ -85,31 +87,32 @@ def products(
         own = np.arange(begin, min(begin + CHUNK, number))
         seen[own] = look(Parts(vertices[own], own, np.ones(len(own))))
     middle, size, squares, of_w = seen.T
-    radius, norm, whole = OF_SUMS * size, np.sqrt(squares), np.zeros(number)
+    radius, norm, whole = np.zeros(number), np.sqrt(squares), np.zeros(number)
     if exact is None:
-        sum_of_w = comm.allreduce(float(measure @ np.sqrt(of_w)))
-        limit = np.full(number, max(enough / (8 * max(sum_of_w, SMALLEST)), SMALLEST))
+        sum_of_w, sum_of_sizes = comm.allreduce(np.array([measure @ np.sqrt(of_w), measure @ size])).tolist()
+        enough = max(enough, SHARPEST * sum_of_sizes, SMALLEST) / 4
+        limit = np.full(number, enough / max(2 * sum_of_w, SMALLEST))
         whole = distances(tree, vertices, frame, limit)
-        rho = whole.copy()
-        rough = np.flatnonzero(~(rho <= limit) & (of_w > 0))
-        rho[rough] = 0.0
-        norm, radius = norm + 2 * rho, radius + 2 * rho * np.sqrt(of_w)
+        fine = whole <= limit
+        rho, rough = np.where(fine, whole, 0.0), np.flatnonzero(~fine & (of_w > 0))
+        norm, radius = norm + 2 * rho, 2 * rho * np.sqrt(of_w)
 
         def of_rest(parts: Parts, remainder: Remainder) -> Array:
-            seen = look(Parts(parts.vertices, rough[parts.own], parts.share))
-            rho = remainder.distance()
-            radius = OF_SUMS * seen[:, 1] + 2 * rho * np.sqrt(seen[:, 3])
-            return np.column_stack([seen[:, 0], radius, (np.sqrt(seen[:, 2]) + 2 * rho) ** 2])
+            seen, rho = look(Parts(parts.vertices, rough[parts.own], parts.share)), 2 * remainder.distance()
+            return np.column_stack([seen[:, :2], rho * np.sqrt(seen[:, 3]), (np.sqrt(seen[:, 2]) + rho) ** 2])
 
         def need(parts: Parts, of_parts: Array) -> Array:
-            wanted = 4 / max(enough, SMALLEST) * measure[rough[parts.own]] * parts.share * of_parts[:, 1]
+            wanted = measure[rough[parts.own]] * parts.share * of_parts[:, 2] / enough
             return np.where(np.isnan(wanted), np.inf, wanted)
 
         parts, of_parts = in_parts(tree, vertices[rough], frame, of_rest, need)
         share = parts.share[:, None] * of_parts
         share[np.isnan(share)] = np.inf
-        columns = [np.bincount(parts.own, column, len(rough)) for column in share.T]
-        middle[rough], radius[rough], norm[rough] = columns[0], columns[1], np.sqrt(columns[2])
-    unknown = ~np.isfinite(middle + radius)
+        middle[rough], size[rough], radius[rough], squares = (
+            np.bincount(parts.own, column, len(rough)) for column in share.T
+        )
+        norm[rough] = np.sqrt(squares)
+    radius = radius + OF_SUMS * size
+    unknown = ~np.isfinite(middle) | np.isnan(radius)
     middle[unknown], radius[unknown] = 0.0, np.inf
     return Products(measure * middle, measure * radius, norm * np.sqrt(measure), whole)

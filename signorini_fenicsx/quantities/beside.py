@@ -17,6 +17,7 @@ from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, Points, facet_quadrature
+from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
@@ -48,6 +49,7 @@ class Beside[Fields](ABC):
         solution: The solution.
         kind: The quantity.
         of_flux: Whether it is one of y; otherwise it is one of v.
+        tau: The τ whose bounds are looked for.
     """
 
     of_flux: ClassVar[bool]
@@ -57,6 +59,7 @@ class Beside[Fields](ABC):
         self.kind = kind
         self.domain: Domain = solution.spaces.domain
         self.comm = self.spaces.mesh.comm
+        self.tau = 1.0
         self._solver: Solver | None = None
         self._options = Options(tuning=solution.options.tuning)
 
@@ -75,6 +78,7 @@ class Beside[Fields](ABC):
 
     def ends(self, tau: float, size: float, response: float) -> Ends:
         """The bounds from one τ, with what `size` and `response` give (collective)."""
+        self.tau = tau
         try:
             with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
                 below, above = self.fields(-tau), self.fields(tau)
@@ -239,6 +243,7 @@ class Integrals[Fields](Beside[Fields]):
             if self.weight.pieces is None:
                 total[0] += points.integrals(self.weight.values(points)).sum()
             for tree, _ in self.weight.pieces or ():  # everywhere
+                assert isinstance(tree, TREES)
                 total += products(tree, points.vertices, measure, _one, 0, self.spaces.frame, enough).total
         value, radius = self.comm.allreduce(total).tolist()
         return value, radius

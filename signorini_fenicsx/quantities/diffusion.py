@@ -16,7 +16,9 @@ from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.certificate.laws import half_gap
 from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.points import facet_type, in_facets
+from signorini_fenicsx.discrete.part_laws import PartLaw
+from signorini_fenicsx.discrete.points import CellPoints, facet_type, in_facets
+from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
@@ -167,12 +169,17 @@ class Fluxes(_Beside):
         return quantity
 
     def half(self, of_v: Admissible, of_y: Admissible) -> Half:
-        """The right side; where all of u_D moves with what means may hide of loads on that constant (collective)."""
-        right_side = super().half(of_v, of_y)
+        """The right side with the work on τ of means that quadrature may miss of loads (collective).
+
+        That is where u_D moves as a whole the work of all loads, as v − u + τ is 0 on Γ_D, and otherwise that of the
+        means of q_S where it moves, which belong to v − u + τ while v − u is 0 on Γ_D.
+        """
+        right_side, resolution = super().half(of_v, of_y), of_y.resolution
+        unseen, part = resolution.size * of_y.metric.volume, of_v.goal.enclosed(self.spaces)
         if not self.moves_walls:
-            return right_side
-        unseen = float(self.comm.allreduce(of_y.resolution.load.largest @ of_y.metric.volume))
-        return replace(right_side, unseen=unseen)
+            rows = self._rows[:0] if part is None else np.intersect1d(part.rows, self._rows)
+            unseen = unseen[np.unique(self.spaces.cells[rows])]
+        return replace(right_side, unseen=float(self.comm.allreduce(unseen.sum())))
 
     def value(self, of_v: Admissible, of_y: Admissible, enough: float) -> Array:
         """The flux of y', and under laws with a weight that of η', which has the same means (collective)."""
@@ -185,7 +192,8 @@ class Fluxes(_Beside):
         more = 0.0
         for load in gap_on_gamma_s(of_v, of_y, of_v.goal, half_gap)[1][:1]:
             more = load.points.integrals(load.values * self.weight.values(load.points))[self._rows].sum()
-        return total + [float(self.comm.allreduce(more)), 0.0]
+        total[0] += float(self.comm.allreduce(more))
+        return np.asarray(total)
 
     def _weighted(self, of_y: Admissible, enough: float) -> Array:
         """The flux of y' with a weight by text, and by how much it may be wrong, on this rank (collective)."""
@@ -198,6 +206,7 @@ class Fluxes(_Beside):
         outward /= np.linalg.norm(outward, axis=2, keepdims=True)
         flux = (of_y.flux.at(on)[:, :1] * outward).sum(axis=2)
         for tree, _ in self.weight.pieces or ():
+            assert isinstance(tree, TREES)
             total += products(
                 tree,
                 on.vertices,
@@ -281,8 +290,12 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
         total[0] -= near.seen(lambda at, jet: load[at.cells, None] * jet[:, :, 0], cells, 0).sum()
         total[1] += np.abs(load[cells]) * spaces.cell_measures @ near.off
     for part in () if data.inside is None else data.inside.of_regions:
+
+        def energy_of(at: CellPoints, jet: Array, part: PartLaw = part) -> Array:
+            return energies(part, at, jet[:, :, 0])
+
         degree = max(SQUARE, quadrature_degree(*part.data.values()))
-        total[0] += near.seen(lambda at, jet, of=part: energies(of, at, jet[:, :, 0]), part.rows, degree).sum()
+        total[0] += near.seen(energy_of, part.rows, degree).sum()
     return [float(each) for each in spaces.mesh.comm.allreduce(total + _of_laws(own, near, enough))]
 
 

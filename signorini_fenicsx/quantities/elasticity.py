@@ -19,12 +19,16 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
-from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.datum import DEGREES
+from signorini_fenicsx.discrete.interpolants import quadratic_by
 from signorini_fenicsx.expressions import TREES, to_ufl
 from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.expressions.products import products
+from signorini_fenicsx.expressions.quadratics import Quadratic
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.bound.certify import (
@@ -57,6 +61,7 @@ from signorini_fenicsx.quantities.motions import (
     direction_of,
     foundations,
     moved,
+    unseen_work,
 )
 from signorini_fenicsx.quantities.shifts import added, check_part, in_regions
 
@@ -199,7 +204,12 @@ class _Beside(Beside[_Side]):
         missing = sorted({name for each in both for name in not_in_the_spaces(each)})
         reason = reservation(resolution.unresolved(), missing, LACKING)
         value = (math.sqrt(total) + y.distance + missed) ** 2 / 4 + max(at_sites, 0.0)
-        return Half(value, reason, squares / 4 + np.maximum(contact, 0.0))
+        unseen = self.unseen(resolution, missed, of_v.v, of_y.v)
+        return Half(value, reason, squares / 4 + np.maximum(contact, 0.0), unseen)
+
+    def unseen(self, resolution: Resolution, missed: float, of_v: fem.Function, of_y: fem.Function) -> float:
+        """What loads that quadrature misses add to the bound, whatever τ is (collective)."""
+        return 0.0
 
     def apart(self, one: _Side, other: _Side) -> float:
         """The energy norm of the difference of both stresses (collective)."""
@@ -234,9 +244,15 @@ class Fluxes(_Beside):
         """The memory of the solution, with the motion of foundations on the parts."""
         return replace(super().memory(tau), moved=foundations(self.domain, self.given, self.kind, tau))
 
-    def value(self, of_v: _Side, of_y: _Side) -> float:
+    def value(self, of_v: _Side, of_y: _Side, enough: float) -> Array:
         """⟨yn, w⟩ (collective)."""
-        return self._of(of_y.solution, of_y.y.stresses)
+        return np.array([self._of(of_y.solution, of_y.y.stresses), 0.0])
+
+    def unseen(self, resolution: Resolution, missed: float, of_v: fem.Function, of_y: fem.Function) -> float:
+        """What loads that quadrature misses add to the bound, see `motions` (collective)."""
+        apart = fem.Function(of_v.function_space)
+        apart.x.array[:] = of_v.x.array - of_y.x.array
+        return unseen_work(resolution, missed, self.kind, apart, self.tau)
 
     def discrete(self) -> float:
         """⟨σ_h n, w⟩ (collective)."""
@@ -257,7 +273,7 @@ class Fluxes(_Beside):
         return float(total[2] if dim == 2 else total[3:] @ direction_of(self.kind.direction, dim))
 
 
-class Integrals(_Beside, beside.Integrals[_Side]):
+class Integrals(beside.Integrals[_Side], _Beside):
     """The integral of a component of the displacement with a weight, or its mean."""
 
     def posed(self, tau: float) -> Posed:
@@ -268,31 +284,56 @@ class Integrals(_Beside, beside.Integrals[_Side]):
         """The memory of the solution, with more tractions on the parts."""
         return replace(super().memory(tau), pulls=_pulls(self.domain, self.given, self.kind, tau))
 
-    def integral(self, of: _Side | None = None, power: int = 1) -> float:
-        """The integral of v along the direction, or for None of 1, times a power of the weight (collective).
+    def integral(self, of: _Side, enough: float) -> Array:
+        """The integral of v along the direction, and by how much it may be wrong, on this rank (collective).
 
         Where two bodies touch it is that of the jump of v.
         """
-        split, v = self.spaces.split, None if of is None else of.v
-        mesh = split.mesh if v is None else v.function_space.mesh
-        weight = parsed(self.kind.weight, "xyz"[: self.spaces.dim], "weight")
-        degree = QUADRATIC + power * quadrature_degree(datum_of(self.spaces, "weight", weight))
-        measure = (ufl.ds if self.kind.parts else ufl.dx)(domain=mesh, metadata={"quadrature_degree": degree})
-        where = indicator(self.spaces, mesh, self.kind.parts, self.kind.region)
-        along, across = 1.0 if v is None else self._along(v), 0.0
-        inner = [other_side(part) for part in self.kind.parts if part in self.solution.boundary.inner]
-        if v is not None and inner:  # a displacement along n has the sign of its side by itself
-            sign = -1.0 if self.kind.direction is not None else 1.0
-            across = sign * indicator(self.spaces, mesh, inner)
-        value = to_ufl(weight, ufl.SpatialCoordinate(mesh)) ** power * along * (where + across)
-        return float(self.comm.allreduce(fem.assemble_scalar(fenicsx.form(value * measure))))
-
-    def _along(self, v: fem.Function) -> Expr:
-        """The component of v along the direction, or on parts along n."""
+        dim, spaces, total = self.spaces.dim, self.spaces, np.zeros(2)
         direction = self.kind.direction
-        if direction is None:
-            return ufl.dot(v, ufl.FacetNormal(v.function_space.mesh))
-        return ufl.dot(v, ufl.as_vector(direction_of(direction, self.spaces.dim)))
+        along = None if direction is None else np.array(direction_of(direction, dim))
+        tree = parsed(self.kind.weight, "xyz"[:dim], "weight")
+        if not self.kind.parts:
+            assert along is not None
+            subcells = spaces.split.cells[self.cells].ravel()
+            v, measure = (
+                _Along.of(of.v, subcells, along),
+                np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1),
+            )
+            return products(tree, v.vertices, measure, v.at, QUADRATIC, spaces.frame, enough).total
+        inner = [other_side(part) for part in self.kind.parts if part in self.solution.boundary.inner]
+        for part in (*self.kind.parts, *inner):
+            facets, sign = spaces.part(part), -1.0 if part in inner else 1.0
+            ways = facets.normals if along is None else sign * along  # n has the sign of its side by itself
+            v = _Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
+            total += products(tree, facets.vertices, facets.measure, v.at, QUADRATIC, spaces.frame, enough).total
+        return total
+
+
+@dataclass(frozen=True)
+class _Along:
+    """The components of a quadratic displacement along vectors on some cells of the split mesh.
+
+    Attributes:
+        vertices: Those of the cells.
+        component: The components.
+    """
+
+    vertices: Array
+    component: Quadratic
+
+    @classmethod
+    def of(cls, v: fem.Function, subcells: Indices, ways: Array) -> _Along:
+        """The components along a vector for each of some subcells, or one for all."""
+        space = v.function_space
+        coefficients = v.x.array.reshape(-1, ways.shape[-1])[space.dofmap.list[subcells]]
+        vertices = corners(space.mesh, subcells.astype(np.int32))
+        ways = np.broadcast_to(ways, (len(subcells), ways.shape[-1]))
+        return cls(vertices, quadratic_by(vertices, np.einsum("nai,ni->na", coefficients, ways)))
+
+    def at(self, own: Indices, x: Array) -> Array:
+        """The components in points of the subcells with these positions, shape (n, points, d)."""
+        return self.component.of(own).at(x - self.vertices[own].mean(axis=1, keepdims=True))[:, :, 0]
 
 
 QUADRATIC = 2

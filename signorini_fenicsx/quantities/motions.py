@@ -3,6 +3,11 @@
 A force F = ⟨σn, w⟩ with a rigid motion w moves what holds the body on its parts: u_D by τw, a foundation, or the jump
 of two bodies, as a tool moves: by τw·n in the gap and, with friction, by τw_t in the slip. Both are linear on each
 facet, also where Γ_C is curved.
+
+*Loads that quadrature misses.* Let R(w) be the work of what y does not balance of the linear parts of loads, and ŵ any
+function that is w on these parts and 0 in other places where u is given. v − u is −τw on the parts, so that R(v − u) is
+no more bounded by a constant of the body: only R(v − u + τŵ) is. So τ(R(ŵ) + C|ŵ|) is added to the bound, with C|w| for
+that of R(w). Where u is given on no other part ŵ is w, and |ŵ| = 0; otherwise it is (v₊ − v₋)/2τ.
 """
 
 from __future__ import annotations
@@ -12,11 +17,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import ufl
+from dolfinx import fem
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import AXES, Domain
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.tools import Tool
 from signorini_fenicsx.quantities.kinds import Force, Moment
@@ -120,3 +130,33 @@ def _affine(row: Array) -> Given:
         return float(row[0])
     terms = [repr(float(row[0])), *(f"{float(factor)!r}*{x}" for factor, x in zip(row[1:], "xyz", strict=False))]
     return " + ".join(terms)
+
+
+def unseen_work(resolution: Resolution, together: float, kind: Force, apart: fem.Function, tau: float) -> float:
+    """Bound of R(ŵ) + C|ŵ| (collective).
+
+    Args:
+        resolution: Has R, after what is missed of loads is known.
+        together: C.
+        kind: The force.
+        apart: The difference of the displacements with data that are moved by ±τw.
+        tau: τ.
+    """
+    spaces, comm, linear = resolution.spaces, resolution.spaces.mesh.comm, resolution.linear
+    if not comm.allreduce(float(linear.sum())) > 0:
+        return 0.0
+    moved = np.concatenate([spaces.domain.facets[part] for part in kind.parts])
+    others = sum(np.count_nonzero(~np.isin(facets.facets, moved)) for facets, _, _ in spaces.fixed)
+    if comm.allreduce(others) == 0:
+        motion = motion_of(kind, spaces.dim)
+        at_vertices = motion[:, 0] + spaces.vertices @ motion[:, 1:].T
+        return float(comm.allreduce(linear @ np.linalg.norm(at_vertices, axis=2).max(axis=1, initial=0.0)))
+    space, split = apart.function_space, spaces.split
+    weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
+    strains = ufl.inner(strain(apart), strain(apart)) * weight * ufl.dx
+    cells, squares, largest = split.subcells // (spaces.dim + 1), *np.zeros((2, len(linear)))
+    np.add.at(squares, cells, fem.assemble_vector(fenicsx.form(strains)).array[: len(cells)])
+    coefficients = apart.x.array.reshape(-1, spaces.dim)[space.dofmap.list[: len(cells)]]
+    np.maximum.at(largest, cells, np.linalg.norm(coefficients, axis=2).max(axis=1))
+    sums = comm.allreduce(np.array([linear @ largest, resolution.stiffest() @ squares]))
+    return float(sums[0] + together * np.sqrt(sums[1])) / (2 * tau)

@@ -28,6 +28,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
@@ -35,7 +36,6 @@ from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_grad
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray
-from signorini_fenicsx.physics.diffusion.bound.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.physics.diffusion.spaces import Spaces

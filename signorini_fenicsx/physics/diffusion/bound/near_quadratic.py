@@ -20,10 +20,12 @@ import dolfinx.mesh
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells
 from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.discrete.cell_shapes import Entities
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.interpolants import edge_order, in_nodes, quadratic_by, quadratic_of
 from signorini_fenicsx.discrete.points import CellPoints, cells_of_facets, facet_quadrature, in_cells
 from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import BESIDE, distances
@@ -33,7 +35,6 @@ from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.tree import polynomial_degree
 from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, scaled
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
-from signorini_fenicsx.physics.diffusion.bound.interpolants import edge_order, in_nodes, quadratic_of
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST
 
 SHARP = 1e-3
@@ -69,15 +70,17 @@ class NearQuadratic:
     def of(cls, own: Admissible) -> NearQuadratic:
         """The quadratics near the v of a solution (collective)."""
         spaces, data = own.solution.spaces, own.solution.data
-        p = quadratic_of(own.resolution.vertices, _in_nodes(own.trace.v) + _in_nodes(own.trace.parts.moved))
+        v = own.trace.v
+        coefficients = v.x.array[cell_dofs(v.function_space)] + _of_linear(own.trace.parts.moved)
+        p = quadratic_by(own.resolution.vertices, coefficients)
         of_u = spaces.length ** (1 - spaces.mesh.topology.dim / 2) / math.sqrt(data.conductance * spaces.length)
         return cls(own, p, *_beside(own, p, max(SHARP * own.resolution.error * of_u, SMALLEST)))
 
-    def at(self, cells: Indices, x: Array) -> Array:
+    def at(self, cells: AnyIndices, x: Array) -> Array:
         """The quadratics and their gradients in points of owned cells, shape (n, points, 1 + d)."""
         return self.p.of(cells).at(x - self.own.resolution.vertices[cells].mean(axis=1, keepdims=True))
 
-    def integral(self, datum: Datum, cells: Indices, enough: float, *, power: int = 1) -> Array:
+    def integral(self, datum: Datum, cells: AnyIndices, enough: float, *, power: int = 1) -> Array:
         """The integral of a datum times v or v² over owned cells (collective); `enough` is as in `products`."""
         if datum.pieces is None:
             degree = quadrature_degree(datum) + power * QUADRATIC
@@ -92,7 +95,8 @@ class NearQuadratic:
         if power == 2:
             nodes = bernstein(self.p.of(near), self.own.resolution.vertices[near])
             off = self.off[near] * (2 * np.abs(nodes).max(axis=1, initial=0.0) + self.off[near])
-            return total + [0.0, (off * np.sqrt(measure[near])) @ found[0, near]]
+            total[1] += (off * np.sqrt(measure[near])) @ found[0, near]
+            return total
 
         def rest(at: CellPoints, jet: Array) -> Array:
             return np.asarray(jet[:, :, 0] - self.at(at.cells, at.x)[:, :, 0])
@@ -102,7 +106,7 @@ class NearQuadratic:
             self.seen(density, near, degree)[near]
             for density in (lambda at, jet: datum.values(at) * rest(at, jet), lambda at, jet: rest(at, jet) ** 2)
         )
-        return total + _with_rest(seen, squares, self.delta[near], *found[:, near], measure[near])
+        return total + _with_rest(seen, squares, self.delta[near], found[:, near], measure[near])
 
     def of_gradient(self, kappa: Datum, hidden: Array, enough: float) -> Array:
         """The integral of κ∇v·∇v (collective).
@@ -143,7 +147,7 @@ class NearQuadratic:
                 total += self._enclosed(tree, some, squares, QUADRATIC, enough).total
         return total
 
-    def on_facets(self, datum: Datum, facets: Indices, enough: float, *, jump: bool = False) -> Array:
+    def on_facets(self, datum: Datum, facets: Entities, enough: float, *, jump: bool = False) -> Array:
         """The integral of a datum times v over boundary facets; inside the domain of its jump (collective)."""
         spaces, trace, total = self.own.solution.spaces, self.own.trace, np.zeros(2)
         degree = min(max(self._degree(datum), quadrature_degree(datum) + QUADRATIC, degree_near(trace)), DEGREES[1])
@@ -155,9 +159,9 @@ class NearQuadratic:
             sides.append(across[on_gamma_s])
         measure, known = on.scale * on.weights.sum(), [part.pieces is not None for _, part in datum.by_facets(facets)]
 
-        def p(own: Indices, x: Array) -> Array:
+        def p(own: AnyIndices, x: Array) -> Array:
             values = [self.at(side[own], x)[:, :, 0] for side in sides]
-            return np.asarray(values[0] - sum(values[1:]))
+            return values[0] - np.sum(values[1:], axis=0)
 
         if jump:
             v = trace.on_gamma_s(facet_quadrature(self._mesh, spaces.facets, degree))[on_gamma_s]
@@ -169,19 +173,15 @@ class NearQuadratic:
         for mask, part in datum.by_facets(facets):
             for tree, rows in _pieces(part, on.cells[mask]):
                 some = np.flatnonzero(mask)[rows]
-                of_tree = products(
-                    tree,
-                    on.vertices[some],
-                    measure[some],
-                    lambda own, x, of=some: p(of[own], x),
-                    QUADRATIC,
-                    spaces.frame,
-                    enough,
-                )
+
+                def w(own: Indices, x: Array, some: Indices = some) -> Array:
+                    return p(some[own], x)
+
+                of_tree = products(tree, on.vertices[some], measure[some], w, QUADRATIC, spaces.frame, enough)
                 total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
         rest = v - p(np.arange(len(facets)), on.x)
         seen, squares = on.integrals(datum.values(on) * rest), on.integrals(rest**2)
-        return total + _with_rest(seen, squares, sum(self.delta[side] for side in sides), *found, measure)
+        return total + _with_rest(seen, squares, np.sum([self.delta[side] for side in sides], axis=0), found, measure)
 
     def _degree(self, datum: Datum) -> int:
         """Degree of a quadrature for products and squares of polynomials near a datum and near r."""
@@ -192,7 +192,7 @@ class NearQuadratic:
     def _mesh(self) -> dolfinx.mesh.Mesh:
         return self.own.solution.spaces.mesh
 
-    def seen(self, density: Callable[[CellPoints, Array], Array], cells: Indices, degree: int) -> Array:
+    def seen(self, density: Callable[[CellPoints, Array], Array], cells: AnyIndices, degree: int) -> Array:
         """Integrals by quadrature over some owned cells, 0 over others (collective).
 
         Args:
@@ -210,7 +210,7 @@ class NearQuadratic:
         return integrals
 
     def _enclosed(
-        self, tree: Tree, cells: Indices, of_jet: Callable[[Array], Array], degree: int, enough: float
+        self, tree: Tree, cells: AnyIndices, of_jet: Callable[[Array], Array], degree: int, enough: float
     ) -> Products:
         """The integrals of a tree times what is made of p (collective)."""
         return products(
@@ -224,15 +224,11 @@ class NearQuadratic:
         )
 
 
-def _in_nodes(function: fem.Function) -> Array:
-    """The values in the nodes of P2 of a linear function, or of a quadratic one by Bernstein coefficients."""
-    cell = function.function_space.mesh.basix_cell()
-    values, ends = function.x.array[cell_dofs(function.function_space)], np.array(basix.topology(cell)[1])
-    number = len(basix.topology(cell)[0])
-    middle = values[:, ends].mean(axis=2)
-    if values.shape[1] > number:
-        middle = (values[:, number:] + middle) / 2
-    return np.concatenate([values[:, :number], middle], axis=1)
+def _of_linear(function: fem.Function) -> Array:
+    """The coefficients of a linear function among quadratics on each cell, as Basix numbers them."""
+    values = function.x.array[cell_dofs(function.function_space)]
+    ends = np.array(basix.topology(function.function_space.mesh.basix_cell())[1])
+    return np.concatenate([values, values[:, ends].mean(axis=2)], axis=1)
 
 
 def _beside(own: Admissible, p: Quadratic, tolerance: float) -> tuple[Array, Array, int]:
@@ -256,11 +252,11 @@ def _beside(own: Admissible, p: Quadratic, tolerance: float) -> tuple[Array, Arr
             degree = max(degree, DEGREE)
             delta[cells[rows]] += distances(tree, x[rows], frame, enough[rows])
     for bound in parts.bounds:
-        depth = bound.depth * (1 - _in_nodes(bound.near)[cells][:, order])
+        depth = bound.depth * (1 - _of_linear(bound.near)[cells][:, order])
         free = np.ones(depth.shape)
         for level, _, chi in parts.levels:
             if level is bound.datum:  # v is b but for (1 − χ)(b − I_hb) and what p is beside I_hb
-                free -= _in_nodes(chi)[cells][:, order]
+                free -= _of_linear(chi)[cells][:, order]
         for tree, rows in with_trees(bound.datum, bound.near):
             rho = BESIDE * distances(tree, x[rows], frame, enough[rows], QUADRATIC)[:, None]
             nearest = (
@@ -274,16 +270,16 @@ def _beside(own: Admissible, p: Quadratic, tolerance: float) -> tuple[Array, Arr
     return delta, off, degree + CUT_OFFS
 
 
-def _with_rest(seen: Array, squares: Array, delta: Array, norm: Array, rho: Array, measure: Array) -> Array:
-    """∫er by quadrature and its radius, see the module, from ∫r² by quadrature."""
-    root = np.sqrt(measure)
+def _with_rest(seen: Array, squares: Array, delta: Array, of_datum: Array, measure: Array) -> Array:
+    """∫er by quadrature and its radius, see the module, from ∫r² by quadrature, ‖e‖ and ρ_e."""
+    root, (norm, rho) = np.sqrt(measure), of_datum
     r = np.sqrt(squares) + delta * root
     radius = np.where(delta > 0, delta * (norm + 2 * np.where(delta > 0, rho, 0.0) * root), 0.0)
     radius += np.where(r > 0, np.where(r > 0, rho, 0.0) * r, 0.0)
     return np.array([seen.sum(), 2 * (root * radius).sum()])
 
 
-def _pieces(datum: Datum, cells: Indices) -> Iterator[tuple[Any, Indices]]:
+def _pieces(datum: Datum, cells: AnyIndices) -> Iterator[tuple[Any, Indices]]:
     """What a datum was given as, each with the positions of its cells among some; nothing if it is Python."""
     for given, inside in datum.pieces or ():
         yield given, np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])

@@ -20,6 +20,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.interpolants import quadratic_of
 from signorini_fenicsx.discrete.points import (
     CellPoints,
     FacetPoints,
@@ -28,7 +29,6 @@ from signorini_fenicsx.discrete.points import (
     in_cells,
     quadratic_nodes,
 )
-from signorini_fenicsx.physics.diffusion.bound.interpolants import quadratic_of
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     OF_FLUX,
     OF_LOAD,

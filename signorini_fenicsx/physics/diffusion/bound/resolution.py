@@ -81,6 +81,7 @@ class Resolution:
         unresolved: Data with a place each that are not resolved, on this rank.
         coarse: Mask of the owned cells with such places.
         load: c, the means of the missed loads, per owned cell.
+        size: The sum of the largest |c| of each of these loads.
         missed: What the enclosures add to the bound apart from these means, squared, per owned cell.
     """
 
@@ -92,13 +93,14 @@ class Resolution:
     unresolved: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
     coarse: Mask = field(init=False)
     load: Interval = field(init=False)
+    size: Array = field(init=False)
     missed: Array = field(init=False)
     _sizes: dict[str, Array] = field(default_factory=dict)
     _loads: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         number = len(self.spaces.cell_measures)
-        self.coarse, self.missed = np.zeros(number, dtype=bool), np.zeros(number)
+        self.coarse, self.missed, self.size = np.zeros(number, dtype=bool), np.zeros(number), np.zeros(number)
         self.load = enclosing(np.zeros(number))
 
     @cached_property
@@ -197,6 +199,7 @@ class Resolution:
         number = len(self.coarse)
         self.load = self.load + Interval(*(np.bincount(cells, end, number) for end in (mean.lo, mean.hi)))
         self.record_missed(name, cells, squares)
+        self.size = self.size + np.bincount(cells, mean.largest, number)
         of_mean = (SHARE * self.error * mean.largest / self._tolerance(metric)[cells]) ** 2
         self._loads.add(name)
         self._sizes[name] += np.bincount(cells, of_mean * metric.volume[cells] / self.volume, number)

@@ -158,11 +158,13 @@ class _Missed:
         name: Its name.
         beyond: By how much (d, w) may be larger than what is counted, beside ‖ε(w)‖_T.
         linear: ‖Π₁d‖² on the cell, or over l on its facets, see `body`.
+        measure: |T|, or l times the measure of these facets.
     """
 
     name: str
     beyond: Array
     linear: Array
+    measure: Array
 
 
 def missed(resolution: Resolution, compliance: Array, counted: Array) -> tuple[Array, float]:
@@ -196,6 +198,7 @@ def missed(resolution: Resolution, compliance: Array, counted: Array) -> tuple[A
     sums = comm.allreduce(np.array([(beyond**2).sum(), *(each.linear.sum() for each in of_each)]))
     together = of_body * float(np.sqrt(sums[1:]).sum())  # several loads may be on one facet
     if math.sqrt(sums[0]) + together <= MUCH * bound:
+        resolution.linear = np.sum([np.sqrt(each.linear * each.measure) for each in of_each], axis=0)
         return beyond, together
     of_loads = [np.nan_to_num(each.beyond**2 + of_body**2 * each.linear, nan=np.inf) for each in of_each]
     most = comm.allreduce(max(each.max(initial=0.0) for each in of_loads), MPI.MAX)
@@ -262,7 +265,7 @@ def _of_force(spaces: ElasticSpaces, data: ElasticData, enough: float) -> _Misse
     squares = np.square(enclosures.roots()).reshape(3, -1, size).mean(axis=2)
     seen, norm, linear = np.sqrt(squares * spaces.cell_measures)
     constants = korn_constants(Cells(spaces.vertices).derivative)
-    return _Missed(data.f.name, constants * np.maximum(norm - seen, 0.0), linear**2)
+    return _Missed(data.f.name, constants * np.maximum(norm - seen, 0.0), linear**2, spaces.cell_measures)
 
 
 def _of_traction(
@@ -281,7 +284,8 @@ def _of_traction(
     enclosures.add(facets.cells, at.vertices, near, squares, acting)
     seen, norm, linear = enclosures.roots() * np.sqrt(facets.measure)
     constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
-    columns = constants * np.maximum(norm - seen, 0.0), linear**2 / length_of_facets(spaces)
+    length = length_of_facets(spaces)
+    columns = constants * np.maximum(norm - seen, 0.0), linear**2 / length, length * facets.measure
     return _Missed(datum.name, *(np.bincount(facets.cells, each, len(spaces.order)) for each in columns))
 
 

@@ -173,15 +173,17 @@ class Resolution:
         spaces: The spaces.
         data: The data.
         coarse: Mask of the owned cells where data are not resolved.
+        linear: Bound of the work that the Π₁d of `hidden` may do beside sup |w| per owned cell, once it is known.
     """
 
     spaces: ElasticSpaces
     data: ElasticData
     coarse: npt.NDArray[np.bool_] = field(init=False)
+    linear: Array = field(init=False)
     _noted: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.coarse = np.zeros(len(self.spaces.order), dtype=bool)
+        self.coarse, self.linear = np.zeros(len(self.spaces.order), dtype=bool), np.zeros(len(self.spaces.order))
         if self._stiffness is not None:
             varies = np.zeros(len(self.coarse), dtype=bool)
             varies[np.flatnonzero(~self._stiffness.resolved) // (self.spaces.dim + 1)] = True

@@ -30,3 +30,11 @@ def in_nodes(tree: Tree, vertices: Array) -> Array:
     ends[np.array(edge_order(corners)) - corners] = edges(corners)
     x = np.concatenate([vertices, (vertices[:, ends[:, 0]] + vertices[:, ends[:, 1]]) / 2], axis=1)
     return values(tree, x)
+
+
+def quadratic_by(vertices: Array, coefficients: Array) -> Quadratic:
+    """The quadratics with these Bernstein coefficients, as Basix numbers them, shape (n, nodes)."""
+    corners = vertices.shape[1]
+    ends = np.array(edges(corners)).T
+    middle = (coefficients[:, edge_order(corners)] + coefficients[:, ends].mean(axis=1)) / 2
+    return quadratic(vertices, coefficients[:, :corners], middle)
