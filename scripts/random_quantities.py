@@ -2,6 +2,7 @@
 
 uv run python scripts/random_quantities.py --seeds 60        (also under mpirun)
 uv run python scripts/random_quantities.py --bodies --seeds 30   of elastic bodies, on a mesh half or a third as fine
+uv run python scripts/random_quantities.py --exact --seeds 40   jumps and kinks, against exact values
 uv run python scripts/random_quantities.py --orders          how intervals shrink with h
 
 A seed chooses a shape, a load, κ, laws on parts of the boundary and in Ω, and a quantity; of a body its friction, loads
@@ -17,6 +18,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from exact_quantities import balanced, bar, membrane
 from mpi4py import MPI
 
 from signorini_fenicsx import (
@@ -54,6 +56,8 @@ LAWS = {
     "graph": lambda part, a, b: Corners(part, [(-0.1, abs(a) / 4), (0.05, 0), (0.05, -abs(b) / 4)], before=1),
 }
 """Laws on a part, from two random numbers."""
+ROUNDING = 1e-12
+"""Of an exact value."""
 INSIDE = {
     "obstacle": lambda a, b: Obstacle(region="all", psi=-abs(a) / 20, psi_upper=abs(b) / 20 + 0.1),
     "reaction": lambda a, b: Reaction(region="all", c=f"{abs(a)} + x"),
@@ -171,6 +175,21 @@ def random_body(seed: int, shapes: tuple[str, ...] = ("square", "square", "cube"
     return Row(seed, f"{shape}, {type(touching).__name__.lower()}{rubs}", kind, *intervals)
 
 
+def against_exact(seed: int) -> list[tuple[str, bool, bool]]:
+    """Some quantities of a random problem with known ones: in words, whether guaranteed, and inside (collective)."""
+    rng = np.random.default_rng(seed)
+    made = (membrane, bar, balanced)[seed % 3](rng)
+    h, mesh = float(rng.uniform(0.15, 0.3)), str(rng.choice(["structured", "unstructured"]))
+    solution, rows = solve(build_domain(MPI.COMM_WORLD, "square", h, mesh=mesh), made.problem), []
+    for kind, known in made.kinds:
+        found = solution.quantity(kind)
+        inside = found.lower - ROUNDING * (1 + abs(known)) <= known <= found.upper + ROUNDING * (1 + abs(known))
+        verdict = f"{'holds' if inside else 'OUTSIDE'} {found.reason or 'guaranteed'}"
+        words = f"{seed:4d} {type(kind).__name__:8s} {known:.9g} in [{found.lower:.9g}, {found.upper:.9g}] {verdict}"
+        rows.append((words, found.guaranteed, inside))
+    return rows
+
+
 def orders() -> None:
     """Print half the length of some intervals on finer and finer meshes (collective)."""
     problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
@@ -188,13 +207,26 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=60)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--bodies", action="store_true")
+    parser.add_argument("--exact", action="store_true")
     parser.add_argument("--orders", action="store_true")
     arguments = parser.parse_args()
     if arguments.orders:
         orders()
         return
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    if arguments.exact:
+        exact = []
+        for seed in seeds:
+            exact += (found := against_exact(seed))
+            collect_garbage(MPI.COMM_WORLD)
+            if MPI.COMM_WORLD.rank == 0:
+                print("\n".join(words for words, *_ in found), flush=True)
+        proved = [inside for _, guaranteed, inside in exact if guaranteed]
+        if MPI.COMM_WORLD.rank == 0:
+            print(f"{len(exact)} quantities, {len(proved)} guaranteed, {proved.count(False)} of these outside")
+        return
     rows = []
-    for seed in range(arguments.first, arguments.first + arguments.seeds):
+    for seed in seeds:
         rows.append(random_body(seed) if arguments.bodies else random_row(seed))
         collect_garbage(MPI.COMM_WORLD)
         if MPI.COMM_WORLD.rank == 0:

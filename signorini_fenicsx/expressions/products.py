@@ -105,7 +105,7 @@ def products(
             wanted = measure[rough[parts.own]] * parts.share * of_parts[:, 2] / enough
             return np.where(np.isnan(wanted), np.inf, wanted)
 
-        parts, of_parts = in_parts(tree, vertices[rough], frame, of_rest, need)
+        parts, of_parts = in_parts([tree], vertices[rough], frame, of_rest, need)
         share = parts.share[:, None] * of_parts
         share[np.isnan(share)] = np.inf
         middle[rough], size[rough], radius[rough], squares = (

@@ -281,7 +281,7 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
     """
     spaces, data, near = own.solution.spaces, own.solution.data, NearQuadratic.of(own)
     cells, half, minus = owned_cells(spaces.mesh).astype(np.int64), np.array([0.5, 0.5]), np.array([-1.0, 1.0])
-    total = half * near.of_gradient(data.kappa, hidden, enough) + minus * near.integral(data.f, cells, enough)
+    total = half * near.of_gradient(hidden) + minus * near.integral(data.f, cells, enough)
     total += minus * near.on_facets(data.g_N, spaces.neumann_facets, enough)
     if data.c.number != 0:
         total += half * near.integral(data.c, cells, enough, power=2)

@@ -7,7 +7,8 @@ facet, also where Γ_C is curved.
 *Loads that quadrature misses.* Let R(w) be the work of what y does not balance of the linear parts of loads, and ŵ any
 function that is w on these parts and 0 in other places where u is given. v − u is −τw on the parts, so that R(v − u) is
 no more bounded by a constant of the body: only R(v − u + τŵ) is. So τ(R(ŵ) + C|ŵ|) is added to the bound, with C|w| for
-that of R(w). Where u is given on no other part ŵ is w, and |ŵ| = 0; otherwise it is (v₊ − v₋)/2τ.
+that of R(w). Where u is given on no other part ŵ is w, and |ŵ| = 0; where it is given on none of them ŵ is 0; otherwise
+it is (v₊ − v₋)/2τ.
 """
 
 from __future__ import annotations
@@ -146,13 +147,16 @@ def unseen_work(resolution: Resolution, together: float, kind: Force, apart: fem
     if not comm.allreduce(float(linear.sum())) > 0:
         return 0.0
     moved = np.concatenate([spaces.domain.facets[part] for part in kind.parts])
-    others = sum(np.count_nonzero(~np.isin(facets.facets, moved)) for facets, _, _ in spaces.fixed)
-    if comm.allreduce(others) == 0:
+    given = np.concatenate([facets.facets for facets, _, _ in spaces.fixed])
+    held, others = comm.allreduce(np.array([np.isin(given, moved).sum(), (~np.isin(given, moved)).sum()])).tolist()
+    if held == 0:
+        return 0.0  # ŵ = 0
+    if others == 0:
         motion = motion_of(kind, spaces.dim)
         at_vertices = motion[:, 0] + spaces.vertices @ motion[:, 1:].T
         return float(comm.allreduce(linear @ np.linalg.norm(at_vertices, axis=2).max(axis=1, initial=0.0)))
     space, split = apart.function_space, spaces.split
-    weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
+    weight = ufl.TestFunction(fenicsx.function_space(space.mesh, ("DG", 0)))
     strains = ufl.inner(strain(apart), strain(apart)) * weight * ufl.dx
     cells, squares, largest = split.subcells // (spaces.dim + 1), *np.zeros((2, len(linear)))
     np.add.at(squares, cells, fem.assemble_vector(fenicsx.form(strains)).array[: len(cells)])

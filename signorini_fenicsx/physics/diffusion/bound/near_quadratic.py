@@ -21,20 +21,21 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.cell_shapes import Entities
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.interpolants import edge_order, in_nodes, quadratic_by, quadratic_of
 from signorini_fenicsx.discrete.points import CellPoints, cells_of_facets, facet_quadrature, in_cells
-from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
+from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import BESIDE, distances
 from signorini_fenicsx.expressions.products import EXACT, Products, products
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, interpolated
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.tree import polynomial_degree
-from signorini_fenicsx.physics.diffusion.bound.certify import QUADRATIC, Admissible, scaled
+from signorini_fenicsx.physics.diffusion.bound.certify import Admissible
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
+from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST
 
 SHARP = 1e-3
@@ -108,44 +109,12 @@ class NearQuadratic:
         )
         return total + _with_rest(seen, squares, self.delta[near], found[:, near], measure[near])
 
-    def of_gradient(self, kappa: Datum, hidden: Array, enough: float) -> Array:
-        """The integral of κ∇v·∇v (collective).
-
-        Where v is not quadratic it is by quadrature, which may miss 2ρ∫|∇v|² and `hidden`.
-
-        Args:
-            kappa: κ.
-            hidden: What quadrature may miss of the root of the integral, per owned cell.
-            enough: As in `products`.
-        """
-
-        def density(at: CellPoints, jet: Array) -> Array:
-            slope = jet[:, :, 1:]
-            return (scaled(kappa.values(at), slope) * slope).sum(axis=2)
-
-        cells, near, degree = owned_cells(self._mesh), self.own.trace.cells, quadrature_degree(kappa)
-        if kappa.pieces is None:
-            return np.array([self.seen(density, cells, degree).sum(), 0.0])
-        seen = self.seen(density, near, degree)
-        steep = self.seen(lambda at, jet: (jet[:, :, 1:] ** 2).sum(axis=2), near, QUADRATIC)
-        whole = max(self._mesh.comm.allreduce(float(steep.sum())), SMALLEST)
-        apart, frame = np.zeros(len(steep)), self.own.solution.spaces.frame
-        for given, rows in _pieces(kappa, near):
-            for tree, _, _ in _entries(given, self._mesh.geometry.dim):
-                limit = np.full(len(rows), enough / (8 * whole))
-                rho = distances(tree, self.own.resolution.vertices[near[rows]], frame, limit)
-                apart[near[rows]] = np.hypot(apart[near[rows]], rho)
-        missed = 2 * apart * steep + hidden * (2 * np.sqrt(np.maximum(seen, 0.0)) + hidden)
-        total, far = np.array([seen.sum(), missed.sum()]), np.setdiff1d(cells, near)
-        for given, rows in _pieces(kappa, far):
-            some = far[rows]
-            for tree, i, j in _entries(given, self._mesh.geometry.dim):
-
-                def squares(jet: Array, i: list[int] = i, j: list[int] = j) -> Array:
-                    return np.asarray((jet[:, :, i] * jet[:, :, j]).sum(axis=2))
-
-                total += self._enclosed(tree, some, squares, QUADRATIC, enough).total
-        return total
+    def of_gradient(self, hidden: Array) -> Array:
+        """The integral of κ∇v·∇v; quadrature may miss `hidden` of its root, per owned cell (collective)."""
+        squares = self.own.energies.squares(None, self.own.trace)
+        rest = hidden * (2 * np.sqrt(squares.most) + hidden)
+        middle, radius = (squares.small - squares.large) / 2, (squares.small + squares.large) / 2 + rest
+        return np.array([(squares.seen + middle).sum(), radius.sum()])
 
     def on_facets(self, datum: Datum, facets: Entities, enough: float, *, jump: bool = False) -> Array:
         """The integral of a datum times v over boundary facets; inside the domain of its jump (collective)."""
@@ -283,13 +252,3 @@ def _pieces(datum: Datum, cells: AnyIndices) -> Iterator[tuple[Any, Indices]]:
     """What a datum was given as, each with the positions of its cells among some; nothing if it is Python."""
     for given, inside in datum.pieces or ():
         yield given, np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])
-
-
-def _entries(kappa: Any, dim: int) -> Iterator[tuple[Tree, list[int], list[int]]]:
-    """The entries of κ, and of which components of a jet the products with each are summed."""
-    slopes = list(range(1, 1 + dim))
-    if isinstance(kappa, TREES):
-        yield kappa, slopes, slopes
-        return
-    for i, j in np.ndindex(dim, dim):
-        yield kappa[i][j], [1 + i], [1 + j]

@@ -1,0 +1,83 @@
+"""Loads and weights with jumps and kinks off the mesh: exact values are within all intervals that are guaranteed."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from random_quantities import against_exact
+
+from signorini_fenicsx import Contact, Diffusion, Dirichlet, Elasticity, Neumann, Signorini, solve
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.expressions import read
+from signorini_fenicsx.expressions.products import products
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.quantities import Energy, Force, Integral, Mean, Moment, Quantity
+
+COMM = MPI.COMM_WORLD
+JUMP = "1 if x < 0.3 else 0"
+
+
+def square(cells: int) -> Domain:
+    """A mesh with so many cells on a side."""
+    return build_domain(COMM, "square", 1.001 * 2**0.5 / cells, mesh="structured")
+
+
+def proved(found: Quantity, known: float, share: float) -> bool:
+    """Whether an interval is guaranteed, has this value in it, and is not longer than a share of it."""
+    return found.guaranteed and found.lower <= known <= found.upper and found.width <= share * abs(known)
+
+
+@pytest.mark.parametrize("level", [1.0, 1000.0])
+def test_jump_of_load_and_weight(level: float):
+    """The energy and an integral of u'' = −1 for x < 0.3, which do not fit the mesh, also for a large u."""
+    problem = Diffusion(f=JUMP, u_D=level, conditions=[Signorini("bottom", psi=-1), Neumann("top")])
+    solution = solve(square(8), problem)
+    part = 0.006975 + 0.3 * level
+    assert proved(solution.quantity(Energy()), 0.0034875 - 0.3 * level - 0.006975, 2e-3)
+    assert proved(solution.quantity(Integral(weight=JUMP)), part, 3e-3)
+    assert proved(solution.quantity(Mean(weight=JUMP)), part / 0.3, 3e-3)
+
+
+def test_kinks_on_the_boundary():
+    """A flux with a kink on Γ_N, in the energy, and a weight with one on Γ_S, of u = 2 − x."""
+    problem = Diffusion(f=0, conditions=[Signorini("left", psi=2), Dirichlet("right", 1), Neumann(["top", "bottom"])])
+    found = solve(square(4), problem).quantity(Integral(parts="left", weight="abs(y - 0.3)"))
+    assert proved(found, 2 * (0.09 + 0.49) / 2, 1e-3)
+
+
+@pytest.mark.parametrize("parts", ["left", ["left", "bottom"]])
+def test_force_of_a_load_with_a_kink(parts: str | list[str]):
+    """On all that holds a body the force, or the moment, is that of loads that quadrature does not integrate."""
+    below = Contact("bottom", gap=0.01) if "bottom" in parts else Neumann("bottom")
+    conditions = [below, Dirichlet("left", [0, 0]), Neumann("top", ["abs(x - 0.37)", 0]), Neumann("right")]
+    solution = solve(square(3), Elasticity(1.0, 0.3, f=["0.5*abs(x - 0.43)", "0.1"], conditions=conditions))
+    top, inside = (0.37**2 + 0.63**2) / 2, (0.43**2 + 0.57**2) / 4
+    if parts == "left":
+        assert proved(solution.quantity(Force(parts, [1, 0])), -top - inside, 0.1)
+    else:
+        assert proved(solution.quantity(Moment(parts)), -0.05 + inside / 2 + top, 0.1)
+
+
+def test_products():
+    """Integrals of a polynomial times what jumps, along lines and circles, are enclosed."""
+    spaces = solve(square(4), Diffusion(f=0, conditions=[Signorini("bottom", psi=-1)])).spaces
+    vertices, measure = corners(spaces.mesh), spaces.cell_measures
+    cases = (
+        ("1 if y < 0.2 + x/3 else 0", 0.2 + 1 / 6),
+        ("abs(x - 0.3)", 0.29),
+        ("1 if x^2 + y^2 < 1/2 else 0", np.pi / 8),
+    )
+    for text, known in cases:
+        found = products(
+            read(text, "xy"), vertices, measure, lambda own, x: np.ones(x.shape[:2]), 0, spaces.frame, 1e-4
+        )
+        value, radius = COMM.allreduce(found.total)
+        assert abs(value - known) <= radius < 1e-2, text
+
+
+@pytest.mark.slow
+def test_random_exact():
+    """Random jumps and kinks, also with |u| of 1000, see `scripts/random_quantities.py --exact`."""
+    rows = [row for seed in range(30) for row in against_exact(seed)]
+    assert not [words for words, guaranteed, inside in rows if guaranteed and not inside]
+    assert sum(guaranteed for _, guaranteed, _ in rows) > len(rows) / 2
