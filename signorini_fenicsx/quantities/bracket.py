@@ -10,10 +10,12 @@ the load f + τq, η' its value at the sites. Then
 the integral of the sup. The first one is (σ − y', ∇v − κ⁻¹σ), a quadratic in σ, largest at σ = ½(κ∇v + y').
 
 With a load R that y' does not balance, R(w) ≤ Σ osc_T|∇w|_T + m|∇w|, ¼ ((Σ (‖κ∇v − y'‖_T + osc_T)²)^½ + m)² takes the
-place of the first term, for the same reason. Q(v) is enclosed, see `products`. The right side is small for v near u(−τ) and y' near σ(+τ), the solutions with the loads f −
-τq and f + τq: without laws v = u − τz and y' = σ + τζ with the dual solution, and what is left is a product of two
-errors. So an upper bound of Q(u) takes the v of one of these solutions and the y' of the other one, and a lower bound
-the other two. Both hold for any τ; a few are tried.
+place of the first term, for the same reason. Q(v) is enclosed, see `products`.
+
+The right side is small for v near u(−τ) and y' near σ(+τ), the solutions with the loads f − τq and f + τq: without laws
+v = u − τz and y' = σ + τζ with the dual solution, and what is left is a product of two errors. So an upper bound of
+Q(u) takes the v of one of these solutions and the y' of the other one, and a lower bound the other two. Both hold for
+any τ; a few are tried.
 
 Without laws τ times their distance is ¼ Σ ‖κ∇v₋ − y₋‖² + ‖κ∇v₊ − y₊‖², the two gaps, because 2τQ(v₊ − v₋) is
 (y₊ − y₋, ∇(v₊ − v₋)). So these say where cells have to be refined; the cells of the right sides above do not, as they
