@@ -120,6 +120,21 @@ def test_long_steep_segments(law: Law):
     assert difference(one, other) < certify(one).sigma_bound < 1.12 * difference(one, other)
 
 
+STEEP_INSIDE = [
+    Corners(region="all", corners=[[0, 0], [1, 1e9]]),  # was 54
+    Corners(region="all", corners=[[0, -1], [0.1, 1]], before=1e9, beyond=1e9),  # was infinite: a flux not balanced
+]
+
+
+@pytest.mark.parametrize("law", STEEP_INSIDE, ids=["long", "both sides"])
+def test_steep_segments_inside(law: Law):
+    """Laws in Ω likewise: v is pulled to where s is on a sloped segment, and held there by a rigid one."""
+    one, other = (
+        solve(each, (Boundary([]), Problem("20*sin(3*x + 4*y)", laws=[law]))) for each in coarse_and_fine(0.25)
+    )
+    assert difference(one, other) < certify(one).bound < 2.2 * difference(one, other)
+
+
 def test_signorini_by_either_way():
     """As a law, also with a far upper bound, it is certified like the short form but for how v is kept above ψ."""
     domain, f = build_domain(COMM, "square", 0.1, mesh="unstructured"), "20*(x - 0.6)"

@@ -93,14 +93,14 @@ def test_nearest_to_graph():
         low_p, high_p, low, high = (end[0] for end in law.extent())
         v = np.clip(rng.uniform(-3, 3, (1, points)), low_p, high_p)
         s = -np.clip(rng.uniform(-4, 4, 1), low, high)
-        omega = rng.uniform(0.1, 2, 1)
+        omega, target = rng.uniform(0.1, 2, 1), s[:, None] + rng.normal(0, 0.5, (1, points))
         laws = law.take(np.zeros(points, dtype=int))
-        eta = nearest_to_graph(laws, v, s, omega, weights)
+        eta = nearest_to_graph(laws, v, s, target, omega, weights)
         assert weights @ eta[0] == pytest.approx(weights.sum() * s[0], abs=1e-9)
 
-        def total(values: np.ndarray, v: np.ndarray = v, s: np.ndarray = s, omega: np.ndarray = omega) -> float:
+        def total(values: np.ndarray, v: np.ndarray = v, t: np.ndarray = target, omega: np.ndarray = omega) -> float:
             of_law = gap(laws, v[0], -values)  # noqa: B023
-            return float(weights @ (of_law + omega / 2 * (values - s) ** 2))
+            return float(weights @ (of_law + omega / 2 * (values - t[0]) ** 2))
 
         best = total(eta[0])
         for _ in range(20):

@@ -155,7 +155,7 @@ class Admissible:
         if data.kappa.number is None:
             size = math.sqrt(comm.allreduce(energies.squares(solution.cell_flux).least.sum()))
         y, flux, level, remainder = admissible_flux(solution, metric, goal)
-        inside = Inside.of(solution, y, level, resolution)
+        inside = Inside.of(solution, metric, y, level, resolution)
         on = OnGammaS.of(solution, goal, metric, y)
         trace = law_trace(solution, metric, y, on, inside, field)
         return cls(solution, goal, metric, size, resolution, energies, y, flux, level, remainder, inside, on, trace)

@@ -11,8 +11,9 @@ as with the level outside of a wall or of a river. v_1 moves v by as much as it 
 is 0 on the facets with the bound and grows from there, so that the bound changes v only next to them.
 
 v_2 is relaxed like the trace of the Signorini problem. On Γ_S the gap is not smooth at vertical segments of a graph; v
-stays on that side of them where the piece of the graph is that `Goal.pieces` chooses. On this piece it is quadratic. A
-rigid segment is one that is vertical where it has y·n: up to its end the gap is then taken to be larger than it is.
+stays on that side of them where the piece of the graph is that `pieces_beside` of `laws` chooses. On this piece it is
+quadratic. A rigid segment is one that is vertical where it has y·n: up to its end the gap is then taken to be larger
+than it is. In Ω it is the same, see `cell_springs`.
 
 On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
 jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in all these nodes.
@@ -42,6 +43,7 @@ from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
+from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray, add_load, coefficients
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     ROUNDING,
@@ -54,7 +56,7 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
 )
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
-from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, all_edges, relax
+from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, all_edges, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.nodes import (
@@ -103,20 +105,23 @@ def law_trace(
     u_D = quadratic_on_sides(data.u_D, space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
-    tips, meets = jumps.tips, jumps.meets
-    fixed, on_cuts = np.union1d(on_dirichlet, tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
-    at_meeting = on_cuts[:, None] & np.isin(nodes, meets)  # no jumps there that could be held or bounded
+    fixed, on_cuts = np.union1d(on_dirichlet, jumps.tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
+    at_meeting = on_cuts[:, None] & np.isin(nodes, jumps.meets)  # no jumps there that could be held or bounded
     jumps.taken(v)
     held = on.held(at_nodes)
+    pieces = Pieces.of(inside, metric, mesh.comm) if field is None and inside.parts else None
+    still = largest_around(space, nodes, np.where(held[1], 1.0, 0.0)) > 0
+    if pieces is not None:
+        still |= pieces.hold(v, fixed)
     if field is None:
-        _hold(v, nodes, held, (on_cuts, np.union1d(fixed, meets)), (~on_cuts, fixed))
+        _hold(v, nodes, held, (on_cuts, np.union1d(fixed, jumps.meets)), (~on_cuts, fixed))
     ends = on.ends(at_nodes)
     if field is not None:  # it need not be near a piece of the law
         ends[2:] = ends[:2]
     limits = [end[spaces.inner.rows] for end in ends[:2]]
     bounds = _without([_coefficients(end, facet) for end in ends], at_meeting)
     ends = _without(ends, at_meeting)
-    hindrance = _hindrance(v, nodes, ends[:2], (np.setdiff1d(on_dirichlet, tips), tips))
+    hindrance = _hindrance(v, nodes, ends[:2], (np.setdiff1d(on_dirichlet, jumps.tips), jumps.tips))
     low, high, soft_low, soft_high = (
         extreme_around(space, nodes, end, largest=number % 2 == 0) for number, end in enumerate(bounds)
     )
@@ -126,21 +131,18 @@ def law_trace(
     for ray, limit in zip(rays, limits_inside, strict=True) if field is None else ():
         ray.touch(v, limit, on_dirichlet)
     jumps.taken(v)
-    floor, ceiling = _ends_inside(rays, limits_inside, jumps, len(v.x.array))
-    hard, soft = ((np.maximum(a, floor), np.minimum(b, ceiling)) for a, b in ((low, high), (soft_low, soft_high)))
-    box = Box.of(hard, soft, fixed, v.x.array, largest_around(space, nodes, np.where(held[1], 1.0, 0.0)) > 0)
+    wide = _ends_inside(rays, limits_inside, jumps, len(v.x.array))
+    of_pieces = wide if pieces is None else pieces.ends(space, jumps)
+    hard, soft = _within((low, high), wide), _within((soft_low, soft_high), wide, of_pieces)
+    box = Box.of(hard, soft, fixed, v.x.array, still)
     box.project(v.x.array, TIE * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX))
     if jumps.basis is not None:
         _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
-    still = np.union1d(on_dirichlet, meets)
+    given, load, robin = np.union1d(on_dirichlet, jumps.meets), np.zeros(len(v.x.array)), None
     if field is None:
-        at_points, apart = goal.at(spaces, *basix.make_quadrature(facet, goal.degree())), ~at_meeting.any(axis=1)
-        load = _load(v, nodes[apart], on.loads(at_points)[apart], jumps, inside)
-        slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
-        rubs = mesh.comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
-        relax(v, y, data.kappa_h, load, still, box, (spaces, slope) if rubs else None, jumps)
-    else:
-        relax(v, data.kappa_h * ufl.grad(near), data.kappa_h, np.zeros(len(v.x.array)), still, box, None, jumps)
+        load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside)
+    flux = y if field is None else data.kappa_h * ufl.grad(near)
+    relax(v, flux, data.kappa_h, load, given, box, robin, None if pieces is None else pieces.springs(space), jumps)
     jumps.undone(v)
     for ray, limit in zip(rays, limits_inside, strict=True):
         ray.move_inside(v, limit, edges, on_dirichlet)
@@ -207,18 +209,22 @@ def _without(ends: list[Array], where: Mask) -> list[Array]:
     return [np.where(where, np.inf if number % 2 else -np.inf, end) for number, end in enumerate(ends)]
 
 
-def _load(
-    v: fem.Function,
-    nodes: Indices,
-    loads: Array,
-    jumps: Jumps,
-    inside: Inside,
-) -> Array:
-    """The slope of the gap on Γ_S, and on bounds in Ω, per node of this rank (collective).
+def _within(*ends: tuple[Array, Array]) -> tuple[Array, Array]:
+    """The largest of the lower and the least of the upper ones of some ends."""
+    lower, upper = zip(*ends, strict=True)
+    return np.maximum.reduce(lower), np.minimum.reduce(upper)
 
-    On facets inside the domain, for the jumps.
+
+def _on_gamma_s(
+    on: OnGammaS, v: fem.Function, nodes: Indices, at_meeting: Mask, jumps: Jumps, inside: Inside
+) -> tuple[Array, Robin | None]:
+    """The slope of the gap on Γ_S and on bounds in Ω per node of this rank, and the springs on Γ_S (collective).
+
+    On facets inside the domain it is for the jumps.
     """
-    load = sums_at(v.function_space.dofmap.index_map, nodes, loads)
+    spaces, comm, apart = on.spaces, on.spaces.mesh.comm, ~at_meeting.any(axis=1)
+    at_points = on.goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), on.goal.degree()))
+    load = sums_at(v.function_space.dofmap.index_map, nodes[apart], on.loads(at_points)[apart])
     load[jumps.tips] = 0.0
     if inside.rays:
         in_cells = fem.Function(v.function_space)
@@ -227,7 +233,9 @@ def _load(
         size = v.function_space.dofmap.index_map.size_local
         own = np.asarray(in_cells.x.array[:size], dtype=np.float64)
         load[:size] += jumps.transposed(own)
-    return load
+    slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
+    rubs = comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
+    return load, (spaces, slope) if rubs else None
 
 
 def _hindrance(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Sequence[npt.NDArray[Any]]) -> str:

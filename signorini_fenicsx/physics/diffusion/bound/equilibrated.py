@@ -73,7 +73,7 @@ def admissible_flux(
         s, may = flux.divergence + owned_values(data.source(u)), None
         off = s
         if data.inside is not None and cells is not None:
-            off = s - selected(data.inside, cells, s, owned_values(u))
+            off = s - selected(data.inside, cells, s, owned_values(u), metric)
             may = room(data.inside, cells, s, owned_values(u))
         left = constant * np.sqrt(comm.allreduce(volume @ off**2))
         if left <= rounding:

@@ -16,8 +16,9 @@ is that of f − f_h + s_T − η. The density Φ(v) + Φ*(η) − ηv is an are
 f − f_h is in the range of an obstacle in all points. So in contact f may jump and is not paid for. Only the range of f
 is needed there, which intervals enclose, and the gap is bounded with the largest |s| of each cell, the force λ.
 
-*Elsewhere* η makes ∫Φ*(η) − ηv + ½ω|η − s_T|² least among those with the mean s_T, ω = (δ_T/π)², so that the sum of 2
-gap and osc² is small. With r = s_T + (v + m)/ω and w = (I + ω∂Φ)⁻¹(ωr) it is η = r − w/ω; the number m gives the mean.
+*Elsewhere* η makes ∫Φ*(η) − ηv + ½ω|η − t|² least among those with the mean s_T, ω = (δ_T/π)², so that the sum of 2
+gap and osc² is small. t is s_T plus the linear part of f − f_h, which a steep segment so takes as it is. With r = t +
+(v + m)/ω and w = (I + ω∂Φ)⁻¹(ωr) it is η = r − w/ω; the number m gives the mean.
 
 v is between the bounds. There it is a function that is quadratic on each cell, by Bernstein coefficients between those
 of I_hψ, and then cut off by ψ itself. In vertices off Γ_D all of whose cells touch it is moved beyond ψ by as much as
@@ -49,7 +50,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
-from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, projected
+from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, at_points, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
@@ -67,10 +68,11 @@ HALVINGS = 40
 """So often the interval of m is halved before it is taken to be linear there."""
 
 
-def selected(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array:
+def selected(laws: CellLaws, cells: SiteConditions, s: Array, u: Array, metric: CellMetric) -> Array:
     """The s per owned cell that the law under a condition allows: of flat and sloped segments, with u, what they say.
 
-    Elsewhere it would be the error of the linear solver, and its product with v − ψ would add up with one sign.
+    Elsewhere it would be the error of the linear solver, and its product with v − ψ would add up with one sign. On
+    steep segments it is s itself, as on vertical ones: there the error of u counts, and that of s costs little.
     """
     chains, rows = laws.chains, np.arange(len(s))
     segment = chains.segments(cells, u - laws.means)
@@ -78,7 +80,7 @@ def selected(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array
     first, last = segment == 0, segment == chains.count
     least = np.where(first, -np.inf, -chains.flux[rows, np.maximum(segment - 1, 0)])
     most = np.where(last, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)])
-    held = np.isinf(beta)
+    held = beta * metric.diameter**2 > 1
     return np.where(held, np.clip(s, least, most), np.where(held, 0.0, beta) * u - load)
 
 
@@ -180,29 +182,36 @@ class Inside:
         spaces: The discrete spaces.
         parts: The laws, each with its region; none without laws in Ω.
         s: The s_T.
+        chains: The laws of each cell, by means.
         segment: The segment of each cell.
         rays: All bounds of u.
         largest: Upper bound of |s| in cells on a bound of u, 0 in others.
         takes_f: Mask of the cells where f̃ = f.
+        f: The load, None without laws.
     """
 
     spaces: Spaces
     parts: tuple[PartLaw, ...]
     s: Array
+    chains: Chains
     segment: Indices
     rays: tuple[Ray, ...]
     largest: Array
     takes_f: Mask
+    f: Datum | None = None
 
     @classmethod
-    def of(cls, solution: Solution, y: fem.Function, level: fem.Function, resolution: Resolution) -> Inside:
+    def of(
+        cls, solution: Solution, metric: CellMetric, y: fem.Function, level: fem.Function, resolution: Resolution
+    ) -> Inside:
         """The laws with a flux, with u* as `level` (collective)."""
         spaces, data, laws, cells = solution.spaces, solution.data, solution.data.inside, solution.outcome.iterate.cells
         if laws is None or cells is None:
             none = np.zeros((2, len(spaces.cell_measures)))
-            return cls(spaces, (), none[0], none[0].astype(np.int64), (), none[1], none[1] > 0)
+            return cls(spaces, (), none[0], Chains.at_corner(0), none[0].astype(np.int64), (), none[1], none[1] > 0)
         u = owned_values(level)
-        s = selected(laws, cells, CellFlux.of(spaces, y).divergence + owned_values(data.source(level)), u)
+        s = CellFlux.of(spaces, y).divergence + owned_values(data.source(level))
+        s = selected(laws, cells, s, u, metric)
         segment = laws.chains.segments(cells, u - laws.means)
         rays = tuple(_rays(spaces, laws, segment))
         for part in laws.of_regions:
@@ -215,7 +224,7 @@ class Inside:
         largest, takes_f = np.zeros(len(s)), np.zeros(len(s), dtype=bool)
         for ray in rays:
             largest[ray.touched] = np.maximum(-ray.sign * s[ray.touched], 0.0)
-        inside = cls(spaces, laws.of_regions, s, segment, rays, largest, takes_f)
+        inside = cls(spaces, laws.of_regions, s, laws.chains, segment, rays, largest, takes_f, data.f)
         if data.f.number is None:
             inside._take_f(data, resolution)
         return inside
@@ -254,15 +263,15 @@ class Inside:
         of_data = [datum for part in self.parts for datum in part.data.values()]
         degree = max(SQUARE, quadrature_degree(*of_data))
         near = np.isin(np.arange(number), trace.cells)
-        for parts, cells in self._groups():
+        for parts, cells in self.groups():
             for close, of_degree in ((False, degree), (True, max(degree, trace.degree))):
                 some = cells[near[cells] == close]
                 points, weights = positive_quadrature(cell, of_degree)
                 for at in in_cells(mesh, some.astype(np.int32), points, weights):
                     own = at.cells.astype(np.int64)
-                    law = reduce(Chains.plus, (self.parts[i].chains(at) for i in parts))
+                    law = self.law_at(parts, at)
                     v = trace.jet(at, near=close)[:, :, 0]
-                    eta = self._eta(law, v, own, metric, at)
+                    eta = self._eta(law, v, self.s[own, None] + self._varying(at), metric, at)
                     missed[own] = self.s[own] - at.means(eta)
                     part = projected(self.s[own, None] - missed[own, None] - eta, cell, OF_LOAD, points, weights)
                     load.coefficients[own], load.rest[own] = part.coefficients, part.rest
@@ -274,7 +283,7 @@ class Inside:
         resolution.add_means("law", missed, metric)
         return squares, load
 
-    def _groups(self) -> Iterator[tuple[list[int], Indices]]:
+    def groups(self) -> Iterator[tuple[list[int], Indices]]:
         """The cells that have the same laws: numbers of these, and the owned cells; alike on all ranks (collective).
 
         Under obstacles alone v is between them in all points, so that cells on no obstacle have no gap.
@@ -289,48 +298,68 @@ class Inside:
             inert = all(type(parts[number].law) is Obstacle for number in numbers) & (self.largest == 0)
             yield numbers, np.flatnonzero((code == each) & ~inert)
 
-    def _eta(self, law: Chains, v: Array, own: Indices, metric: CellMetric, at: CellPoints) -> Array:
-        """The η of the module in points of some cells, shape (cells, points)."""
-        s, omega = self.s[own], (metric.diameter[own] / math.pi) ** 2
+    def law_at(self, parts: list[int], at: CellPoints) -> Chains:
+        """The sum of some laws in points of cells, cell after cell."""
+        return reduce(Chains.plus, (self.parts[number].chains(at) for number in parts))
+
+    def on_segment(self, law: Chains, at: CellPoints, segment: Indices) -> list[Array]:
+        """β and value of a segment of each owned cell in points of some, and its least and largest u there."""
+        sites, column = np.arange(len(law.p)), np.minimum(np.repeat(segment[at.cells], at.shape[1]), law.corners)
+        ends = law.ends[0]
+        of_sites = (law.slope[sites, column], law.value[sites, column], ends[sites, column], ends[sites, column + 1])
+        return [values.reshape(at.shape) for values in of_sites]
+
+    def _varying(self, at: CellPoints) -> Array:
+        """The linear part of f − f_h in points of some cells, 0 where f̃ = f."""
+        if self.f is None or self.f.number is not None:
+            return np.zeros(at.shape)
+        f, cell = self.f.values(at), at.mesh.basix_cell()
+        part = projected(f - at.means(f)[:, None], cell, OF_LOAD, at.points, at.weights)
+        return np.where(self.takes_f[at.cells, None], 0.0, at_points(part, cell, OF_LOAD, at.points))
+
+    def _eta(self, law: Chains, v: Array, target: Array, metric: CellMetric, at: CellPoints) -> Array:
+        """The η of the module in points of some cells, shape (cells, points), for values of t there."""
+        s, omega = self.s[at.cells], (metric.diameter[at.cells] / math.pi) ** 2
         low, high = (-end.reshape(v.shape) for end in law.extent()[:1:-1])
-        pressed = self.largest[own] > 0
-        eta, follows = _on_segment(law, v, s, omega, self.segment[own], at.weights)
+        pressed = self.largest[at.cells] > 0
+        eta, follows = _on_segment(self.on_segment(law, at, self.segment), v, s, target, omega, at.weights)
         eta[pressed] = s[pressed, None]
         free = ~pressed & ~follows
         if free.any():
             points = np.repeat(free, v.shape[1])
-            eta[free] = nearest_to_graph(law.take(points), v[free], s[free], omega[free], at.weights)
+            eta[free] = nearest_to_graph(law.take(points), v[free], s[free], target[free], omega[free], at.weights)
         return with_mean(eta, low, high, s, at.weights)
 
 
-def _on_segment(law: Chains, v: Array, s: Array, omega: Array, segment: Indices, weights: Array) -> tuple[Array, Mask]:
+def _on_segment(
+    line_and_ends: list[Array], v: Array, s: Array, target: Array, omega: Array, weights: Array
+) -> tuple[Array, Mask]:
     """The η of `nearest_to_graph` for cells that are on a flat or sloped segment in all points, and which these are."""
-    column = np.minimum(np.repeat(segment, v.shape[1]), law.corners)
-    sites, (ends, _) = np.arange(v.size), law.ends
-    slope, value = (values[sites, column].reshape(v.shape) for values in (law.slope, law.value))
-    begin, end = (ends[sites, column + i].reshape(v.shape) for i in (0, 1))
+    slope, value, begin, end = line_and_ends
     line = np.where(np.isfinite(slope), slope, 0.0)
     theta = 1 / (1 + line * omega[:, None])
-    eta = theta * (line * v - value) + (1 - theta) * s[:, None]
+    eta = theta * (line * v - value) + (1 - theta) * target
     eta += np.where((line > 0).all(axis=1), s - eta @ (weights / weights.sum()), 0.0)[:, None]
     level = np.divide(eta + value, line, out=v.copy(), where=line > 0)
     follows = np.isfinite(slope) & (begin <= v) & (v <= end) & (begin <= level) & (level <= end)
     return eta, follows.all(axis=1)
 
 
-def nearest_to_graph(law: Chains, v: Array, s: Array, omega: Array, weights: Array) -> Array:
-    """The η that makes ∫Φ*(η) − ηv + ½ω|η − s|² least among those with the mean s on each cell.
+def nearest_to_graph(law: Chains, v: Array, s: Array, target: Array, omega: Array, weights: Array) -> Array:
+    """The η that makes ∫Φ*(η) − ηv + ½ω|η − t|² least among those with the mean s on each cell.
 
     Args:
         law: The law in the points of a quadrature, cell after cell.
         v: Values there, shape (cells, points).
         s: Per cell.
+        target: t, shape (cells, points).
         omega: ω per cell.
         weights: Of the quadrature.
     """
-    weights, at = weights / weights.sum(), omega[:, None] * s[:, None] + v
+    weights, at = weights / weights.sum(), omega[:, None] * target + v
     level = _level_at(law, np.repeat(s, v.shape[1])).reshape(v.shape)
-    low, high = ((level - v).min(axis=1), (level - v).max(axis=1))
+    apart = level - v - omega[:, None] * (target - s[:, None])  # with such an m η is s in a point
+    low, high = apart.min(axis=1), apart.max(axis=1)
     of_points = np.repeat(omega, v.shape[1])
 
     def eta_with(m: Array) -> Array:

@@ -167,14 +167,15 @@ class Goal:
         alone = len(rough) == 1 and type(rough[0].law) is Signorini and not spaces.inner.present
         return rough[0] if alone else None
 
-    def pieces(self, segment: Indices, flux: Array, rigid: Mask) -> Indices:
-        """The segment near which v is on each facet: its own, or that beside a rigid one which σ·n is nearer to."""
-        law, rows = self.chains, np.arange(len(segment))
-        left, right = np.maximum(segment - 1, 0), np.minimum(segment, law.corners - 1)
-        above, below = law.flux[rows, left] - flux, flux - law.flux[rows, right]
-        before = (segment > 0) & ((segment == law.count) | (above < below))
-        beside = np.where(before, segment - 1, np.minimum(segment + 1, law.count))
-        return np.where(rigid[rows, segment], beside, segment)
+
+def pieces_beside(law: Chains, segment: Indices, flux: Array, rigid: Mask) -> Indices:
+    """The segment near which v is at each site: its own, or that beside a rigid one which σ·n is nearer to."""
+    rows = np.arange(len(segment))
+    left, right = np.maximum(segment - 1, 0), np.minimum(segment, law.corners - 1)
+    above, below = law.flux[rows, left] - flux, flux - law.flux[rows, right]
+    before = (segment > 0) & ((segment == law.count) | (above < below))
+    beside = np.where(before, segment - 1, np.minimum(segment + 1, law.count))
+    return np.where(rigid[rows, segment], beside, segment)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.points import facet_type
-from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -54,7 +54,7 @@ class OnGammaS:
         height = metric.volume[spaces.cells] / spaces.facet_measure
         resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
         steepness = law.slope * (height * resistance)[:, None]
-        piece = goal.pieces(segment, flux - data.q_Sh, steepness > RIGID)
+        piece = pieces_beside(law, segment, flux - data.q_Sh, steepness > RIGID)
         rows = np.arange(len(piece))
         slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
         level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h

@@ -114,6 +114,21 @@ class Box:
         w[w > self.high - beside] = self.high[w > self.high - beside]
 
 
+@dataclass(frozen=True)
+class Springs:
+    """Half of ∫β(v − t)² in Ω as a part of the gap.
+
+    Attributes:
+        beta: β in P0.
+        load: ∫βtφ per node φ of this rank.
+        constant: Half of ∫βt².
+    """
+
+    beta: fem.Function
+    load: Array
+    constant: float
+
+
 def relax(
     v: fem.Function,
     y: Expr,
@@ -122,9 +137,10 @@ def relax(
     fixed: Indices,
     box: Box,
     robin: Robin | None,
+    springs: Springs | None,
     jumps: Jumps,
 ) -> None:
-    """Reduce ½‖κ_h∇v − y‖² + ½⟨βv, v⟩ + the excess times v on Γ_S by rounds of CG (collective).
+    """Reduce ½‖κ_h∇v − y‖² + ½⟨βv, v⟩ + the excess times v on Γ_S, with springs in Ω, by rounds of CG (collective).
 
     In each round a node on its bound is fixed, unless moving it inside reduces the gap. After the round v is projected
     to the bounds. The averaging in v makes errors that vary from node to node; the first steps remove these.
@@ -137,9 +153,10 @@ def relax(
         fixed: Nodes on Γ_D.
         box: The bounds.
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
+        springs: Of laws in Ω.
         jumps: The jumps at facets inside the domain, which v has in it.
     """
-    gap = _Gap(v.function_space, y, kappa, excess, box.faced(excess), robin, jumps)
+    gap = _Gap(v.function_space, y, kappa, excess, box.faced(excess), robin, springs, jumps)
     best = v.x.array.copy()
     present, descent, size_of_gap = gap.at(v)
     lowest, steps = present, STEPS
@@ -164,12 +181,14 @@ def relax(
     gap.destroy()
 
 
-def _matrix(space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, jumps: Jumps) -> PETSc.Mat:
+def _matrix(
+    space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, springs: Springs | None, jumps: Jumps
+) -> PETSc.Mat:
     """The matrix of the gap, in the jumps if there are any (collective)."""
     trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
     if jumps.basis is None:
-        return _assembled(_form(trial, test, kappa, robin))
-    matrix = _assembled(_form(trial, test, kappa, None)).ptap(jumps.basis[0])
+        return _assembled(_form(trial, test, kappa, robin, springs))
+    matrix = _assembled(_form(trial, test, kappa, None, springs)).ptap(jumps.basis[0])
     if robin is not None:
         more, size = _assembled(robin[0].form(_rubbing(trial, test, robin))), space.dofmap.index_map.size_local
         tips = jumps.tips[jumps.tips < size].astype(np.int32)
@@ -178,9 +197,11 @@ def _matrix(space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, jumps: J
     return matrix
 
 
-def _form(u: Expr, v: Expr, kappa: Expr, robin: Robin | None, part: str = "full") -> fem.Form:
-    """(κ_h∇u, ∇v) + ⟨βu, v⟩ on Γ_S, or the diagonal of its matrix (collective)."""
+def _form(u: Expr, v: Expr, kappa: Expr, robin: Robin | None, springs: Springs | None, part: str = "full") -> fem.Form:
+    """(κ_h∇u, ∇v) + ⟨βu, v⟩ on Γ_S and in Ω, or the diagonal of its matrix (collective)."""
     form, maps = stiffness(u, v, ufl.dx, kappa), []
+    if springs is not None:
+        form += springs.beta * u * v * ufl.dx
     if robin is not None:
         form, maps = form + _rubbing(u, v, robin), [robin[0].entity_map]
     return fenicsx.form(form, options={"part": part}, entity_maps=maps)
@@ -213,6 +234,7 @@ class _Gap:
         excess: Array,
         faced: Array,
         robin: Robin | None,
+        springs: Springs | None,
         jumps: Jumps,
     ):
         trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
@@ -220,14 +242,17 @@ class _Gap:
         self._excess, self._faced = excess[:size], faced[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
         self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
+        if springs is not None:
+            self._flux += springs.load[:size]
+            self._constant += springs.constant
         self._given = fem.Function(space)
-        self._image = _form(self._given, test, kappa, robin)
+        self._image = _form(self._given, test, kappa, robin, springs)
         self._rubbing = None if robin is None else robin[0].form(_rubbing(self._given, test, robin))
-        self._make = partial(_matrix, space, kappa, robin, jumps)
+        self._make = partial(_matrix, space, kappa, robin, springs, jumps)
         self._matrix: PETSc.Mat | None = None
         self._flux = jumps.transposed(self._flux)
         if jumps.basis is None:
-            self._diagonal = assembled(_form(trial, test, kappa, robin, "diagonal"))[:size]
+            self._diagonal = assembled(_form(trial, test, kappa, robin, springs, "diagonal"))[:size]
         else:
             self._diagonal = self.assemble().getDiagonal().array
 

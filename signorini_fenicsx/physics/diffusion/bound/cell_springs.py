@@ -1,0 +1,137 @@
+"""Laws in Ω while the function v of a bound is relaxed: the springs of sloped segments, and the ends of steep ones.
+
+On a cell on a segment s = βu − q the density of `inside` is about ½β(v − t)², with t where s_T is on the segment. A
+rigid segment, one that is very steep and long, holds v at t; as on Γ_S v is then near the segment beside it. On other
+cells v is kept off rigid segments. It may cross vertical ones: where they are as short as a jump of a content usually
+is, that costs less than to bend v.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_dofs, function_of, sums_at
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.mesh_spaces import extreme_around
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
+from signorini_fenicsx.physics.diffusion.bound.inside import Inside
+from signorini_fenicsx.physics.diffusion.bound.laws import pieces_beside
+from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
+from signorini_fenicsx.physics.diffusion.bound.relaxation import Springs
+from signorini_fenicsx.physics.diffusion.nodes import Jumps, set_means
+
+LARGE = 2.0
+"""A segment is rigid if s changes along it by more than so many times the largest |s|: others v may well cross."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The pieces of laws in Ω near which v is to be. Arrays have one entry per owned cell.
+
+    Attributes:
+        inside: The laws.
+        piece: The segment near which v is: that of the cell, or the one beside it where that is rigid.
+        held: Mask of the cells on rigid segments.
+        springy: Mask of the cells on sloped segments that are less steep.
+        rigid: The segments that are, shape (cells, segments + 2), with none before and beyond.
+    """
+
+    inside: Inside
+    piece: Indices
+    held: Mask
+    springy: Mask
+    rigid: Mask
+
+    @classmethod
+    def of(cls, inside: Inside, metric: CellMetric, comm: MPI.Comm) -> Pieces:
+        """Choose them (collective)."""
+        chains, segment, rows = inside.chains, inside.segment, np.arange(len(inside.s))
+        largest = LARGE * comm.allreduce(float(np.abs(inside.s).max(initial=0.0)), MPI.MAX)
+        sloped, stiff = np.isfinite(chains.slope), chains.slope * metric.diameter[:, None] ** 2 > RIGID
+        rigid = stiff & sloped & (-np.diff(chains.ends[1], axis=1) > largest)
+        held, springy = rigid[rows, segment], (sloped & ~stiff & (chains.slope > 0))[rows, segment]
+        piece = pieces_beside(chains, segment, -inside.s, rigid)
+        return cls(inside, piece, held, springy, np.pad(rigid, ((0, 0), (1, 1))))
+
+    def rest(self, at: CellPoints, slope: Array, value: Array) -> Array:
+        """The t of segments in points of cells; value itself of vertical ones."""
+        force = value + self.inside.s[at.cells, None]
+        sloped = (slope > 0) & np.isfinite(slope)
+        return np.where(np.isinf(slope), value, np.divide(force, slope, out=np.zeros_like(force), where=sloped))
+
+    def hold(self, v: fem.Function, kept: npt.NDArray[np.integer]) -> Mask:
+        """Set v by its values to t in the nodes of held cells, but not where it is kept; their mask (collective)."""
+        before, nodes = v.x.array[kept], cell_dofs(v.function_space)
+        values = np.zeros(nodes.shape)
+        for at, law in self._nodes(v.function_space):
+            values[at.cells] = self.rest(at, *self.inside.on_segment(law, at, self.inside.segment)[:2])
+        set_means(v, nodes[self.held], values[self.held])
+        v.x.array[kept] = before
+        return sums_at(v.function_space.dofmap.index_map, nodes[self.held]) > 0
+
+    def springs(self, space: fem.FunctionSpace) -> Springs | None:
+        """What pulls v; None if nothing does (collective)."""
+        inside, comm, nodes = self.inside, space.mesh.comm, cell_dofs(space)
+        stiffness, loads, constant = np.zeros(len(inside.s)), np.zeros(nodes.shape), 0.0
+        degree = quadrature_degree(*(datum for part in inside.parts for datum in part.data.values()), power=2)
+        for parts, cells in inside.groups():
+            some = cells[(self.held | self.springy)[cells]].astype(np.int32)
+            for at in cell_quadrature(space.mesh, some, degree):
+                law, own = inside.law_at(parts, at), at.cells
+                slope, value, begin, end = inside.on_segment(law, at, self.piece)
+                finite = np.isfinite(slope)
+                line = np.where(finite, slope, 0.0)
+                stiffness[own] = at.means(line)
+                turned = (line - stiffness[own, None]) * np.clip(self.rest(at, line, value), begin, end)
+                density = np.where(finite, value + inside.s[own, None] - turned, 0.0)
+                t = self.rest(at, *inside.on_segment(law, at, inside.segment)[:2])
+                loads[own] = at.scale[:, None] * ((density * at.weights) @ _basis(at))
+                constant += float(at.integrals(density * t - stiffness[own, None] * t**2 / 2).sum())
+        if not comm.allreduce(bool(loads.any() or stiffness.any()), MPI.LOR):
+            return None
+        load = sums_at(space.dofmap.index_map, nodes, loads)
+        return Springs(function_of(inside.spaces.Q, stiffness), load, comm.allreduce(constant))
+
+    def ends(self, space: fem.FunctionSpace, jumps: Jumps) -> tuple[Array, Array]:
+        """Between which coefficients v should be for the sake of its pieces, infinite where it is free (collective)."""
+        nodes, rows, segment = cell_dofs(space), np.arange(len(self.piece)), self.inside.segment
+        low, high = np.full(nodes.shape, -np.inf), np.full(nodes.shape, np.inf)
+        ends = np.array(basix.topology(space.mesh.basix_cell())[1])
+        only = self.held & self.rigid[rows, self.piece + 1]
+        for at, law in self._nodes(space):
+            own, corners = at.cells, self.inside.on_segment(law, at, self.piece)[2:]
+            t = self.rest(at, *self.inside.on_segment(law, at, segment)[:2])
+            sides = (low, 0, self.piece > segment), (high, 2, self.piece < segment)
+            for (limit, beside, past), corner in zip(sides, corners, strict=True):
+                some = (self.rigid[rows, self.piece + beside] | only)[own]
+                values = np.where((self.held & (past | only))[own, None], t, corner)[some]
+                values[:, -len(ends) :] = 2 * values[:, -len(ends) :] - values[:, ends].mean(axis=2)
+                limit[own[some]] = values
+        floor, ceiling = (
+            extreme_around(space, nodes, limit, largest=largest) for limit, largest in ((low, True), (high, False))
+        )
+        floor[jumps.jump], ceiling[jumps.jump] = -np.inf, np.inf
+        return floor, ceiling
+
+    def _nodes(self, space: fem.FunctionSpace) -> Iterator[tuple[CellPoints, Chains]]:
+        """The nodes of quadratics in all cells with laws that may pull, and the law in each (collective)."""
+        for parts, cells in self.inside.groups():
+            for at in in_cells(space.mesh, cells.astype(np.int32), quadratic_nodes(space.mesh.basix_cell())):
+                yield at, self.inside.law_at(parts, at)
+
+
+def _basis(at: CellPoints) -> Array:
+    """Bernstein's quadratics in the points of the reference cell, shape (points, nodes)."""
+    barycentric = np.column_stack([1 - at.points.sum(axis=1), at.points])
+    first, second = np.array(basix.topology(at.mesh.basix_cell())[1]).T
+    return np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
