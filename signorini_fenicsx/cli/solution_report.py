@@ -122,7 +122,8 @@ def interval(quantity: Quantity) -> str:
     """A quantity with its interval, in words; if that is not guaranteed, the reason."""
     if not math.isfinite(quantity.width):
         return f"{quantity.value:.8g}, without bounds: {quantity.reason}"
-    words = f"{quantity.value:.8g}, in [{below(quantity.lower, 8)}, {above(quantity.upper, 8)}]"
+    place = ", in" if quantity.lower <= quantity.value <= quantity.upper else " of the discrete solution, outside of"
+    words = f"{quantity.value:.8g}{place} [{below(quantity.lower, 8)}, {above(quantity.upper, 8)}]"
     words += f" for {quantity.of}" if quantity.of else ""
     return words if quantity.guaranteed else f"{words}; not guaranteed: {quantity.reason}"
 

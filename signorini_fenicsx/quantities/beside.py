@@ -69,7 +69,7 @@ class Beside[Fields](ABC):
         moves = response * self.softness() * self.spaces.length ** (1 - self.domain.mesh.topology.dim / 2)
         first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
         first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
-        quantity = bracket(lambda tau: self.ends(tau, size, response), first, self.discrete)
+        quantity = bracket(lambda tau: self.ends(tau, size, response), first, self.discrete())
         self._solver = None
         PETSc.garbage_cleanup(self.comm)  # of the solver; when the mesh is freed, it is too late
         if not math.isfinite(quantity.width) and self.of_flux and not quantity.reason.startswith(FAILED):
@@ -199,11 +199,6 @@ class Integrals[Fields](Beside[Fields]):
     def value(self, of_v: Fields, of_y: Fields, enough: float) -> Array:
         """The integral of v (collective)."""
         return np.asarray(self.comm.allreduce(self.integral(of_v, enough)))
-
-    def discrete(self) -> float:
-        """The integral of the v of the solution (collective)."""
-        fields = self.admissible(self.solution)
-        return float(self.value(fields, fields, math.inf)[0])
 
     def response(self) -> float:
         """The size of the flux under the weight as a load (collective)."""

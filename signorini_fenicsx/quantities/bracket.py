@@ -59,7 +59,7 @@ class Quantity:
     """A quantity of the exact solution.
 
     Attributes:
-        value: The middle of the interval; of an unbounded one that of the discrete solution.
+        value: That of the discrete solution, which may be outside of the interval.
         lower: Lower bound.
         upper: Upper bound.
         guaranteed: Whether both are proved: all data are enclosed and resolved.
@@ -81,8 +81,13 @@ class Quantity:
         """The length of the interval."""
         return self.upper - self.lower
 
+    @property
+    def middle(self) -> float:
+        """The middle of the interval."""
+        return (self.lower + self.upper) / 2
+
     def divided(self, total: float, radius: float) -> Quantity:
-        """The mean, from an integral and that of its weight, which may be wrong by a radius.
+        """The mean, whose value it has: by the interval of an integral and that of its weight, within a radius.
 
         Raises:
             InputError: If the weight has no integral other than 0.
@@ -90,7 +95,7 @@ class Quantity:
         if not abs(total) > radius:
             raise InputError("weight: its integral is 0, so there is no mean with it")
         ends = [end / (total + sign * radius) for end in (self.lower, self.upper) for sign in (-1.0, 1.0)]
-        return replace(self, value=self.value / total, lower=min(ends), upper=max(ends))
+        return replace(self, lower=min(ends), upper=max(ends))
 
     def columns(self, name: str) -> dict[str, float | bool | str]:
         """All of it for a row of a table, whose columns are the same for each quantity."""
@@ -147,13 +152,13 @@ class Ends:
         return self.upper - self.lower
 
 
-def bracket(ends: Callable[[float], Ends], first: float, discrete: Callable[[], float]) -> Quantity:
+def bracket(ends: Callable[[float], Ends], first: float, value: float) -> Quantity:
     """The interval from several τ: that which the first one suggests, and others by factors of 2 (collective).
 
     Args:
         ends: Bounds from one τ.
         first: The first τ, of the right size but for a factor.
-        discrete: Gives the quantity of the discrete solution (collective).
+        value: That of the discrete solution.
     """
     tried: dict[float, Ends] = {}
 
@@ -187,6 +192,5 @@ def bracket(ends: Callable[[float], Ends], first: float, discrete: Callable[[], 
     if lower > upper:
         reason, lower, upper = f"the bounds exclude each other by {lower - upper:.1e}", upper, lower
     finite = math.isfinite(upper - lower)
-    middle = (lower + upper) / 2 if finite else discrete()
     shares = min(tried.values(), key=lambda each: each.width).shares if finite else None
-    return Quantity(middle, lower, upper, finite and not reason, reason, shares=shares() if shares else None)
+    return Quantity(value, lower, upper, finite and not reason, reason, shares=shares() if shares else None)

@@ -36,6 +36,7 @@ from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import SHARE, Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
+from signorini_fenicsx.quantities.discrete import of_energy, of_trace
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind
 from signorini_fenicsx.quantities.shifts import Posed, in_regions, with_flux, with_trace
 
@@ -230,6 +231,10 @@ class Fluxes(_Beside):
 class Integrals(beside.Integrals[Admissible], _Beside):
     """The integral of u with a weight, or its mean."""
 
+    def discrete(self) -> float:
+        """The integral, or the mean, of u_h or p_h (collective)."""
+        return of_trace(self.solution, self.kind, self.weight)
+
     def integral(self, of: Admissible, enough: float) -> Array:
         """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
         near = NearQuadratic.of(of)
@@ -257,12 +262,13 @@ def energy(solution: Solution) -> Quantity:
     sums = np.array([local, ((mismatch + osc) ** 2).sum(), own.resolution.missed.sum()])
     below, squares, missed = comm.allreduce(sums).tolist()
     below = max(below, 0.0) + missing * (math.sqrt(squares) + missing / 2)
-    value, wrong = _of_v(own, parts.hidden, SHARE * below)
+    upper, wrong = _of_v(own, parts.hidden, SHARE * below)
+    value = of_energy(solution, goal)
     if own.trace.hindrance or not math.isfinite(own.remainder):
         return Quantity(value, -math.inf, math.inf, False, own.trace.hindrance or UNBALANCED)
-    lower, upper = value - below - wrong, value + wrong
+    lower, upper = upper - below - wrong, upper + wrong
     reason = reason_of(own, (math.sqrt(missed) + parts.left) / math.sqrt(below) if below > 0 else 0.0)
-    return Quantity((lower + upper) / 2, lower, upper, not reason, reason)
+    return Quantity(value, lower, upper, not reason, reason)
 
 
 def reason_of(of_y: Admissible, share: float) -> str:

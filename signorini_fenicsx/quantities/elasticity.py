@@ -52,6 +52,7 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
+from signorini_fenicsx.quantities.discrete import of_displacement
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
 from signorini_fenicsx.quantities.motions import (
     OPPOSITE,
@@ -187,8 +188,7 @@ class _Beside(Beside[_Side]):
     def half(self, of_v: _Side, of_y: _Side) -> Half:
         """The right side of the theorem, with the laws that v obeys (collective).
 
-        What the linear solver leaves of the jumps of y counts like a load. On springs y says where they are by its own
-        tractions.
+        What the linear solver leaves of the jumps of y counts like a load. Springs have the tractions that y balances.
         """
         solution, y = of_v.solution, of_y.y
         if of_v.past or not math.isfinite(y.distance):
@@ -275,6 +275,10 @@ class Fluxes(_Beside):
 
 class Integrals(beside.Integrals[_Side], _Beside):
     """The integral of a component of the displacement with a weight, or its mean."""
+
+    def discrete(self) -> float:
+        """The integral, or the mean, of u_h (collective)."""
+        return of_displacement(self.solution, self.kind, self.weight)
 
     def posed(self, tau: float) -> Posed:
         """The problem with data that differ by τ (collective)."""
@@ -364,7 +368,7 @@ def energy(solution: ElasticSolution) -> Quantity:
         return Quantity(upper, -math.inf, math.inf, False, past or UNBALANCED)
     lower = upper - max(float(sums[0]), 0.0) - distance * (math.sqrt(sums[1]) + distance / 2)
     missing = not_in_the_spaces(resolution, enclosed=False)  # J(v) is by quadrature
-    return Quantity((lower + upper) / 2, lower, upper, not missing, reservation((), missing, LACKING))
+    return Quantity(upper, lower, upper, not missing, reservation((), missing, LACKING))
 
 
 def indicator(

@@ -46,7 +46,7 @@ def test_elastic(friction: Tresca | None, known: float):
     force, one, other = coarse.quantity(Force("top", [1, 0])), coarse.quantity(mean), fine.quantity(mean)
     assert all(each.guaranteed for each in (force, one, other))
     assert force.lower - 1e-12 <= known <= force.upper + 1e-12
-    assert one.lower <= other.value <= one.upper
+    assert one.lower <= other.middle <= one.upper
     assert other.width < one.width / 2
     if friction is None:
         smooth = coarse.quantity(Force("bottom", [1, 0]))
