@@ -24,7 +24,7 @@ from fuzzing.runner import Runner, begin_again, import_everything, numbered
 
 KINDS = (
     *("case", "law", "elastic", "option", "expression", "mesh", "geo", "checkpoint", "study"),
-    *("forged", "config", "far", "pulse", "early"),
+    *("forged", "config", "far", "pulse", "early", "unjoined"),
 )
 
 

@@ -19,6 +19,7 @@ from fuzzing.places import far_place
 from fuzzing.pulses import pulses
 from fuzzing.runner import Runner
 from fuzzing.studies import study
+from fuzzing.unjoined import unjoined
 
 GENERATORS: dict[str, Generator] = {
     "case": case_file,
@@ -35,6 +36,7 @@ GENERATORS: dict[str, Generator] = {
     "far": far_place,
     "pulse": pulses,
     "early": ends_early,
+    "unjoined": unjoined,
 }
 
 
