@@ -32,6 +32,11 @@ def write_rows(path: Path, header: Iterable[str], rows: Iterable[Mapping[str, An
         writer.writerows(rows)
 
 
+def place_in_words(x: Iterable[float]) -> str:
+    """The coordinates of a point in words."""
+    return "(" + ", ".join(f"{entry:.4g}" for entry in x) + ")"
+
+
 def did_you_mean(wrong: str, names: Iterable[str]) -> str:
     """A question in brackets with the closest of the known names, after a space; empty if none is close."""
     close = difflib.get_close_matches(wrong, list(names), 1)

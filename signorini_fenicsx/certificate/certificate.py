@@ -25,6 +25,8 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import function_of
+from signorini_fenicsx.base.text import place_in_words
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 
 type Places = tuple[tuple[str, tuple[float, ...]], ...]
@@ -51,7 +53,7 @@ API = (
 def reservation(unresolved: Places, unknown: Sequence[str], lacking: str = "by quadrature") -> str:
     """Why a bound is not guaranteed, in words; empty if nothing is to be said."""
     for name, place in unresolved[:1]:
-        return f"{name} is not resolved near ({', '.join(f'{x:.4g}' for x in place)})"
+        return f"{name} is not resolved near {place_in_words(place)}"
     return f"{', '.join(unknown)} {lacking}" if unknown else ""
 
 
@@ -151,7 +153,6 @@ class Gap:
         v: The admissible function, or one near it.
         hindrance: Why no v is admissible, in words; empty if one is.
         unbalanced: Why y is not admissible, if it is not.
-        unbounded: Why the gap is infinite, if it is.
         by_quadrature: The data that are not enclosed.
         account: The data that are not resolved where the bound is this number (collective).
         coarse: Gives the mask of the owned cells where they are not resolved, after that.
@@ -164,10 +165,18 @@ class Gap:
     v: fem.Function
     hindrance: str
     unbalanced: str
-    unbounded: str
     by_quadrature: tuple[str, ...] = ()
     account: Callable[[float], Places] = lambda bound: ()
     coarse: Callable[[], npt.NDArray[np.bool_]] | None = None
+
+    def _not_finite(self, spaces: MeshSpaces) -> str:
+        """Which part of the sum is not finite, with the first place; no cause, as many are possible (collective)."""
+        for words, squares in (("the gap", self.squares), ("what loads add", self.oscillation)):
+            middle = corners(spaces.mesh)[~np.isfinite(squares)].mean(axis=1)
+            places = first_places([(words, tuple(x)) for x in middle.tolist()], spaces.mesh.comm)
+            for name, place in places[:1]:
+                return f"{name} is not finite near {place_in_words(place)}"
+        return "the sum of its parts is larger than all floats"
 
     def certificate(self, spaces: MeshSpaces) -> Certificate:
         """The bound that this gives (collective)."""
@@ -180,7 +189,7 @@ class Gap:
         if_none = (
             self.hindrance
             or ("" if np.isfinite(remainder) else self.unbalanced)
-            or ("" if np.isfinite(gap + oscillation) else self.unbounded)
+            or ("" if np.isfinite(gap + oscillation) else self._not_finite(spaces))
         )
         bound = sigma_bound = np.inf
         if not if_none:

@@ -13,6 +13,7 @@ from signorini_fenicsx.base.errors import holding
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound, bound_field
+from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import solve
@@ -72,6 +73,10 @@ def certified(solution: Solved, module: str, certify: Callable[[Any], Certificat
         return _none(solution)
     with watch.phase("certificate"), holding(solution):
         certificate = certify(of_physics)
+        names = lost_digits(solution.spaces, solution.data) if certificate.guaranteed else ()
+    if names:
+        about = {key: value for key, value in certificate.about.items() if key != "guaranteed_for"}
+        certificate = replace(certificate, guaranteed=False, by_quadrature=names, lacking=LOST, about=about)
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 

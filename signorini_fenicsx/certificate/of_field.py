@@ -18,7 +18,7 @@ The smaller of both upper bounds counts. Elastic displacements have the first on
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from signorini_fenicsx.base.errors import InputError, holding
 from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.system import bound_of
 
@@ -93,6 +94,8 @@ def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
     _check(solution, v)
     with holding(solution):
         bound: FieldBound = of_physics.field_bound(solution, v)
+    if bound.guaranteed and (names := lost_digits(solution.spaces, solution.data)):
+        return replace(bound, guaranteed=False, reason=f"{', '.join(names)} {LOST}")
     return bound
 
 

@@ -81,7 +81,7 @@ class EvolutionReport(CaseReport):
             )
         lines |= {name: f"at the end {interval(quantity)}" for name, quantity in quantities.items()}
         self.entries(lines)
-        self.notes(last.spaces.notices)
+        self.notes(last.notes())
 
 
 def _reservation(about: Mapping[str, Any]) -> str:

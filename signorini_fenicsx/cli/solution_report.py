@@ -91,7 +91,7 @@ class SolutionReport(CaseReport):
         lines["seconds"] = named(summary["timings"], ".2f")
         lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
         self.entries(lines)
-        self.notes(result.spaces.notices)
+        self.notes(summary.get("notices", ()))
         if found.of_field is not None:
             self._field(found.of_field)
 

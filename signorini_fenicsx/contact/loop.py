@@ -23,6 +23,7 @@ from functools import partial
 from typing import cast
 
 import numpy as np
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import LinearSolveFailure, NumericalFailure
@@ -35,6 +36,9 @@ from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, Present, SetRule
 
+FAR = 100.0
+"""A site that the own start leaves so many times as far from ψ as it is beyond ψ elsewhere stays open at first: contact
+there would make of a large distance the size of the next iterate. So do all sites if it is beyond ψ nowhere."""
 LINEAR = "without a law the problem is linear, and solved"
 """Why the loop ends where there are no sites."""
 
@@ -154,7 +158,8 @@ def _wanted[I: Pairs](
     segment = None if solved_with is None else law.segments(solved_with)
     p, flux = iterate.p, iterate.flux
     if solved_with is None and rule.forgets_start:
-        p, flux = np.zeros_like(p), np.zeros_like(flux)
+        deepest = backend.comm.allreduce(float(-p.min(initial=0.0)), MPI.MAX)
+        p, flux = np.where((p > FAR * deepest) & law.plain, p, 0.0), np.zeros_like(flux)
     present = Present(segment, parameters.tie * scales[0], parameters.tie * scales[1])
     following = rule.following(law, p, flux, parameters.rho, present)
     if parameters.floating is not None:

@@ -23,6 +23,16 @@ def quadratic_of(vertices: Array, nodes: Array) -> Quadratic:
     return quadratic(vertices, nodes[:, :corners], nodes[:, edge_order(corners)])
 
 
+def coefficients_of(values: Array, cell: basix.CellType) -> Array:
+    """Bernstein coefficients of the quadratics with these values in the nodes of simplices, both as Basix has them."""
+    corners = len(basix.topology(cell)[0])
+    first, second = np.array(basix.topology(cell)[1]).T
+    with np.errstate(invalid="ignore"):
+        middle = 2 * values[:, corners:] - (values[:, first] + values[:, second]) / 2
+    middle = np.where(np.isfinite(middle), middle, values[:, corners:])
+    return np.hstack([values[:, :corners], middle])
+
+
 def in_nodes(tree: Tree, vertices: Array) -> Array:
     """Values in the vertices and then the midpoints of edges, as Basix numbers them, shape (n, nodes)."""
     corners = vertices.shape[1]

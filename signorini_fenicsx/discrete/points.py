@@ -303,8 +303,8 @@ def from_inside(values: Callable[[FacetPoints], Array], points: FacetPoints) -> 
     return 2 * near - far
 
 
-def from_within(values: Callable[[FacetPoints], Array], points: FacetPoints) -> Array:
-    """The values as limits from inside the facets: data may jump where two facets meet (collective)."""
+def from_within[P: Points](values: Callable[[P], Array], points: P) -> Array:
+    """The values as limits from inside the facets, or cells: data may jump where two of them meet (collective)."""
     at, dim = points.points, points.points.shape[1] + 1
     step = beside(points.mesh)
     moved = np.concatenate([at + share * (1 / dim - at) for share in (step, 2 * step)])

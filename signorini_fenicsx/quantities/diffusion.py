@@ -23,7 +23,6 @@ from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.certify import (
-    UNBALANCED,
     Admissible,
     gap_on_gamma_s,
     gap_parts,
@@ -88,7 +87,7 @@ def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> Half:
     """
     resolution, comm = of_y.resolution, of_y.solution.spaces.mesh.comm
     if of_v.trace.hindrance or not math.isfinite(of_y.remainder):
-        return Half(math.inf, of_v.trace.hindrance or UNBALANCED, np.zeros_like(of_y.metric.volume))
+        return Half(math.inf, of_v.trace.hindrance or of_y.unbalanced, np.zeros_like(of_y.metric.volume))
     parts = gap_parts(of_v, of_y, goal, area=half_gap)
     squares = (np.sqrt(parts.mismatch + parts.reaction) + parts.oscillation) ** 2
     at_each = parts.contact - parts.reaction
@@ -265,7 +264,7 @@ def energy(solution: Solution) -> Quantity:
     upper, wrong = _of_v(own, parts.hidden, SHARE * below)
     value = of_energy(solution, goal)
     if own.trace.hindrance or not math.isfinite(own.remainder):
-        return Quantity(value, -math.inf, math.inf, False, own.trace.hindrance or UNBALANCED)
+        return Quantity(value, -math.inf, math.inf, False, own.trace.hindrance or own.unbalanced)
     lower, upper = upper - below - wrong, upper + wrong
     reason = reason_of(own, (math.sqrt(missed) + parts.left) / math.sqrt(below) if below > 0 else 0.0)
     return Quantity(value, lower, upper, not reason, reason)

@@ -8,6 +8,7 @@ from typing import Any
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, holding
+from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities import diffusion, elasticity
 from signorini_fenicsx.quantities.beside import Beside
@@ -58,7 +59,10 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
         else:
             of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
             interval = of(solution, kind).interval()
-    return replace(interval, of=physics.named_for(solution))
+    interval = replace(interval, of=physics.named_for(solution))
+    if interval.guaranteed and (names := lost_digits(solution.spaces, solution.data)):
+        return replace(interval, guaranteed=False, reason=f"{', '.join(names)} {LOST}")
+    return interval
 
 
 def check_quantities(domain: Domain, posed: tuple[Any, Any], kinds: Sequence[Kind]) -> None:

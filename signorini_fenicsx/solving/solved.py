@@ -20,6 +20,7 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.curved import of_polygon
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.registry import Method
@@ -83,6 +84,7 @@ class Solved(ABC):
         outcome: How the method ended, with σ_h and u_h; it has converged if the residuals are small as well.
         kkt: Residuals of the discrete problem.
         source: What the problem was read from; None if it was given in Python.
+        data: The data on the mesh; None where they are nothing but numbers.
         step: Number of the step of a problem in time, from 1; None for others.
         system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.
         timings: Seconds per phase, the longest over all ranks.
@@ -98,6 +100,7 @@ class Solved(ABC):
     outcome: Outcome
     kkt: Residuals
     source: object = None
+    data: Any = None
     step: int | None = None
     system: Callable[[], Any] | None = field(default=None, compare=False)
     timings: dict[str, float] = field(default_factory=dict)
@@ -358,7 +361,7 @@ class Solved(ABC):
     @collector_off()
     def summary(self) -> dict[str, Any]:
         """All numbers of the run, ready for JSON (collective)."""
-        domain, outcome, errors = self.spaces.domain, self.outcome, self.errors()
+        domain, outcome, errors, notes = self.spaces.domain, self.outcome, self.errors(), self.notes()
         return {
             "case": self.name,
             "title": self.title,
@@ -377,11 +380,15 @@ class Solved(ABC):
             **({} if errors is None else {"errors": errors}),
             "kkt": vars(self.kkt),
             **self._particular(),
-            **({"notices": self.spaces.notices} if self.spaces.notices else {}),
+            **({"notices": notes} if notes else {}),
             "timings": self.timings,
             "peak_memory": self.peak_memory,
             "ranks": domain.mesh.comm.size,
         }
+
+    def notes(self) -> list[str]:
+        """What a reader should know of problem and solution, in sentences (collective)."""
+        return [*self.spaces.notices, *of_polygon(self.spaces)]
 
     def contradiction(self) -> str | None:
         """What in a solution that was read from a file excludes itself, beside residuals (collective)."""

@@ -32,6 +32,7 @@ from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.differences import differences
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
+from signorini_fenicsx.physics.diffusion.notes import notes_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.solved import InContact, Solved
@@ -353,6 +354,10 @@ class Solution(Solved):
         if self.data.inside.is_obstacle:
             return {"obstacle": self.on_obstacle()}
         return {"regions": self.in_regions()}
+
+    def notes(self) -> list[str]:
+        """See `Solved.notes`."""
+        return [*notes_of(self.spaces, self.data), *super().notes()]
 
     def _particular(self) -> dict[str, Any]:
         own = self.outcome.own_residual

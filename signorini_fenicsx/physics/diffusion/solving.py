@@ -17,8 +17,6 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import LAWS
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.continuity import largest_jump
-from signorini_fenicsx.discrete.data_values import in_problem
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
@@ -28,6 +26,7 @@ from signorini_fenicsx.physics.diffusion.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.notes import notes_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.residuals import far_bound
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -37,9 +36,6 @@ from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Remesh, Wish, check_start
-
-NO_TRACE = "a function with this trace has no finite energy, and there is no bound of the error"
-NO_BOUND = "there is one solution, but errors fall slowly and their bound is not guaranteed"
 
 
 class System:
@@ -158,19 +154,8 @@ class DiffusionRun:
     system: System
 
     def remarks(self) -> list[str]:
-        """Bounds of u on Γ_S and u_D where they jump, in words (collective)."""
-        spaces, data = self.task.spaces, self.data
-        checked = [("u_D", data.u_D, spaces.dirichlet_facets, NO_TRACE)]
-        for part in data.laws.of_parts:
-            bounds = {key: datum for key, datum in part.data.items() if any(datum is bound for bound in part.bounds)}
-            facets = spaces.facets[part.rows]
-            checked += [(part.key(key), datum, facets, NO_BOUND) for key, datum in bounds.items()]
-        jumps = [(name, *largest_jump(spaces, datum, facets), so) for name, datum, facets, so in checked]
-        return [
-            f"{in_problem(name)}: jumps by {jump:.3g} at ({', '.join(f'{x:.4g}' for x in place)}); {so}"
-            for name, jump, place, so in jumps
-            if jump > 0
-        ]
+        """Data that jump and should not, in words (collective)."""
+        return notes_of(self.task.spaces, self.data)
 
     def outcome(self) -> Outcome:
         """Run the method; if it is interrupted, return its last state (collective)."""

@@ -23,6 +23,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import from_within, in_facets
@@ -271,11 +272,6 @@ def _apart(
         if apart.size:
             facet, place = np.unravel_index(int(apart.argmax()), apart.shape)
             yield float(apart[facet, place]), place_in_words(coefficients.places()[facet, place])
-
-
-def place_in_words(x: Array) -> str:
-    """The coordinates of a point in words."""
-    return "(" + ", ".join(f"{entry:.4g}" for entry in x) + ")"
 
 
 def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:

@@ -38,14 +38,14 @@ def quantities(solution: ElasticSolution) -> dict[str, Any]:
     rounding = TIE * comm.allreduce(float(np.abs(solution.stresses).max(initial=0.0)), MPI.MAX)
     pressure = np.where(np.abs(solution.pressure) > rounding, solution.pressure, 0.0)
     return {
-        "von_mises": _largest(comm, stress, split_vertices(spaces.vertices).reshape(-1, dim)),
-        "displacement": _largest(comm, size, spaces.vertices.reshape(-1, dim)),
+        "von_mises": largest_of(comm, stress, split_vertices(spaces.vertices).reshape(-1, dim)),
+        "displacement": largest_of(comm, size, spaces.vertices.reshape(-1, dim)),
         "balance": solution.balance[1],
         "contact": {name: _of_part(solution, index, pressure) for index, name in enumerate(spaces.part_names)},
     } | ({"tools": {tool.part: tool.motion() for tool in data.tools}} if data.tools else {})
 
 
-def _largest(comm: MPI.Comm, values: Array, places: Array) -> dict[str, Any]:
+def largest_of(comm: MPI.Comm, values: Array, places: Array) -> dict[str, Any]:
     """The largest value and where it is: {} if there is none (collective)."""
     largest = comm.allreduce(float(values.max(initial=-np.inf)), MPI.MAX)
     near = places[values >= largest - SAME * abs(largest)] if np.isfinite(largest) else places[:0]
@@ -64,7 +64,7 @@ def _of_part(solution: ElasticSolution, part: int, pressures: Array) -> dict[str
     moments = np.einsum("na,nai->i", weights, contact.vertices)
     area = solution.touching[rows].sum(axis=1) @ contact.measure / dim
     *center, force, area = comm.allreduce(np.array([*moments, weights.sum(), area])).tolist()
-    peak = _largest(comm, pressure.ravel(), contact.vertices.reshape(-1, dim))
+    peak = largest_of(comm, pressure.ravel(), contact.vertices.reshape(-1, dim))
     numbers = {"peak_pressure": peak, "area": area, "pressure_force": force}
     if force > PRESSED * abs(peak["largest"]) * comm.allreduce(float(contact.measure.sum())):
         numbers["center_of_pressure"] = [x / force for x in center]

@@ -21,6 +21,7 @@ from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cel
 from signorini_fenicsx.physics.elasticity.differences import differences
 from signorini_fenicsx.physics.elasticity.friction import FromBefore, law_of_sites
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, to_entries
+from signorini_fenicsx.physics.elasticity.notes import large_deformation, notes_of
 from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.quantities import quantities
@@ -389,6 +390,10 @@ class ElasticSolution(Solved):
         """How the bound of Coulomb's friction was found, and whether this is the only one (collective)."""
         rubs = self.spaces.mesh.comm.allreduce(bool((self.data.friction.bound > 0).any()), MPI.LOR)
         return {"changes": list(self.bound_changes), "other_solutions": "not excluded" if rubs else "none"}
+
+    def notes(self) -> list[str]:
+        """See `Solved.notes`."""
+        return [*notes_of(self.spaces, self.data), *super().notes(), *large_deformation(self)]
 
     def _particular(self) -> dict[str, Any]:
         gap = self.data.lift[self.spaces.sites] - self.data.moved[: len(self.spaces.sites)]

@@ -9,9 +9,10 @@ from typing import Any
 from weakref import ref
 
 import numpy as np
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.signals import LoopInterruption
@@ -31,6 +32,7 @@ from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_fo
 from signorini_fenicsx.physics.elasticity.coulomb import CHANGE, balanced, by_path
 from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps, spread
+from signorini_fenicsx.physics.elasticity.notes import direction_of_gap, notes_of
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
@@ -44,6 +46,10 @@ from signorini_fenicsx.solving.system import Remesh, Wish, check_start
 
 PREDICT_FROM = 15_000
 """Number of unknowns from which a prediction saves more than it costs."""
+REACH = 0.1
+"""Gaps larger than the least one by this share of the body are open at the start where contact has to hold it,"""
+ENOUGH = 0.01
+"""if the other ones hold each rigid motion by this share at least of what all of them do, in squares of its means."""
 MORE_WITH_FRICTION = 4
 """So many times the iterations of other problems are allowed for each bound in the plane, and in space for large μ."""
 
@@ -153,8 +159,8 @@ class ElasticRun:
     backend: ElasticBackend | None = None
 
     def remarks(self) -> list[str]:
-        """Elastic contact has no remarks: gaps of parts that meet may differ, as their normals do."""
-        return []
+        """Data that jump and should not, and along what the gap is measured (collective)."""
+        return [*notes_of(self.spaces, self.data), *direction_of_gap(self.spaces, self.data)]
 
     def outcome(self) -> Outcome:
         """Run the loop, with Coulomb's friction once for each bound of the shear (collective)."""
@@ -168,14 +174,34 @@ class ElasticRun:
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
                 if start is not None:
                     start = _carried(start, backend)
-        held = self.motions.shape[1] > 0
-        if isinstance(start, ElasticSegments):
-            first = _continued(backend, start, held_by_contact=held)
-        else:
-            first = _first(backend, start, held_by_contact=held)
+        near = self._near() if self.motions.shape[1] > 0 else None
+        goes_on = isinstance(start, ElasticSegments)
+        first = _continued(backend, start, near) if goes_on else _first(backend, start, near)
         outcome, self.changes = _run(backend, options, first, watch, self.wish.on_step, predict=large)
         self.data = replace(self.data.after(self.spaces, backend.tools.rho), friction=backend.friction)
         return outcome
+
+    def _near(self) -> Mask:
+        """The facet vertices whose contact holds the body at the start: those with small gaps (collective).
+
+        A gap that is large beside the body does not close, and contact with it would tear the body apart. The reach is
+        doubled until what is in it holds the body nearly as well as all of Γ_C does.
+        """
+        spaces, comm = self.spaces, self.spaces.mesh.comm
+        into, along = np.split(self.motions, [len(spaces.sites)])
+        slips = comm.allreduce(along.T @ along)
+
+        def held(near: Mask) -> Array:
+            return np.asarray(comm.allreduce(into[near].T @ into[near]) + slips)
+
+        gap = self.data.lift[spaces.sites]
+        everything, least = held(np.ones(len(gap), dtype=bool)), comm.allreduce(gap.min(initial=np.inf), MPI.MIN)
+        reach = REACH * float(np.ptp(spaces.domain.box(), axis=0).max())
+        while True:
+            near = gap <= least + reach
+            if np.linalg.eigvals(np.linalg.solve(everything, held(near))).real.min() >= ENOUGH:
+                return near
+            reach *= 2
 
     def judged(self, outcome: Outcome) -> tuple[Outcome, ElasticKKT]:
         """The outcome, which has converged only if its residuals are small, and these (collective)."""
@@ -362,31 +388,35 @@ def _with_friction(
     return slipped(backend, lambda follow: loop(None, follow), changes, parameters.max_iterations)
 
 
-def _continued(backend: ElasticBackend, start: ElasticSegments, *, held_by_contact: bool) -> SiteConditions | None:
+def _continued(backend: ElasticBackend, start: ElasticSegments, near: Mask | None) -> SiteConditions | None:
     """The conditions of the last step in time, and its bounds of the shear for Coulomb's friction (collective)."""
     spaces = backend.spaces
     slope = np.take_along_axis(backend.chains.slope, start.segment[:, None], axis=1)[: len(spaces.sites)]
-    if held_by_contact and backend.comm.allreduce(int((slope > 0).sum())) == 0:
-        return _first(backend, None, held_by_contact=True)
+    if near is not None and backend.comm.allreduce(int((slope > 0).sum())) == 0:
+        return _first(backend, None, near)
     backend.friction = backend.friction.with_bounds(start.bound)
     if start.slip is not None and backend.friction:
         backend.friction = backend.friction.along(start.slip)
     return backend.chains.conditions(start.segment)
 
 
-def _first(backend: ElasticBackend, start: ElasticSolution | None, *, held_by_contact: bool) -> SiteConditions | None:
+def _first(backend: ElasticBackend, start: ElasticSolution | None, near: Mask | None) -> SiteConditions | None:
     """The conditions to begin with: those of the start, contact if that has to hold the body, or None (collective).
 
     Where there is friction, nothing slips then.
+
+    Args:
+        backend: The backend.
+        start: Another solution, whose contact is taken.
+        near: The facet vertices whose contact holds the body; None if it is held without.
     """
-    spaces = backend.spaces
-    touching = np.full(len(spaces.contact.facets), held_by_contact)
+    spaces, touching = backend.spaces, near
     if start is not None:
         found = transferred(start.contact_set(), spaces)
-        if not held_by_contact or spaces.mesh.comm.allreduce(int(found.sum())) > 0:
-            touching = found
-    elif not held_by_contact:
+        if touching is None or spaces.mesh.comm.allreduce(int(found.sum())) > 0:
+            touching = np.repeat(found, spaces.dim)
+    if touching is None:
         return None
     chains = backend.chains
-    steep = np.append(np.repeat(touching, spaces.dim), np.ones(len(spaces.slip_sites), dtype=bool))
+    steep = np.append(touching, np.ones(len(spaces.slip_sites), dtype=bool))
     return chains.conditions(np.where(steep, chains.steepest(), chains.beside_reference(steep=False)))

@@ -66,7 +66,6 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
 OF_PENALTY = "the exact solution of the penalty problem"
-UNBALANCED = "a linear solve failed, by which the flux would be balanced"
 
 
 def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certificate:
@@ -97,8 +96,7 @@ def summed(own: Admissible, parts: GapParts) -> Certificate:
         size=own.size,
         v=own.trace.v,
         hindrance=own.trace.hindrance,
-        unbalanced=UNBALANCED,
-        unbounded="data or the gradients of u_D and ψ are not bounded",
+        unbalanced=own.unbalanced,
         by_quadrature=tuple(sorted(resolution.by_quadrature)),
         account=lambda bound: resolution.account(enclosed / bound if bound > 0 else 0.0),
         coarse=lambda: resolution.coarse,
@@ -121,7 +119,8 @@ class Admissible:
         y: y.
         flux: y cell by cell.
         level: u*.
-        remainder: Bound of ‖y − σ_h‖.
+        remainder: Bound of ‖y − σ_h‖; infinite if y is not admissible.
+        unbalanced: Why it is infinite; empty if it is not.
         inside: The laws in Ω.
         on: Γ_S with the pieces of the laws, and y·n.
         trace: v.
@@ -137,6 +136,7 @@ class Admissible:
     flux: CellFlux
     level: fem.Function
     remainder: float
+    unbalanced: str
     inside: Inside
     on: OnGammaS
     trace: Trace
@@ -154,11 +154,12 @@ class Admissible:
         energies = Energies(resolution, metric, data.kappa)
         if data.kappa.number is None:
             size = math.sqrt(comm.allreduce(energies.squares(solution.cell_flux).least.sum()))
-        y, flux, level, remainder = admissible_flux(solution, metric, goal)
+        y, flux, level, remainder, unbalanced = admissible_flux(solution, metric, goal)
         inside = Inside.of(solution, metric, y, level, resolution)
         on = OnGammaS.of(solution, goal, metric, y)
         trace = law_trace(solution, metric, y, on, inside, field)
-        return cls(solution, goal, metric, size, resolution, energies, y, flux, level, remainder, inside, on, trace)
+        of_y = y, flux, level, remainder, unbalanced
+        return cls(solution, goal, metric, size, resolution, energies, *of_y, inside, on, trace)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.interpolants import coefficients_of
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
@@ -54,6 +55,7 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     jumps_obey,
     level_of,
 )
+from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, all_edges, relax
@@ -101,7 +103,6 @@ def law_trace(
     edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), inside.rays
     on_dirichlet, facet = _given(space, spaces, data.u_D), facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
-    limits_inside = [ray.coefficients(space, edges) for ray in rays]
     u_D = quadratic_on_sides(data.u_D, space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
@@ -119,7 +120,7 @@ def law_trace(
     if field is not None:  # it need not be near a piece of the law
         ends[2:] = ends[:2]
     limits = [end[spaces.inner.rows] for end in ends[:2]]
-    bounds = _without([_coefficients(end, facet) for end in ends], at_meeting)
+    bounds = _without(_asked(on, v, nodes, [coefficients_of(end, facet) for end in ends]), at_meeting)
     ends = _without(ends, at_meeting)
     hindrance = _hindrance(v, nodes, ends[:2], (np.setdiff1d(on_dirichlet, jumps.tips), jumps.tips))
     low, high, soft_low, soft_high = (
@@ -128,10 +129,11 @@ def law_trace(
     jumps.undone(v)
     for function in (v, u_D) if field is None else (v, u_D, near):
         edges.to_bernstein(function.x.array)
-    for ray, limit in zip(rays, limits_inside, strict=True) if field is None else ():
+    limits_of_rays = [ray.limits(v, edges, spaces.frame) for ray in rays]
+    for ray, (limit, _) in zip(rays, limits_of_rays, strict=True) if field is None else ():
         ray.touch(v, limit, on_dirichlet)
     jumps.taken(v)
-    wide = _ends_inside(rays, limits_inside, jumps, len(v.x.array))
+    wide = _ends_inside(rays, [limit for limit, _ in limits_of_rays], jumps, len(v.x.array))
     of_pieces = wide if pieces is None else pieces.ends(space, jumps)
     hard, soft = _within((low, high), wide), _within((soft_low, soft_high), wide, of_pieces)
     box = Box.of(hard, soft, fixed, v.x.array, still)
@@ -144,8 +146,8 @@ def law_trace(
     flux = y if field is None else data.kappa_h * ufl.grad(near)
     relax(v, flux, data.kappa_h, load, given, box, robin, None if pieces is None else pieces.springs(space), jumps)
     jumps.undone(v)
-    for ray, limit in zip(rays, limits_inside, strict=True):
-        ray.move_inside(v, limit, edges, on_dirichlet)
+    for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
+        ray.move_inside(v, limits_of_ray, edges, on_dirichlet)
     return _with_exact_data(on, data, v, u_D, inside, hindrance=hindrance)
 
 
@@ -159,6 +161,27 @@ def _hold(
         for some in (nearly & facets, fully & facets):
             set_means(v, nodes[some], values[some])
         v.x.array[kept] = before
+
+
+def _asked(on: OnGammaS, v: fem.Function, nodes: Indices, bounds: list[Array]) -> list[Array]:
+    """The coefficients of bounds on Γ_S as `limits` has them, from those of their interpolants (collective).
+
+    `v` has values in nodes, not yet coefficients. Bounds of jumps inside the domain stay as they are.
+    """
+    spaces, space = on.spaces, v.function_space
+    facet = facet_type(spaces.mesh.topology.dim)
+    for part in on.goal.parts:
+        rows = np.intersect1d(part.rows, spaces.outer_rows)
+        for end, (sign, datum) in enumerate(zip((1.0, -1.0), part.bounds, strict=True)):
+            if datum is None or datum.number is not None or datum.pieces is None:
+                continue
+            touched = on.segment[rows] == (0 if sign > 0 else on.goal.chains.count[rows])
+            of_v = coefficients_of(v.x.array[nodes[rows]], facet)
+            simplices = Simplices(spaces.corners[rows], spaces.cells[rows], nodes[rows], of_v, touched)
+            bounds[end][rows], *others = simplices.asked(datum, sign, space, spaces.frame)
+            changed = rows[np.any(others, axis=0)]
+            bounds[end + 2][changed] = bounds[end][changed]
+    return bounds
 
 
 def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps, number: int) -> tuple[Array, Array]:
@@ -252,16 +275,6 @@ def _hindrance(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Sequen
     hindered = np.array([(low > high + rounding).any(), *(beyond[some].any() for some in fixed)])
     comm.Allreduce(MPI.IN_PLACE, hindered, MPI.LOR)
     return next((words for words, is_hindered in zip(HINDRANCES, hindered, strict=True) if is_hindered), "")
-
-
-def _coefficients(values: Array, facet: basix.CellType) -> Array:
-    """Bernstein coefficients of the quadratics with these values in the nodes of facets."""
-    corners = len(basix.topology(facet)[0])
-    first, second = np.array(basix.topology(facet)[1]).T
-    with np.errstate(invalid="ignore"):
-        middle = 2 * values[:, corners:] - (values[:, first] + values[:, second]) / 2
-    middle = np.where(np.isfinite(middle), middle, values[:, corners:])
-    return np.hstack([values[:, :corners], middle])
 
 
 def _with_exact_data(

@@ -18,9 +18,12 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.owned import function_of, owned_values
+from signorini_fenicsx.base.text import place_in_words
+from signorini_fenicsx.certificate.certificate import first_places
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
@@ -33,6 +36,8 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces
 ROUNDING = 1e-9
 """If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding. The bound contains the share instead of L‖c‖/√κ or of a
 smaller ‖y − σ_h‖, which depend on the order of sums: the bound is the same on any number of ranks."""
+FAILED = "a linear solve failed, by which the flux would be balanced"
+LEFT = "the linear solver leaves too much of the balance of the flux"
 OF_SUMS = 1e-14
 """Share of the loads that is rounding: where f − cu is 0, so are c and σ_h but for the rounding of this difference."""
 CORRECTIONS = 4
@@ -47,15 +52,15 @@ NONE = (np.empty(0), np.empty(0))
 
 def admissible_flux(
     solution: Solution, metric: CellMetric, goal: Goal
-) -> tuple[fem.Function, CellFlux, fem.Function, float]:
+) -> tuple[fem.Function, CellFlux, fem.Function, float, str]:
     """The flux y ∈ RT0 with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
     Under other laws y·n is between the least and the largest flux that they allow. With laws in Ω the balance has an s
     that they allow.
 
     Returns:
-        y, y cell by cell, u*, and ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be
-        corrected.
+        y, y cell by cell, u*, ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be corrected,
+        and why it cannot.
     """
     spaces, data, cells = solution.spaces, solution.data, solution.outcome.iterate.cells
     comm, volume = spaces.mesh.comm, metric.volume
@@ -77,16 +82,23 @@ def admissible_flux(
             may = room(data.inside, cells, s, owned_values(u))
         left = constant * np.sqrt(comm.allreduce(volume @ off**2))
         if left <= rounding:
-            return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma))
+            return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), ""
         try:
             correction = balancing_flux(spaces, data, y, function_of(spaces.Q, off), limits, may)
         except LinearSolveFailure:
-            break
+            return y, flux, u, np.inf, FAILED
         correction.sigma.x.array[:] += y.x.array
         correction.u.x.array[:] += u.x.array
         y, u = _within(spaces, limits, correction.sigma), correction.u
         flux = CellFlux.of(spaces, y)
-    return y, flux, u, np.inf
+    return y, flux, u, np.inf, LEFT if kappa_min > 0 else _without_ellipticity(spaces, metric)
+
+
+def _without_ellipticity(spaces: Spaces, metric: CellMetric) -> str:
+    """Where κ is not above 0 in a node, so that no flux has a finite norm for sure, in words (collective)."""
+    places = corners(spaces.mesh)[~(metric.kappa_min > 0)].mean(axis=1).tolist()
+    ((_, place), *_) = first_places([("kappa", tuple(x)) for x in places], spaces.mesh.comm)
+    return f"kappa is not above 0 in all of the cell around {place_in_words(place)}"
 
 
 def distance(spaces: Spaces, metric: CellMetric, y: fem.Function, sigma: fem.Function) -> float:

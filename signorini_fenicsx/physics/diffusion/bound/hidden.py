@@ -29,13 +29,15 @@ from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.interpolants import edge_order, in_nodes, quadratic_of
-from signorini_fenicsx.discrete.points import FacetPoints
+from signorini_fenicsx.discrete.points import FacetPoints, in_cells
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
-from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein
+from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein, constant
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray
+from signorini_fenicsx.physics.diffusion.bound.limits import jumps_in_nodes
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -44,9 +46,6 @@ CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""
 LEBESGUE = 2.0
 """A quadratic is at most so many times its largest value in the points of a quadrature."""
-BESIDE = 1e-4, 1e-8
-"""A datum jumps if it is as far from its value in a node at the second share of the way to the centroid as at the
-first; r^α would be 10^-4α times as far."""
 ROUNDING = 1e-12
 """Relative size of what is no jump."""
 
@@ -76,7 +75,7 @@ def hidden_parts(
     """Bound what may be hidden (collective).
 
     v contains ψ where it touches, and where it was raised to ψ. It cannot have been raised on facets where
-    v − I_hψ ≥ sup |ψ − I_hψ|.
+    v − I_hψ ≥ sup |ψ − I_hψ|, or where the least coefficient of v is proved to be above ψ.
 
     Args:
         resolution: Encloses the data.
@@ -102,6 +101,8 @@ def hidden_parts(
             steep, size = missed.of(ray.name, tree, cells)
             slope[cells] += steep
             gap[cells] += 2 * inside.largest[cells] * metric.volume[cells] * size
+            pressed = np.setdiff1d(np.flatnonzero(ray.touched & (inside.largest > 0)), cells)
+            gap[pressed] += _missed_of_means(resolution, trace, tree, ray, inside, pressed)
     return Hidden(slope, gap)
 
 
@@ -116,8 +117,11 @@ def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree, points: Face
     corners = vertices.shape[1]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
     nodes = facet_nodes(trace.v.function_space, points.facets)[:, [*range(corners), *edge_order(corners)]]
-    above = np.maximum((trace.v.x.array[nodes] - bernstein(p, vertices)).min(axis=1, initial=np.inf), 0.0)
-    return np.asarray(points.cells[_beyond(resolution, tree, vertices, p, above)], dtype=np.int64)
+    v = trace.v.x.array[nodes]
+    above = np.maximum((v - bernstein(p, vertices)).min(axis=1, initial=np.inf), 0.0)
+    beyond = _beyond(resolution, tree, vertices, p, above)
+    beyond[beyond] = _raised(resolution, tree, vertices[beyond], v[beyond], 1.0)
+    return np.asarray(points.cells[beyond], dtype=np.int64)
 
 
 def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) -> Indices:
@@ -126,9 +130,43 @@ def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) ->
     corners = vertices.shape[1]
     nodes = cell_dofs(trace.v.function_space)[:, [*range(corners), *edge_order(corners)]]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
-    above = np.maximum((ray.sign * (trace.v.x.array[nodes] - bernstein(p, vertices))).min(axis=1), 0.0)
+    v = ray.sign * trace.v.x.array[nodes]
+    above = np.maximum((v - ray.sign * bernstein(p, vertices)).min(axis=1), 0.0)
     above[trace.altered] = 0.0
-    return np.flatnonzero(_beyond(resolution, tree, vertices, p, above))
+    beyond = _beyond(resolution, tree, vertices, p, above)
+    rows = np.setdiff1d(np.flatnonzero(beyond), trace.altered)
+    beyond[rows] = _raised(resolution, tree, vertices[rows], v[rows], ray.sign)
+    return np.flatnonzero(beyond)
+
+
+def _missed_of_means(
+    resolution: Resolution, trace: Trace, tree: Tree, ray: Ray, inside: Inside, cells: Indices
+) -> Array:
+    """What quadrature may miss of twice (λ, v − ψ) on owned cells where v is quadratic: the mean of ψ (collective)."""
+    mesh, vertices, near = resolution.spaces.mesh, resolution.vertices[cells], np.isin(cells, trace.cells)
+    seen = np.empty(len(cells))
+    for close in (False, True):
+        for points in in_cells(mesh, cells[near == close].astype(np.int32), *inside.rule(trace, near=close)):
+            seen[np.searchsorted(cells, points.cells)] = points.means(ray.datum.values(points))
+    factor = 2 * inside.largest[cells] * resolution.spaces.cell_measures[cells]
+    number = max(mesh.comm.allreduce(len(cells)), 1)
+    weight = number * (factor / max((SHARE * resolution.error) ** 2, SMALLEST)) ** 2
+    mean = means(
+        tree, vertices, constant(np.zeros(len(cells)), vertices.shape[2]), resolution.spaces.frame, weight
+    ).mean
+    missed = np.maximum(ray.sign * seen - np.minimum(ray.sign * mean.lo, ray.sign * mean.hi), 0.0)
+    unknown = ~np.isfinite(missed)
+    resolution.note(ray.name, vertices[unknown].mean(axis=1), cells[unknown])
+    missed[unknown] = 0.0
+    resolution.record_missed(ray.name, cells, factor * missed)
+    return factor * missed
+
+
+def _raised(resolution: Resolution, tree: Tree, vertices: Array, v: Array, sign: float) -> Mask:
+    """Mask of the simplices where ψ may be above the least of these coefficients of v; for −ψ and −v (collective)."""
+    least = v.min(axis=1, initial=np.inf)
+    below = Negative(tree) if sign > 0 else tree
+    return np.asarray(ranges(below, vertices, None, resolution.spaces.frame, -least, np.inf).lo < -least)
 
 
 def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, limit: Array) -> Mask:
@@ -174,7 +212,7 @@ class _Missed:
         slope[rough] = np.fmin(slope[rough], of_slope + decay[rough] * of_value)
         value[rough] = np.fmin(value[rough], of_value)
         place[rough] = rough_tilts.place
-        unknown = ~np.isfinite(slope + value) | _jumps(tree, vertices, nodes)
+        unknown = ~np.isfinite(slope + value) | jumps_in_nodes(tree, vertices, nodes).any(axis=1)
         resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
         slope[unknown], value[unknown] = 0.0, 0.0
         missed = np.sqrt(factor) * slope
@@ -195,16 +233,6 @@ def _on_dirichlet(spaces: Spaces, trace: Trace, cells: Indices) -> Array:
     coefficients = trace.v.x.array[nodes]  # coefficients of Bernstein
     coefficients[:, dim + 1 :] = (coefficients[:, dim + 1 :] + coefficients[:, ends].mean(axis=2)) / 2
     return np.where(np.isin(nodes, fixed), coefficients, np.nan)
-
-
-def _jumps(tree: Tree, vertices: Array, nodes: Array | None) -> Mask:
-    """Mask of the simplices in whose nodes the values of a tree, or these, are not the limits from inside."""
-    inside = vertices.mean(axis=1, keepdims=True) - vertices
-    at, near, nearer = (in_nodes(tree, vertices + share * inside) for share in (0.0, *BESIDE))
-    if nodes is not None:
-        at = np.where(np.isnan(nodes), nearer, nodes)
-    far, close = np.abs(near - at), np.abs(nearer - at)
-    return np.asarray(((close > far / 2) & (close > ROUNDING * np.abs(at).max(initial=0.0))).any(axis=1))
 
 
 @dataclass(frozen=True)

@@ -45,11 +45,15 @@ from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Obstacle
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
+from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
+from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, at_points, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
@@ -118,10 +122,18 @@ class Ray:
         """Whether the bound is its own quadratic interpolant."""
         return self.datum.polynomial is not None and self.datum.polynomial <= 2
 
-    def coefficients(self, space: fem.FunctionSpace, edges: Edges) -> Array:
-        """Bernstein coefficients of I_hψ, infinite in nodes off its cells (collective)."""
+    def limits(self, v: fem.Function, edges: Edges, frame: Frame) -> tuple[Array, Mask]:
+        """What it asks of the coefficients of v, infinite in nodes off its cells, and the rough cells (collective)."""
+        space, rough = v.function_space, np.zeros(len(self.touched), dtype=bool)
+        if self.datum.number is None and self.datum.pieces is not None:
+            nodes = cell_dofs(space)[self.cells]
+            simplices = Simplices(
+                corners(space.mesh)[self.cells], self.cells, nodes, v.x.array[nodes], self.touched[self.cells]
+            )
+            asked, rough[self.cells], _ = simplices.asked(self.datum, self.sign, space, frame)
+            return extreme_around(space, nodes, asked, largest=self.sign > 0), rough
         bound = coefficients(self.datum, space, edges)
-        return bound if self.everywhere else np.where(_around(space, self.cells), bound, -self.sign * np.inf)
+        return bound if self.everywhere else np.where(_around(space, self.cells), bound, -self.sign * np.inf), rough
 
     def bound(self, linear: fem.FunctionSpace) -> Bound:
         """The bound, as it is known to `conforming`, with the depth 0 (collective)."""
@@ -135,14 +147,14 @@ class Ray:
         touched[on_dirichlet] = False
         v.x.array[:] = np.where(touched, limit, v.x.array)
 
-    def move_inside(self, v: fem.Function, limit: Array, edges: Edges, given: Indices) -> None:
+    def move_inside(self, v: fem.Function, limits: tuple[Array, Mask], edges: Edges, given: Indices) -> None:
         """Move v in the vertices all of whose cells touch, so that v cut off by ψ is ψ there (collective).
 
-        In nodes where v is given, as on Γ_D, it stays.
+        In nodes where v is given, as on Γ_D, and in those of rough cells, it stays.
         """
         if self.is_quadratic:
             return
-        space, mesh = v.function_space, v.function_space.mesh
+        space, mesh, (limit, rough) = v.function_space, v.function_space.mesh, limits
         above, interpolant = np.zeros(len(self.touched)), fem.Function(space)
         interpolant.x.array[:] = np.where(np.isfinite(limit), limit, 0.0)
         for points in cell_quadrature(mesh, self.cells.astype(np.int32), quadrature_degree(self.datum)):
@@ -150,7 +162,7 @@ class Ray:
             above[points.cells] = missed.max(axis=1, initial=0.0)
         cells = cell_dofs(space)
         vertices = cells[:, : mesh.topology.dim + 1]
-        apart = (self.sign * v.x.array[cells] > self.sign * limit[cells]).any(axis=1)
+        apart = rough | (self.sign * v.x.array[cells] > self.sign * limit[cells]).any(axis=1)
         depth, free = fem.Function(space), fem.Function(space)
         for function, values in ((depth, ROOM * above), (free, 1.0 * apart)):
             np.maximum.at(function.x.array, vertices.ravel(), np.repeat(values, vertices.shape[1]))
@@ -260,13 +272,11 @@ class Inside:
         number, dim, cell = len(self.s), mesh.topology.dim, mesh.basix_cell()
         squares, missed = np.zeros(number), np.zeros(number)
         load = Projection(np.zeros((number, dim)), np.zeros(number))
-        of_data = [datum for part in self.parts for datum in part.data.values()]
-        degree = max(SQUARE, quadrature_degree(*of_data))
         near = np.isin(np.arange(number), trace.cells)
         for parts, cells in self.groups():
-            for close, of_degree in ((False, degree), (True, max(degree, trace.degree))):
+            for close in (False, True):
                 some = cells[near[cells] == close]
-                points, weights = positive_quadrature(cell, of_degree)
+                points, weights = self.rule(trace, near=close)
                 for at in in_cells(mesh, some.astype(np.int32), points, weights):
                     own = at.cells.astype(np.int64)
                     law = self.law_at(parts, at)
@@ -282,6 +292,12 @@ class Inside:
                     squares[own] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
         return squares, load
+
+    def rule(self, trace: Trace, *, near: bool) -> tuple[Array, Array]:
+        """The quadrature of the gap in the cells of the trace (near) or in others."""
+        degree = max(SQUARE, quadrature_degree(*(datum for part in self.parts for datum in part.data.values())))
+        cell = self.spaces.mesh.basix_cell()
+        return positive_quadrature(cell, max(degree, trace.degree) if near else degree)
 
     def groups(self) -> Iterator[tuple[list[int], Indices]]:
         """The cells that have the same laws: numbers of these, and the owned cells; alike on all ranks (collective).

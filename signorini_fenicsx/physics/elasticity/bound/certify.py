@@ -85,13 +85,13 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
     v, of_cells, past = _displacement(solution, y, resolution, spaces.split, degree=2)
-    lacking, lifted_data = lifted(resolution, of_cells)
+    lacking, lifted_data = lifted(resolution, of_cells, y.floors)
     of_cells = _with(of_cells, lacking)
     with_most = _with_most(spaces, of_cells)
     if comm.allreduce(len(with_most)) > 0:
         part = spaces.split.part(with_most)
         _, better, past_there = _displacement(solution, y, resolution, part, degree=HIGHER[spaces.dim], v=v)
-        better = _with(better, of_degree(resolution, lifted_data, HIGHER[spaces.dim]))
+        better = _with(better, of_degree(resolution, lifted_data, HIGHER[spaces.dim], y.floors))
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
@@ -105,7 +105,6 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         v=v,
         hindrance=past,
         unbalanced=UNBALANCED,
-        unbounded="the numbers of the data are too large for it",
         by_quadrature=not_in_the_spaces(resolution, also=(*lifts(spaces, data), *rubbing)),
         account=lambda bound: resolution.unresolved(),
         coarse=lambda: resolution.coarse,

@@ -21,6 +21,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
 from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.forms.elasticity import square, strain, vector
@@ -38,7 +39,6 @@ from signorini_fenicsx.physics.elasticity.boundary_nodes import (
     add_at,
     contact_coefficients,
     given_nodes,
-    place_in_words,
 )
 from signorini_fenicsx.physics.elasticity.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.multigrid import STIFF
@@ -66,7 +66,7 @@ class BestDisplacement:
         contact: The facets of Γ_C on it.
         laws: The laws on them, but for contact.
         supports: The supports on it.
-        openings: The coefficients of g on them, less p at the references of the laws.
+        openings: The coefficients of g on them, or of what stands for it, less p at the references of the laws.
         material: 𝔸, ℂ and ε₀ on it.
     """
 
@@ -101,7 +101,8 @@ class BestDisplacement:
         self.material = material_on_split(spaces, data, split, 2 * degree - 2)
         self._v = None if v is None else self._continued(v)
         self._given = given_nodes(spaces, data, split, self.space, self._v)
-        self.openings = self.contact.openings(spaces.mesh, data)
+        floors = y.floors[self.contact.rows, None]
+        self.openings = np.where(np.isfinite(floors), floors, self.contact.openings(spaces.mesh, data))
         self.supports = SupportsOfDisplacement.of(spaces, data, split, self.space, y.stresses)
 
     @cached_property

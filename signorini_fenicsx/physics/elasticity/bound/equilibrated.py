@@ -15,6 +15,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.bound.clear import floors
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.friction import shortened
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt, energy_squares
@@ -39,6 +40,7 @@ class AdmissibleStress:
         shear: y_t at those with friction, at most the bound, shape (facets, d, d − 1).
         displacement: u of the same solve at the vertices of the cells, shape (cells, d + 1, d).
         segment: The segment of its law on which each of the vertices of Γ_C is, shape (facets, d).
+        floors: A number for each facet of Γ_C that may stand for the gap, −∞ where none does, see `clear`.
         distance: A bound of ‖y − σ_h‖; infinite if too much is left.
     """
 
@@ -47,6 +49,7 @@ class AdmissibleStress:
     shear: Array
     displacement: Array
     segment: Indices
+    floors: Array
     distance: float
 
 
@@ -103,4 +106,6 @@ def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -
     shear = shortened(shear.reshape(-1, spaces.dim, spaces.dim - 1), data.friction.bound)
     pressure = np.clip(pressure, *data.laws.chains.extent()[2:]).reshape(-1, spaces.dim)
     segment = solution.segment.reshape(pressure.shape)
-    return AdmissibleStress(stresses, pressure, shear, spaces.displacement_values(solution.u), segment, distance)
+    displacement = spaces.displacement_values(solution.u)
+    clear = floors(spaces, data, pressure, displacement)
+    return AdmissibleStress(stresses, pressure, shear, displacement, segment, clear, distance)

@@ -201,10 +201,11 @@ def _least_above(chains: Chains, coefficients: Array, share: Array, inside: Arra
     least = np.full(len(coefficients), np.inf)
     low, high, *_ = chains.extent()
     t = np.clip(coefficients, low[:, None], high[:, None])  # but for rounding they are so
+    upright = np.isinf(chains.slope).all(axis=1)  # t is at the only corner
     for segment in range(chains.corners + 1):
         slope, value = chains.slope[:, segment], chains.value[:, segment]
-        usable = np.isfinite(slope)
-        slope, value = np.where(usable, slope, 0.0), np.where(usable, value, 0.0)
+        finite = np.isfinite(slope)
+        usable, slope, value = finite | upright, np.where(finite, slope, 0.0), np.where(finite, value, 0.0)
         corner = chains.p[:, min(segment, chains.corners - 1)]
         start = gap(chains, corner, np.zeros(len(corner))) + value * corner - slope * corner**2 / 2
         parabola = start[:, None] - value[:, None] * inside + slope[:, None] * inside**2 / 2

@@ -1,8 +1,9 @@
 """What v lacks of u_D and of the gap where they are not quadratic on facets, in the plane.
 
 On a facet e let t be what is given of u along a direction q, or on Γ_C the gap, and there q = n. v has, or stays off,
-an interpolant p of t in its place, of the degree of v. t − p is 0 in both ends a, b of e and in its middle. On the
-subcell S between e and the centroid c let s = λ_a + λ_b, and
+an interpolant p of t in its place, of the degree of v. Facets where a number stands for the gap, see `clear`, need
+none. t − p is 0 in both ends a, b of e and in its middle. On the subcell S between e and the centroid c let
+s = λ_a + λ_b, and
 
     d = s (t − p)(τ) q,   τ = λ_b/s,
 
@@ -73,7 +74,7 @@ def lifts(spaces: ElasticSpaces, data: ElasticData) -> tuple[str, ...]:
     return tuple(names)
 
 
-def lifted(resolution: Resolution, counted: Array) -> tuple[Array, tuple[str, ...]]:
+def lifted(resolution: Resolution, counted: Array, floors: Array) -> tuple[Array, tuple[str, ...]]:
     """‖ℂε(d)‖ in the energy norm on each owned cell, and the names of the data that it is for (collective).
 
     If it is more than what is counted, or no bound of ∇t is known somewhere, it is 0 and for none: then it is recorded
@@ -82,12 +83,13 @@ def lifted(resolution: Resolution, counted: Array) -> tuple[Array, tuple[str, ..
     Args:
         resolution: Of the data.
         counted: Twice the gap of each cell besides.
+        floors: What stands for the gap, see `clear`.
     """
     spaces, comm = resolution.spaces, resolution.spaces.mesh.comm
     names = lifts(spaces, resolution.data)
     if not names:
         return np.zeros_like(counted), ()
-    sizes = {name: of_degree(resolution, (name,), QUADRATIC) for name in names}
+    sizes = {name: of_degree(resolution, (name,), QUADRATIC, floors) for name in names}
     squares = np.sum([each**2 for each in sizes.values()], axis=0)
     if comm.allreduce(float(squares.sum())) <= comm.allreduce(float(counted.sum())):
         return np.sqrt(squares), names
@@ -97,7 +99,7 @@ def lifted(resolution: Resolution, counted: Array) -> tuple[Array, tuple[str, ..
     return np.zeros_like(counted), ()
 
 
-def of_degree(resolution: Resolution, names: Sequence[str], degree: int) -> Array:
+def of_degree(resolution: Resolution, names: Sequence[str], degree: int, floors: Array) -> Array:
     """‖ℂε(d)‖ for some data and a v of this degree, which has u_D as quadratics all the same (collective)."""
     spaces, squares = resolution.spaces, np.zeros((len(resolution.coarse), resolution.spaces.dim + 1))
     if not names:
@@ -105,6 +107,8 @@ def of_degree(resolution: Resolution, names: Sequence[str], degree: int) -> Arra
     for name, facets, scalars in _given(spaces, resolution.data):
         if name in names:  # directions are across each other
             size = _rising(spaces, facets, scalars, degree if name == "gap" else QUADRATIC)
+            if name == "gap":
+                size[np.isfinite(floors)] = 0.0
             squares[facets.cells, facets.local] += size**2
     subcells = split_vertices(spaces.vertices).reshape(-1, spaces.dim + 1, spaces.dim)
     gradients = np.linalg.norm(barycentric_gradients(subcells), axis=2).reshape(*squares.shape, -1)

@@ -1,0 +1,83 @@
+"""Texts of data that lose too many digits where they are evaluated.
+
+A bound is computed from the floats that the texts of its data give. Where large numbers cancel in a text, as in
+1e16 + x − 1e16, these may have nothing to do with it. Enclosures by intervals contain each rounding: in a single point
+their width is what rounding may have changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.expressions import TREES, Tree, interval, values
+from signorini_fenicsx.expressions.intervals import enclosing
+
+LOST = "loses more than a billionth of its size by rounding where its text is evaluated"
+SHARE = 1e-9
+"""Rounding is small below this share of the largest value, of levels of u below that of the extent of the values."""
+LEVELS = ("u_D", "psi", "gap", "obstacle")
+"""Beginnings of names of data to which a number may be added without a change of the energy."""
+PLACES = 0.0, 0.1, 0.2
+"""Points of each cell: from its middle by these shares towards a vertex. The least rounding of them counts, as a point
+may be on a jump."""
+
+
+def lost_digits(spaces: MeshSpaces, data: Any) -> tuple[str, ...]:
+    """The names of the texts that lose too many digits in some cell (collective).
+
+    Args:
+        spaces: The spaces.
+        data: The data of a problem: a dataclass with `Datum`s somewhere in it.
+    """
+    vertices, comm, names = corners(spaces.mesh), spaces.mesh.comm, dict[str, None]()
+    middle = vertices.mean(axis=1)
+    x = np.stack([middle + share * (vertices[:, 0] - middle) for share in PLACES], axis=1)
+    for name, datum in _texts(data, "", set()):
+        for given, inside in datum.pieces or ():
+            trees = [given] if isinstance(given, TREES) else [entry for row in given for entry in row]
+            for tree in trees:
+                of_rank = np.array(_of(tree, x if inside is None else x[inside]))
+                comm.Allreduce(MPI.IN_PLACE, of_rank, MPI.MAX)
+                lost, highest, lowest = of_rank.tolist()
+                is_level = name.startswith(LEVELS) and highest + lowest > 0
+                if lost > SHARE * (highest + lowest if is_level else max(highest, lowest)):
+                    names[name] = None
+    return tuple(names)
+
+
+def _of(tree: Tree, x: Array) -> tuple[float, float, float]:
+    """The largest rounding in points of cells, shape (cells, points, dim), and the largest of values and of −values."""
+    coordinates = dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))
+    enclosure, value = interval(tree, {name: enclosing(each) for name, each in coordinates.items()}), values(tree, x)
+    width = np.nan_to_num((enclosure.hi - enclosure.lo) / 2, nan=0.0, posinf=0.0).min(axis=1)
+    known = value[np.isfinite(value)]
+    return float(width.max(initial=0.0)), float(known.max(initial=-np.inf)), float(-known.min(initial=np.inf))
+
+
+def _texts(data: Any, name: str, seen: set[int]) -> Iterator[tuple[str, Datum]]:
+    """All data by texts in an object, each once, with names; the same ones in the same order on all ranks."""
+    if id(data) in seen or isinstance(data, TREES | np.ndarray | str):
+        return
+    seen.add(id(data))
+    if isinstance(data, Datum) and data.pieces is not None:
+        if data.number is None or hasattr(data, "trees"):
+            yield name, data
+    elif isinstance(data, Mapping):
+        for key, each in data.items():
+            yield from _texts(each, f"{name}.{key}".strip("."), seen)
+    elif isinstance(data, list | tuple):
+        for each in data:
+            yield from _texts(each, name, seen)
+    elif is_dataclass(data) and not isinstance(data, type):
+        for field in fields(data):
+            key = name if isinstance(data, Datum) else getattr(data, "name", field.name)
+            yield from _texts(getattr(data, field.name), key, seen)
