@@ -13,6 +13,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint_file import FOLDER
+from signorini_fenicsx.output.writing import Found
 from signorini_fenicsx.solving.system import PHYSICS
 
 COMM = MPI.COMM_WORLD
@@ -37,7 +38,7 @@ def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     read = load_solution(folder / "bed", COMM)
     assert read.problem == solution.problem
     assert compare(solution, read).relative == {"u_L2": 0.0}
-    SolutionReport().solution(solution, certificate)
+    SolutionReport().solution(solution, Found(certificate))
     told = capsys.readouterr().out
     if COMM.rank == 0:
         assert f"{facets} Γ_R facets" in told
