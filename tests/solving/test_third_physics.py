@@ -38,7 +38,7 @@ def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     read = load_solution(folder / "bed", COMM)
     assert read.problem == solution.problem
     assert compare(solution, read).relative == {"u_L2": 0.0}
-    SolutionReport().solution(solution, Found(certificate))
+    SolutionReport().solution(solution, Found(certificate=certificate))
     told = capsys.readouterr().out
     if COMM.rank == 0:
         assert f"{facets} Γ_R facets" in told
