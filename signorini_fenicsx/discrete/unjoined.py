@@ -12,6 +12,7 @@ from typing import Self
 
 import dolfinx.mesh
 import numpy as np
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
@@ -20,7 +21,7 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.discrete.cell_shapes import corners, facet_corners
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import other_side
-from signorini_fenicsx.meshes.seams import balls, overlaps, seams
+from signorini_fenicsx.meshes.seams import balls, overlaps, seams, unit_normals
 
 SHARE = (
     "let both sides share their facets (in Gmsh, BooleanFragments or Coherence), and where they may part, name these "
@@ -154,40 +155,41 @@ def _check_apart(spaces: MeshSpaces, faces: Faces) -> None:
         )
 
 
-def note_facing(spaces: MeshSpaces, faces: Array, normals: Array, gap: Array) -> None:
-    """Note that bodies face each other, each with a foundation of its own, in `spaces.notices` (collective).
+def note_facing(spaces: MeshSpaces, contact: Array, normals: Array, gap: Array) -> None:
+    """Note that foundations are where other bodies are, in `spaces.notices` (collective).
 
-    They do where the nearest facet with a foundation of another body is not farther away than the gaps and the radii of
-    both.
+    They are where the nearest facet of another body faces one with a foundation, and is not farther away than twice the
+    gap and the radii of both: each of two bodies may have half the distance as its gap.
 
     Args:
         spaces: The spaces.
-        faces: Vertices of this rank's facets with a foundation, rows `spaces.outer_rows`, shape (facets, d, d).
+        contact: Vertices of this rank's facets with a foundation, rows `spaces.outer_rows`, shape (facets, d, d).
         normals: Their outer unit normals.
         gap: The gap on each of them.
     """
     from scipy.spatial import cKDTree  # slow to import
 
     comm, of_body = spaces.mesh.comm, spaces.bodies[spaces.cells[spaces.outer_rows]]
-    middle, radius = balls(faces)
-    reach = radius + np.where(np.isfinite(gap), np.abs(gap), 0.0)
-    middles, directions, reaches, bodies = (
-        np.concatenate(comm.allgather(each)) for each in (middle, normals, reach, of_body)
-    )
-    found = [middle[:0]]
-    for body in np.unique(bodies):
-        rows, others = np.flatnonzero(of_body == body), np.flatnonzero(bodies != body)
-        if len(rows) == 0 or len(others) == 0:
-            continue
+    if not comm.allreduce(bool(len(gap) > 0), MPI.LOR) or not comm.allreduce(bool(spaces.bodies.any()), MPI.LOR):
+        return
+    faces, found = Faces.of(spaces, [""]), [np.empty((0, contact.shape[2]))]
+    away = unit_normals(faces.corners[:, 1:] - faces.corners[:, :1])
+    away *= np.sign(np.einsum("fi,fi->f", faces.corners[:, 0] - faces.apexes, away))[:, None]
+    middle, reach = balls(contact - faces.origin)
+    middles, radii = balls(faces.corners)
+    reach += 2 * np.where(np.isfinite(gap), np.abs(gap), 0.0)
+    for body in np.unique(of_body):
+        rows, others = np.flatnonzero(of_body == body), np.flatnonzero(faces.bodies != body)
         distance, nearest = cKDTree(middles[others]).query(middle[rows])
         other = others[nearest]
-        faced = np.einsum("ni,ni->n", normals[rows], directions[other]) < FACING
-        found.append(middle[rows[faced & (distance <= reach[rows] + reaches[other])]])
+        faced = np.einsum("ni,ni->n", normals[rows], away[other]) < FACING
+        before = np.einsum("ni,ni->n", normals[rows], middles[other] - middle[rows]) > 0
+        found.append(middle[rows[faced & before & (distance <= reach[rows] + radii[other])]])
     places = np.concatenate(comm.allgather(np.concatenate(found)))
     if len(places) > 0:
         spaces.note(
-            f"two bodies face each other around {_in_words(_first(places))}, and each is held off by a rigid "
-            "foundation of its own, not by the other; if they should press on each other, mesh them without a gap, "
+            f"around {_in_words(_first(places) + faces.origin)} a body has its rigid foundation where another body is, "
+            "and does not press on that one; if it should, mesh them without a gap, "
             f"{SHARE} that has the gap"
         )
 
