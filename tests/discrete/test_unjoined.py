@@ -206,7 +206,7 @@ def test_bodies_that_face_each_other() -> None:
         free = [Neumann(part) for part in ("lower", "upper") if part not in parts]
         solution = solve(two_bodies(gap), Elasticity(young=1, poisson=0, conditions=[contact, *free, *held]))
         notices = solution.summary().get("notices", [])
-        assert ["has its rigid foundation where another body is" in each for each in notices] == [True] * facing
+        assert sum("has its rigid foundation where another body is" in each for each in notices) == facing
 
 
 def test_command_line(tmp_path: Path) -> None:
