@@ -7,29 +7,19 @@ same. For forces see `motions`. Under Coulomb's friction it is Tresca's problem 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import dolfinx.mesh
 import numpy as np
-import ufl
 from dolfinx import fem
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
-from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
-from signorini_fenicsx.discrete.cell_shapes import corners
-from signorini_fenicsx.discrete.datum import DEGREES
-from signorini_fenicsx.discrete.interpolants import quadratic_by
-from signorini_fenicsx.expressions import TREES, to_ufl
+from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
-from signorini_fenicsx.expressions.quadratics import Quadratic
-from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.bound.certify import (
     LACKING,
@@ -44,15 +34,13 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleSt
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.friction import FromBefore
-from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside
-from signorini_fenicsx.quantities.bracket import Half, Quantity
+from signorini_fenicsx.quantities.bracket import Half
 from signorini_fenicsx.quantities.discrete import of_displacement
+from signorini_fenicsx.quantities.elastic_energy import QUADRATIC, Along
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
 from signorini_fenicsx.quantities.motions import (
     OPPOSITE,
@@ -301,7 +289,7 @@ class Integrals(beside.Integrals[_Side], _Beside):
             assert along is not None
             subcells = spaces.split.cells[self.cells].ravel()
             v, measure = (
-                _Along.of(of.v, subcells, along),
+                Along.of(of.v, subcells, along),
                 np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1),
             )
             return products(tree, v.vertices, measure, v.at, QUADRATIC, spaces.frame, enough).total
@@ -309,142 +297,6 @@ class Integrals(beside.Integrals[_Side], _Beside):
         for part in (*self.kind.parts, *inner):
             facets, sign = spaces.part(part), -1.0 if part in inner else 1.0
             ways = facets.normals if along is None else sign * along  # n has the sign of its side by itself
-            v = _Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
+            v = Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
             total += products(tree, facets.vertices, facets.measure, v.at, QUADRATIC, spaces.frame, enough).total
         return total
-
-
-@dataclass(frozen=True)
-class _Along:
-    """The components of a quadratic displacement along vectors on some cells of the split mesh.
-
-    Attributes:
-        vertices: Those of the cells.
-        component: The components.
-    """
-
-    vertices: Array
-    component: Quadratic
-
-    @classmethod
-    def of(cls, v: fem.Function, subcells: Indices, ways: Array) -> _Along:
-        """The components along a vector for each of some subcells, or one for all."""
-        space = v.function_space
-        coefficients = v.x.array.reshape(-1, ways.shape[-1])[space.dofmap.list[subcells]]
-        vertices = corners(space.mesh, subcells.astype(np.int32))
-        ways = np.broadcast_to(ways, (len(subcells), ways.shape[-1]))
-        return cls(vertices, quadratic_by(vertices, np.einsum("nai,ni->na", coefficients, ways)))
-
-    def at(self, own: Indices, x: Array) -> Array:
-        """The components in points of the subcells with these positions, shape (n, points, d)."""
-        return self.component.of(own).at(x - self.vertices[own].mean(axis=1, keepdims=True))[:, :, 0]
-
-
-QUADRATIC = 2
-"""Degree of v."""
-
-
-def energy(solution: ElasticSolution) -> Quantity:
-    """The interval for the energy: J(v) − gap − Σ osc_T‖ℂ(ε(v) − ε₀) − y‖_T − ½osc² ≤ J(u) ≤ J(v) (collective).
-
-    J(v) = ½(ℂe, e) − (f, v) − ⟨g_N, v⟩ + ∫ g|v_t − w| + ∫ φ(g − v_n) + ½∫ Kv·v of springs, less the work of forces on
-    tools, with e = ε(v) − ε₀, and φ of the laws between opening and pressure, which is −λp at the reference (p, λ) of
-    the law and nowhere less than −λp. What is taken for the work of friction and for φ may be a bit more than these;
-    the gap has the same in it, so that the lower bound is true.
-    """
-    spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
-    y = admissible_stress(solution)
-    problem = BestDisplacement(spaces, data, y, spaces.split, QUADRATIC)
-    v, past = problem.minimum()
-    resolution = Resolution(spaces, data)
-    mismatch, contact = gap_of_cells(solution, y, problem, v, resolution)
-    mismatch = np.maximum(mismatch, 0.0)
-    oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
-    distance = y.distance + missed
-    local = mismatch / 2 + contact + oscillation * (np.sqrt(mismatch) + oscillation / 2)
-    sums = comm.allreduce(np.array([local.sum(), ((np.sqrt(mismatch) + oscillation) ** 2).sum()]))
-    upper = _of_v(solution, problem, v)
-    if past or not math.isfinite(y.distance):
-        return Quantity(upper, -math.inf, math.inf, False, past or UNBALANCED)
-    lower = upper - max(float(sums[0]), 0.0) - distance * (math.sqrt(sums[1]) + distance / 2)
-    missing = not_in_the_spaces(resolution, enclosed=False)  # J(v) is by quadrature
-    return Quantity(upper, lower, upper, not missing, reservation((), missing, LACKING))
-
-
-def indicator(
-    spaces: ElasticSpaces, mesh: dolfinx.mesh.Mesh, parts: Sequence[str] = (), region: Sequence[str] = ()
-) -> fem.Function | float:
-    """What is 1 on the subcells behind some parts, or in some regions, and 0 on others; 1 for neither (collective)."""
-    if not parts and not region:
-        return 1.0
-    function = fem.Function(fenicsx.function_space(mesh, ("DG", 0)))
-    subcells = spaces.split.cells
-    chosen = [subcells[facets.cells, facets.local] for facets in map(spaces.part, parts)]
-    chosen += [subcells[spaces.domain.regions[name]].ravel() for name in region]
-    function.x.array[function.function_space.dofmap.list[np.concatenate(chosen)]] = 1.0
-    return function
-
-
-def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function) -> float:
-    """J(v), or a bit more (collective).
-
-    Raises:
-        InputError: If a load was given in Python.
-    """
-    spaces, data, given = solution.spaces, solution.data, solution.problem
-    material, mesh, contact = problem.material, v.function_space.mesh, problem.contact
-    form = square(material.stiffness, vector(strain(v)) - material.eigenstrain, 0.5, material.dx)
-    dx, ds = (each(domain=mesh, metadata={"quadrature_degree": DEGREES[1]}) for each in (ufl.dx, ufl.ds))
-    if given.f is not None:
-        form -= ufl.dot(_vector(solution, given.f), v) * dx
-    n = ufl.FacetNormal(mesh)
-    of_parts = given.g_N if isinstance(given.g_N, Mapping) else dict.fromkeys(data.g_N, given.g_N)
-    loads = {name: _vector(solution, of_parts[name]) for name in data.g_N if name not in given.pressure}
-    loads |= {name: -_scalar(solution, pressure) * n for name, pressure in given.pressure.items()}
-    for name, load in loads.items():
-        for part in [name] if name else [*spaces.boundary.neumann, *spaces.boundary.fixed]:
-            where = indicator(spaces, mesh, [part])
-            form -= where * ufl.dot(_without_given(spaces, part, load, n), v) * ds
-    total = fem.assemble_scalar(fenicsx.form(form))
-    reference = data.laws.pressure.reshape(-1, spaces.dim)[contact.rows]
-    apart = facet_moments(spaces, "gap", data.gap, contact.facets, "on Γ_C")
-    apart = apart - np.einsum("nai,ni->na", problem.moments_on_contact(v), contact.facets.normals)
-    total -= float((reference * apart).sum())
-    for law in problem.laws:
-        total += float(law.energies(problem.openings_of(v)[law.rows]).sum())
-    total += float(problem.rubbed(v).sum() + problem.supports.energy(v).sum())
-    on_tools = sum(float(tool.load @ tool.moved) for tool in data.tools)
-    return float(spaces.mesh.comm.allreduce(total)) - on_tools
-
-
-def _scalar(solution: ElasticSolution, given: Any) -> Expr:
-    """A number or a text on the split mesh.
-
-    Raises:
-        InputError: If it is something else.
-    """
-    tree = parsed(given, "xyz"[: solution.spaces.dim], "energy")
-    if not isinstance(tree, TREES):
-        raise InputError("the energy of a body needs loads that are numbers or texts")
-    return to_ufl(tree, ufl.SpatialCoordinate(solution.spaces.split.mesh))
-
-
-def _vector(solution: ElasticSolution, given: Any) -> Expr:
-    """A vector on the split mesh.
-
-    Raises:
-        InputError: If a component is neither a number nor a text.
-    """
-    if given is None:
-        return ufl.as_vector([0.0] * solution.spaces.dim)
-    if callable(given):
-        raise InputError("the energy of a body needs loads that are numbers or texts")
-    return ufl.as_vector([_scalar(solution, given[i]) for i in range(solution.spaces.dim)])
-
-
-def _without_given(spaces: ElasticSpaces, part: str, load: Expr, n: Expr) -> Expr:
-    """A traction without its components along which u is given on a part."""
-    fixed = spaces.boundary.fixed.get(part, "")
-    if fixed == NORMAL:
-        return load - ufl.dot(load, n) * n
-    return ufl.as_vector([0.0 * load[i] if "xyz"[i] in fixed else load[i] for i in range(spaces.dim)])

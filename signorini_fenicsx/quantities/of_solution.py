@@ -10,7 +10,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, holding
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.quantities import diffusion, elasticity
+from signorini_fenicsx.quantities import diffusion, elastic_energy, elasticity
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Quantity
 from signorini_fenicsx.quantities.kinds import Energy, Integral, Kind
@@ -37,8 +37,11 @@ class OfPhysics:
 
 
 QUANTITIES = {
-    name: OfPhysics(physics.check, physics.energy, physics.Integrals, physics.Fluxes, physics.named_for)
-    for name, physics in (("diffusion", diffusion), ("elasticity", elasticity))
+    name: OfPhysics(physics.check, energy, physics.Integrals, physics.Fluxes, physics.named_for)
+    for name, physics, energy in (
+        ("diffusion", diffusion, diffusion.energy),
+        ("elasticity", elasticity, elastic_energy.energy),
+    )
 }
 """The physics that have quantities."""
 

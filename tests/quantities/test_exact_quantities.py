@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from exact_quantities import Line, Text, total
 from mpi4py import MPI
 from random_quantities import against_exact
 
@@ -56,6 +57,15 @@ def test_force_of_a_load_with_a_kink(parts: str | list[str]):
         assert proved(solution.quantity(Force(parts, [1, 0])), -top - inside, 0.1)
     else:
         assert proved(solution.quantity(Moment(parts)), -0.05 + inside / 2 + top, 0.1)
+
+
+def test_energy_of_a_bar():
+    """The energy of a clamped bar under a load with a kink is proved."""
+    f = Text("abs(x - 0.3)", (0.3,))
+    line = Line(f, Text("2"), s=total(f, f.places), start=0.0)
+    conditions = [Dirichlet("left", [0, 0]), Neumann(["top", "bottom"]), Contact("right", gap=1)]
+    found = solve(square(3), Elasticity(2.0, 0.0, f=[f.text, 0], conditions=conditions)).quantity(Energy())
+    assert proved(found, line.energy(), 1e-2)
 
 
 def test_products():

@@ -232,23 +232,23 @@ def _on_contact(
     return gap
 
 
-def not_in_the_spaces(resolution: Resolution, *, enclosed: bool = True, also: Sequence[str] = ()) -> tuple[str, ...]:
+def not_in_the_spaces(resolution: Resolution, *, material: bool = True, also: Sequence[str] = ()) -> tuple[str, ...]:
     """Data that are neither exact in the discrete problem nor, where this is enough, enclosed (collective).
 
     Args:
         resolution: Of the data.
-        enclosed: Whether enclosures of loads and of the material are enough.
+        material: Whether enclosures of the material are enough, as those of loads are.
         also: Data of which the bound contains the rest besides: what v lacks, and what friction does.
     """
     data = resolution.data
-    by_constant = enclosed and not resolution.no_constant
+    by_constant = not resolution.no_constant
     loads = [each for each in _loads(resolution) if not (by_constant and hidden.is_enclosed(each))]
     degrees = [(each.name, each.polynomial, LARGEST_DEGREE // 2) for each in loads]
     degrees += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
     names = [name for name, degree, most in degrees if degree is None or degree > most]
     names += sorted({name for name, *_ in data.friction.texts if name not in also})
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
-    if not (enclosed and is_own_enclosed(data.material)):
+    if not (material and is_own_enclosed(data.material)):
         names += [each.name for each in data.material.own if unresolved_by_quadrature(each)]
-    is_known = data.material.uniform or (enclosed and is_enclosed(data.material))
+    is_known = data.material.uniform or (material and is_enclosed(data.material))
     return tuple(names) if is_known else (*names, NAME)

@@ -1,0 +1,148 @@
+"""The energy of elastic bodies from both sides, and integrals of texts times displacements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.certificate import reservation
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.interpolants import quadratic_by
+from signorini_fenicsx.expressions import TREES, Tree
+from signorini_fenicsx.expressions.products import products
+from signorini_fenicsx.expressions.quadratics import Quadratic
+from signorini_fenicsx.forms.elasticity import square, strain, vector
+from signorini_fenicsx.physics.elasticity.bound.certify import LACKING, UNBALANCED, gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
+from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of, without_given
+from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
+from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
+from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum
+from signorini_fenicsx.quantities.beside import SHARE
+from signorini_fenicsx.quantities.bracket import Quantity
+
+QUADRATIC = 2
+"""Degree of v."""
+
+
+@dataclass(frozen=True)
+class Along:
+    """The components of a quadratic displacement along vectors on some cells of the split mesh.
+
+    Attributes:
+        vertices: Those of the cells.
+        component: The components.
+    """
+
+    vertices: Array
+    component: Quadratic
+
+    @classmethod
+    def of(cls, v: fem.Function, subcells: AnyIndices, ways: Array) -> Along:
+        """The components along a vector for each of some subcells, or one for all."""
+        space = v.function_space
+        coefficients = v.x.array.reshape(-1, ways.shape[-1])[space.dofmap.list[subcells]]
+        vertices = corners(space.mesh, subcells.astype(np.int32))
+        ways = np.broadcast_to(ways, (len(subcells), ways.shape[-1]))
+        return cls(vertices, quadratic_by(vertices, np.einsum("nai,ni->na", coefficients, ways)))
+
+    def at(self, own: Indices, x: Array) -> Array:
+        """The components in points of the subcells with these positions, shape (n, points, d)."""
+        return self.component.of(own).at(x - self.vertices[own].mean(axis=1, keepdims=True))[:, :, 0]
+
+
+def energy(solution: ElasticSolution) -> Quantity:
+    """The interval for the energy: J(v) − gap − Σ osc_T‖ℂ(ε(v) − ε₀) − y‖_T − ½osc² ≤ J(u) ≤ J(v) (collective).
+
+    J(v) = ½(ℂe, e) − (f, v) − ⟨g_N, v⟩ + ∫ g|v_t − w| + ∫ φ(g − v_n) + ½∫ Kv·v of springs, less the work of forces on
+    tools, with e = ε(v) − ε₀, and φ of the laws between opening and pressure, which is −λp at the reference (p, λ) of
+    the law and nowhere less than −λp. What is taken for the work of friction and for φ may be a bit more than these;
+    the gap has the same in it, so that the lower bound is true.
+    """
+    spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
+    y = admissible_stress(solution)
+    problem = BestDisplacement(spaces, data, y, spaces.split, QUADRATIC)
+    v, past = problem.minimum()
+    resolution = Resolution(spaces, data)
+    mismatch, contact = gap_of_cells(solution, y, problem, v, resolution)
+    mismatch = np.maximum(mismatch, 0.0)
+    oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
+    distance = y.distance + missed
+    local = mismatch / 2 + contact + oscillation * (np.sqrt(mismatch) + oscillation / 2)
+    sums = comm.allreduce(np.array([local.sum(), ((np.sqrt(mismatch) + oscillation) ** 2).sum()]))
+    below = max(float(sums[0]), 0.0) + distance * (math.sqrt(sums[1]) + distance / 2)
+    value, wrong = _of_v(solution, problem, v, SHARE * below)
+    if past or not math.isfinite(y.distance):
+        return Quantity(value, -math.inf, math.inf, False, past or UNBALANCED)
+    lower, upper = value - below - wrong, value + wrong
+    missing = not_in_the_spaces(resolution, material=False)  # the work of strains is by quadrature
+    reason = reservation(resolution.unresolved(), missing, LACKING)
+    return Quantity(value, lower, upper, not reason, reason)
+
+
+def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function, enough: float) -> list[float]:
+    """J(v), or a bit more, and by how much it may be wrong; `enough` as in `products` (collective).
+
+    Raises:
+        InputError: If a load was given in Python.
+    """
+    spaces, data, material, contact = solution.spaces, solution.data, problem.material, problem.contact
+    form = square(material.stiffness, vector(strain(v)) - material.eigenstrain, 0.5, material.dx)
+    total = np.array([-1.0, 1.0]) * _work(solution, v, enough)
+    total[0] += fem.assemble_scalar(fenicsx.form(form))
+    reference = data.laws.pressure.reshape(-1, spaces.dim)[contact.rows]
+    apart = facet_moments(spaces, "gap", data.gap, contact.facets, "on Γ_C")
+    apart = apart - np.einsum("nai,ni->na", problem.moments_on_contact(v), contact.facets.normals)
+    total[0] -= float((reference * apart).sum())
+    for law in problem.laws:
+        total[0] += float(law.energies(problem.openings_of(v)[law.rows]).sum())
+    total[0] += float(problem.rubbed(v).sum() + problem.supports.energy(v).sum())
+    value, wrong = spaces.mesh.comm.allreduce(total).tolist()
+    return [value - sum(float(tool.load @ tool.moved) for tool in data.tools), wrong]
+
+
+def _work(solution: ElasticSolution, v: fem.Function, enough: float) -> Array:
+    """The work of all loads and by how much it may be wrong, of this rank (collective).
+
+    Raises:
+        InputError: If a load was given in Python.
+    """
+    spaces, dim, total = solution.spaces, solution.spaces.dim, np.zeros(2)
+    subcells, volume = spaces.split.cells, np.repeat(spaces.cell_measures / (dim + 1), dim + 1)
+    for k, tree, cells in _pieces(solution.data.f, np.arange(len(subcells))):
+        along = Along.of(v, subcells[cells].ravel(), np.eye(dim)[k])
+        measure = volume.reshape(subcells.shape)[cells].ravel()
+        total += products(tree, along.vertices, measure, along.at, QUADRATIC, spaces.frame, enough).total
+    for facets, datum in loads_of(spaces, solution.data):
+        sign = -1.0 if isinstance(datum, PressureDatum) else 1.0
+        directions = np.broadcast_to(datum.directions, (len(facets.facets), len(datum.scalars), dim))
+        ways = sign * without_given(spaces, facets, directions)
+        for k, tree, rows in _pieces(datum, facets.cells):
+            along = Along.of(v, subcells[facets.cells[rows], facets.local[rows]], ways[rows, k])
+            some = facets.vertices[rows], facets.measure[rows]
+            total += products(tree, *some, along.at, QUADRATIC, spaces.frame, enough).total
+    return total
+
+
+def _pieces(datum: VectorDatum | PressureDatum, cells: AnyIndices) -> Iterator[tuple[int, Tree, Indices]]:
+    """The scalars of a load that are not 0 by their numbers, as trees, with the positions of their cells among some.
+
+    Raises:
+        InputError: If one was given in Python.
+    """
+    for k, scalar in enumerate(datum.scalars):
+        if scalar.pieces is None:
+            raise InputError("the energy of a body needs loads that are numbers or texts")
+        for tree, inside in scalar.pieces if scalar.number != 0 else ():
+            assert isinstance(tree, TREES)
+            yield k, tree, np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])
