@@ -105,6 +105,34 @@ class Inexact(Protocol):
         ...
 
 
+class Anchored[I: Pairs](Protocol):
+    """What a backend gives beyond `Backend` if under some sets its problem has no solution, or many: weak springs.
+
+    Attributes:
+        comm: Communicator.
+        measure: |e| of each site.
+    """
+
+    comm: MPI.Comm
+    measure: Array
+
+    def anchor(self) -> bool:
+        """Let weak springs pull each site to where the last solution has it, under all conditions (collective).
+
+        Returns:
+            Whether those that there were pulled.
+        """
+        ...
+
+    def release(self) -> None:
+        """Take these springs away."""
+        ...
+
+    def solve(self, conditions: SiteConditions) -> I:
+        """Solve as `Backend.solve`, with any p on ZERO_TRACE sites (collective)."""
+        ...
+
+
 class Backend[I: Pairs](Protocol):
     """A linear problem with conditions on sites, set up once. Each rank numbers the sites that it owns, possibly none.
 
@@ -130,6 +158,11 @@ class Backend[I: Pairs](Protocol):
     @property
     def inexact(self) -> Inexact | None:
         """The solves that predict the sets; None if the backend has none that are cheaper than `solve`."""
+        ...
+
+    @property
+    def anchored(self) -> Anchored[I] | None:
+        """The weak springs of the backend; None if its problem has one solution under all conditions."""
         ...
 
     @property
@@ -190,6 +223,11 @@ class PlainBackend:
     @property
     def inexact(self) -> Inexact | None:
         """None, see `Backend.inexact`."""
+        return None
+
+    @property
+    def anchored(self) -> Anchored[Any] | None:
+        """None, see `Backend.anchored`."""
         return None
 
     def without_flux(self, iterate: Any, where: Mask) -> Any:

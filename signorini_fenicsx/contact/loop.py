@@ -32,6 +32,7 @@ from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.contact.backend import Backend, Pairs
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.descent import Descent
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, Present, SetRule
@@ -41,6 +42,8 @@ FAR = 100.0
 there would make of a large distance the size of the next iterate. So do all sites if it is beyond ψ nowhere."""
 LINEAR = "without a law the problem is linear, and solved"
 """Why the loop ends where there are no sites."""
+MORE = "; solve.max_iterations allows more"
+"""What helps where the sets still change."""
 
 
 @dataclass(frozen=True)
@@ -100,20 +103,21 @@ def iterate_sets[I: Pairs](
     conditions = solved_with = start or law.conditions(rule.first(law))
     iterate = backend.solve(solved_with)
     history = history or History(backend.comm, on_step)
-    most = len(history.steps) + parameters.max_iterations
+    most, allowed = len(history.steps) + parameters.max_iterations, counted(parameters.max_iterations, "iteration")
     if before is None:
         history.start_from(solved_with)
         follow(iterate)
         before, conditions = iterate, _wanted(backend, rule, parameters, iterate, start)
     safeguard = _Safeguard(backend, lambda: rule.law(backend.chains, parameters.eps), clips=rule.clip is not None)
 
-    def end(reason: str, *, converged: bool) -> Outcome:
+    def end(reason: str, *, converged: bool, advice: str = "") -> Outcome:
+        safeguard.end()
         mixed, of_facets = backend.in_mixed_spaces(iterate, solved_with)
         return Outcome(
             iterate=mixed,
             conditions=of_facets,
             history=history.steps,
-            reason=reason + safeguard.remark,
+            reason=reason + safeguard.remark + advice,
             converged=converged,
             backend=backend.name,
             dofs=backend.dofs,
@@ -122,7 +126,7 @@ def iterate_sets[I: Pairs](
 
     while True:
         clipped = 0
-        if conditions.changes([solved_with], backend.comm)[0] > 0:
+        if safeguard.moved or conditions.changes([solved_with], backend.comm)[0] > 0:
             try:
                 iterate = backend.solve(conditions)
             except LinearSolveFailure as failure:
@@ -138,12 +142,11 @@ def iterate_sets[I: Pairs](
         safeguard.begin(anew=follow(iterate))
         wanted = _wanted(backend, rule, parameters, iterate, solved_with)
         changing = safeguard.look(conditions, wanted, len(history.steps))
-        if changing == 0:
+        if changing == 0 and not safeguard.goes_on(iterate):
             return end(f"the {site} sets repeat" if history.steps[-1].sites else LINEAR, converged=True)
         if len(history.steps) == most:
-            ended = counted(parameters.max_iterations, "iteration")
-            return end(f"{changing} {sites} still change after {ended}", converged=False)
-        conditions = safeguard.allowed(conditions, wanted)
+            return end(f"{changing} {sites} still change after {allowed}", converged=False, advice=MORE)
+        conditions = safeguard.allowed(conditions, wanted, iterate)
 
 
 def _wanted[I: Pairs](
@@ -196,12 +199,16 @@ class _Safeguard[I: Pairs]:
         law: Gives the law of each site.
         clips: Whether the algorithm still clips.
         remark: What was changed to end a cycle, in words; empty if nothing.
+        descent: The way to the solution of a body that is not held under all sets, from a cycle on.
+        moved: Whether the springs of the descent have moved, so that the same sets have another solution.
     """
 
     backend: Backend[I]
     law: Callable[[], Chains]
     clips: bool
     remark: str = ""
+    descent: Descent[I] | None = None
+    moved: bool = False
     _seen: list[SiteConditions] = field(default_factory=list)
     _places: Array | None = None  # from the first single change on
     _fewest: int = 0
@@ -214,20 +221,36 @@ class _Safeguard[I: Pairs]:
     def look(self, conditions: SiteConditions, wanted: SiteConditions, iterations: int) -> int:
         """Remember the conditions of an iteration; return how many sites the wanted ones change (collective)."""
         self._seen.append(conditions)
+        self.moved = False
         *earlier, self._last = wanted.changes(self._seen, self.backend.comm).tolist()
-        if self._last > 0 and 0 in earlier and self._places is None:
+        if self._last > 0 and 0 in earlier and self._places is None and self.descent is None:
             period = len(self._seen) - earlier.index(0)
             cycle = f"from iteration {iterations + 1} on: the sets cycle with period {period}"
             if self.clips:
                 self.remark = f", without the clip (36) {cycle}"
                 self.clips, self._seen = False, []
+            elif (anchored := self.backend.anchored) is not None:
+                self.remark += f", by descent on weak springs {cycle}"
+                self._seen, self.descent = [], Descent(anchored, self.law())
             else:
                 self.remark += f", by changing single {self.backend.noun[1]} {cycle}"
                 self._places, self._fewest = self.backend.places(), self._last
         return self._last
 
-    def allowed(self, conditions: SiteConditions, wanted: SiteConditions) -> SiteConditions:
-        """The next conditions: the wanted ones, on all sites or on one (collective)."""
+    def goes_on(self, iterate: I) -> bool:
+        """Whether the springs of the descent still pull (collective)."""
+        self.moved = self.descent is not None and self.descent.goes_on(iterate)
+        return self.moved
+
+    def end(self) -> None:
+        """Take weak springs away."""
+        if self.descent is not None and self.backend.anchored is not None:
+            self.backend.anchored.release()
+
+    def allowed(self, conditions: SiteConditions, wanted: SiteConditions, iterate: I) -> SiteConditions:
+        """The next conditions: the wanted ones, on all sites or on one, or those of the descent (collective)."""
+        if self.descent is not None:
+            return self.descent.follow(iterate)
         if self._places is None:
             return wanted
         all_may = self._last < self._fewest

@@ -91,12 +91,14 @@ class Method:
             laws_inside=exact,
         )
 
-    def most_iterations(self, corners: int, *, in_cells: bool = False) -> int:
-        """Iterations allowed unless the options say otherwise, for laws with so many corners.
+    def most_iterations(self, corners: int, sites: int, *, in_cells: bool = False) -> int:
+        """Iterations allowed unless the options say otherwise, for laws with so many corners on so many sites.
 
-        A site moves by one segment of its law in a step. Where cells are sites a cold start takes about 1/h steps.
+        A site moves by one segment of its law in a step. Where cells are sites a cold start takes about 1/h steps. The
+        edge of a set may move by one site in a step, so set rules may take as many as there are sites.
         """
-        return (self.max_iterations + corners - 1) * (IN_CELLS if in_cells else 1)
+        usual = (self.max_iterations + corners - 1) * (IN_CELLS if in_cells else 1)
+        return usual if self.rule is None else max(usual, corners * sites)
 
     @property
     def has_eps(self) -> bool:

@@ -81,7 +81,9 @@ class System:
             rho=options.rho,
             eps=options.eps,
             max_iterations=options.max_iterations
-            or options.method.most_iterations(data.chains.corners, in_cells=in_cells),
+            or options.method.most_iterations(
+                data.chains.corners, spaces.Lambda.dofmap.index_map.size_global, in_cells=in_cells
+            ),
             on_step=wish.on_step,
             backend=partial(self._kept_backend, options),
             start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,

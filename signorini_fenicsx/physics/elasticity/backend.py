@@ -11,13 +11,12 @@ from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.tolerances import TIE
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.tolerances import STEP, TIE
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Inexact, Iterate, PlainBackend
+from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate, Pairs, PlainBackend
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
@@ -28,19 +27,20 @@ from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, law_of_sites
 from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
 from signorini_fenicsx.physics.elasticity.normal_laws import Springs
+from signorini_fenicsx.physics.elasticity.on_facets import neighbours
 from signorini_fenicsx.physics.elasticity.rigid_motions import is_free
+from signorini_fenicsx.physics.elasticity.sizes import Sizes
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.tools import Moving
+from signorini_fenicsx.physics.elasticity.weak_springs import SPRING, WeakSprings
 
 MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
 ROUGH = 1e-2
 """What a rough solve with tools leaves, as a share of what there was at its start."""
-REFINEMENTS = 3
+REFINEMENTS = 40
 """Corrections of a stress at most."""
-SPRING = 1e-6
-"""Share of a site's diagonal entry that is its spring."""
 
 
 class ElasticBackend(PlainBackend):
@@ -53,6 +53,8 @@ class ElasticBackend(PlainBackend):
 
     Attributes:
         stiffness: The diagonal entry of each site over its measure.
+        measure: |e| of each site, over its vertices.
+        sizes: The sizes of the last solution.
     """
 
     name = "elastic"
@@ -80,44 +82,42 @@ class ElasticBackend(PlainBackend):
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self.spaces, self._data = spaces, data
-        self.comm = spaces.mesh.comm
+        self.spaces, self._data, self.comm = spaces, data, spaces.mesh.comm
         self._unknowns = np.concatenate([spaces.sites, spaces.slip_sites])
-        self._measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
+        self.measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
         self.sites = len(self._unknowns)
-        self.friction = data.friction
-        self._turns = data.friction.slipping is not None  # σ_t turns with the slip, as in space
+        self.friction, self._turns = (
+            data.friction,
+            data.friction.slipping is not None,
+        )  # σ_t turns with the slip in space
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
-        matrix = self._operator.matrix
-        self.dofs = matrix.getSize()[0]
+        self.dofs = (matrix := self._operator.matrix).getSize()[0]
         large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
         make = partial(of_facets, spaces, self._operator, data.stiffness_of_volume(spaces) >= STIFF) if large else None
-        prefix = "certificate_" if direct else "facet_"
-        self._solver = FacetSolver(matrix, prefix, DEFAULTS[spaces.dim], make, MOST_ITERATIONS)
-        self._near, self._pressing = _neighbours(spaces)
+        prefix, defaults = "certificate_" if direct else "facet_", DEFAULTS[spaces.dim]
+        self._solver = FacetSolver(matrix, prefix, defaults, make, MOST_ITERATIONS)
+        self._near, self._pressing = neighbours(spaces)
         self._factors = KeptFactors(
             self._solver, self._operator, data.fixed, self._unknowns, spaces.dim, self._near, self._pressing
         )
-        (self._x, self._b), self._held = matrix.createVecs(), matrix.createVecRight()
-        for vector in (self._x, self._held):
-            vector.set(0.0)
+        self._x, self._held = matrix.createVecs()
+        self._x.set(0.0)
         self.tools = Moving(spaces, data.tools)
         self._moved: Array | float = 0.0  # the part of the last solution by the motion of tools
         self._springs: Springs | None = None
-        self._largest = 0.0, 0.0
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
         self._iterations, self.to_the_end = 0, False  # of the last solve; did the iteration go to its end?
         self._applied: SiteConditions | None = None
-        self._imposed: SiteConditions | None = None  # of the last solve, by which
-        self._law: Imposed
+        self._imposed: SiteConditions | None = None  # of the last solve, with `_law`
         self._sprung = False
         diagonal = self.system.matrix.getDiagonal().array_r[self._unknowns]
-        self._weak, self.stiffness = SPRING * diagonal, diagonal / self._measure
+        self._weak, self.stiffness = WeakSprings(SPRING * diagonal), diagonal / self.measure
+        self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=self.system.loaded or bool(self.tools))
 
     @property
     def chains(self) -> Chains:
-        """The law of each site; with friction by its present bounds."""
+        """The law of each site, of friction by its present bounds."""
         return law_of_sites(self.spaces, self._data.laws.chains, self.friction)
 
     @property
@@ -129,6 +129,24 @@ class ElasticBackend(PlainBackend):
     def inexact(self) -> Inexact | None:
         """The backend itself, as traces cost less than fields; with tools only if solves can be rough."""
         return self if not self.tools or (self.iterates and not self.friction.by_pressure) else None
+
+    @property
+    def anchored(self) -> Anchored[Iterate] | None:
+        """The backend itself, but in space with friction, whose law turns."""
+        return None if self._turns else self
+
+    def anchor(self) -> bool:
+        """Let weak springs pull as `Anchored.anchor` says (collective)."""
+        assert self._imposed is not None
+        p, weak = self._beside_tools(self._x), self._weak
+        pull = np.abs(weak.pull(self._imposed, p) / self.measure)
+        self._weak, self._applied = WeakSprings(weak.stiffness, p), None
+        return weak.anchor is None or self.sizes.extent(pull, pull)[0] > STEP * self.sizes.largest[1]
+
+    def release(self) -> None:
+        """Take the springs away that pull under all conditions."""
+        self._weak = WeakSprings(self._weak.stiffness)
+        self.turn(self.friction)
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
@@ -162,7 +180,7 @@ class ElasticBackend(PlainBackend):
             load, given, _ = self._posed(conditions)
             if (traces := self._factors.at_sites(load, self._at_sites(conditions))) is not None:
                 p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
-                return self._cleaned(conditions, self._signs * p, self._signs * forces / self._measure)
+                return self._cleaned(conditions, self._signs * p, self._signs * forces / self.measure)
 
         def is_enough(x: PETSc.Vec) -> bool:
             whole = x + self._held
@@ -191,7 +209,7 @@ class ElasticBackend(PlainBackend):
 
     def flux(self, x: PETSc.Vec, load: Array) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
-        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self._measure)
+        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self.measure)
 
     def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
@@ -200,7 +218,7 @@ class ElasticBackend(PlainBackend):
         p = np.append(laws.own(segment, p[:normal], flux[:normal]), p[normal:])
         p, flux = conditions.clean(p, flux, np.inf)
         flux[normal:] += self.friction.pressed(self.spaces.pressure_of(flux)) - self.friction.resisted(p[normal:])
-        return p, flux
+        return p, flux + self._weak.on_held(conditions, p) / self.measure
 
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
@@ -209,7 +227,7 @@ class ElasticBackend(PlainBackend):
         self._applied = None
         self._x.array_w[:], self._moved = self._x.array_r - self._moved, 0.0
         load, _, loose = self._posed(conditions)
-        springs = np.where(sprung := loose & (conditions.kind == Condition.NO_FLUX), self._weak, 0.0)
+        springs = np.where(sprung := self._weak.under(conditions, loose=loose), self._weak.stiffness, 0.0)
         self._law = self._at_sites(conditions, springs)
         if self._factors.solve(load, self._x, self._law):
             self._iterations, self.to_the_end = 1, True
@@ -239,14 +257,15 @@ class ElasticBackend(PlainBackend):
         contact, free = (conditions.kind == kind for kind in (Condition.ZERO_TRACE, Condition.NO_FLUX))
         self._take_springs(conditions)
         load, given = self.system.load.copy(), self._given_forces(conditions)
+        self._held.set(0.0)
         if conditions.has_values:
             self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
             load -= self._operator.image(self._held)
-        given += self._pulls(load)
+        given += self._pulls(load) + self._signs * self._weak.pull(conditions, 0.0)
         load[self._unknowns] += given
         means = np.where(free[:, None], 0.0, self._motions)
         means[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
-        loose = is_free(self.comm, means)
+        loose = self._weak.anchor is None and is_free(self.comm, means)
         if loose or self._sprung:
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
             self._factors.forget()
@@ -258,7 +277,9 @@ class ElasticBackend(PlainBackend):
 
         def response(move: Array, last: Array | None) -> PETSc.Vec:
             load, lift = np.zeros((2, len(self.system.load)))
-            pulled = self._given_forces(conditions, -self._signs * move) - at_rest + self._weak * sprung * move
+            pulled = (
+                self._given_forces(conditions, -self._signs * move) - at_rest + self._weak.stiffness * sprung * move
+            )
             load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
             return self._at_rest(conditions, load, lift, last)
 
@@ -276,7 +297,7 @@ class ElasticBackend(PlainBackend):
         if self._springs is not None:
             flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
         flux[normal:] -= self.friction.resisted(np.broadcast_to(p, self.sites)[normal:])
-        return np.asarray(self._signs * self._measure * flux)
+        return np.asarray(self._signs * self.measure * flux)
 
     def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
         """Solve with any right side of the owned unknowns, and values where û is given, by default 0 (collective).
@@ -323,7 +344,7 @@ class ElasticBackend(PlainBackend):
             if not conditions.same(self._imposed, self.comm):
                 self._take_springs(conditions)
             if (traces := self._factors.at_sites(load, self._at_sites(conditions))) is not None:
-                return np.asarray(self._signs * traces[1] / self._measure)
+                return np.asarray(self._signs * traces[1] / self.measure)
         return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
     def follow_bounds(self, conditions: SiteConditions, forces: Array, slope: Array, share: float) -> Array:
@@ -369,7 +390,7 @@ class ElasticBackend(PlainBackend):
         """What is imposed at the sites: also springs of laws, weak ones, and those of friction in space."""
         number, (sites, width) = len(self.spaces.sites), self._near.shape
         springs = np.where(self._near == np.arange(sites)[:, None], np.reshape(weak, (-1, 1)), 0.0)
-        measure = self._measure[:, None]
+        measure = self.measure[:, None]
         if self._springs is not None:
             springs[:number] += self._springs.stiffness.reshape(-1, width) * measure[:number]
         if self._turns:
@@ -382,7 +403,7 @@ class ElasticBackend(PlainBackend):
         if refine:
             stresses, displacements = self._refined(conditions, stresses, displacements)
         p, flux = self._cleaned(conditions, self._beside_tools(self._x), self._data.reactions(spaces, stresses))
-        self._largest = self._extent(np.abs(displacements), np.abs(stresses))
+        self.sizes.take(displacements, stresses)
         return Iterate(p, flux, self._iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
 
     def _refined(self, conditions: SiteConditions, stresses: Array, displacements: Array) -> tuple[Array, Array]:
@@ -397,11 +418,12 @@ class ElasticBackend(PlainBackend):
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
             left = self.system.tractions - self.system.of_supports(self._x.array_r) - forces
-            left[self._unknowns] += self._given_forces(conditions, self._beside_tools(self._x))
+            p = self._beside_tools(self._x)
+            left[self._unknowns] += self._given_forces(conditions, p) + self._signs * self._weak.pull(conditions, p)
             pressure = spaces.pressure_of(self.flux(self._x, self.system.load))
             left[spaces.slip_sites] += spaces.slip_measure * self.friction.pressed(pressure)
             left[self._factors.essential(contact)] = 0.0
-            size, scale = self._extent(np.abs(left), np.abs(forces))
+            size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
             if size <= TIE * scale or not size < before:
                 break
             correction.set(0.0)
@@ -413,9 +435,10 @@ class ElasticBackend(PlainBackend):
             self._x.axpy(1.0, correction)
         return stresses, displacements
 
-    def scales(self, iterate: Iterate) -> tuple[Array, Array]:
+    def scales(self, pairs: Pairs) -> tuple[Array, Array]:
         """The largest |u| and the largest |σ|, see `Backend.scales`."""
-        return np.full(self.sites, self._largest[0]), np.full(self.sites, self._largest[1])
+        u, sigma = self.sizes.largest
+        return np.full(self.sites, u), np.full(self.sites, sigma)
 
     @cached_property
     def change(self) -> FieldChange:
@@ -425,19 +448,3 @@ class ElasticBackend(PlainBackend):
     def places(self) -> Array:
         """The places of the sites, see `ElasticSpaces.places`."""
         return self.spaces.places
-
-    def _extent(self, *values: Array) -> tuple[float, float]:
-        u, sigma = (float(self.comm.allreduce(one.max(initial=0.0), MPI.MAX)) for one in values)
-        return u, sigma
-
-
-def _neighbours(spaces: ElasticSpaces) -> tuple[Indices, Indices]:
-    """The sites near each site, those of its facet or its vertex, itself once; and the normal site of its vertex."""
-    dim, normal = spaces.dim, np.arange(len(spaces.sites))
-    along = len(normal) + np.arange(len(spaces.slip_sites))
-    facets, vertices = np.repeat(normal.reshape(-1, dim), dim, axis=0), along.reshape(-1, dim - 1)
-    near = np.full((len(normal) + len(along), dim), -1)
-    near[: len(normal)] = facets
-    near[len(normal) :, : dim - 1] = np.repeat(vertices, dim - 1, axis=0)
-    own = normal.reshape(-1, dim)[spaces.rough_rows]
-    return near, np.append(normal, np.repeat(own, dim - 1))

@@ -29,9 +29,7 @@ from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
 from signorini_fenicsx.physics.elasticity.friction import STICKS
 
 CHANGE = 1e-9
-"""The bound is found when it differs from μ times the pressure by this share of itself, or by `ROUNDING`."""
-ROUNDING = 1e-12
-"""What the linear solver may leave of μ times the pressure, as a share of the largest one."""
+"""The bound is found when it differs from μ times the pressure by this share of itself."""
 MOST = 20
 """Problems of Tresca at most, before a path is followed."""
 MOST_SITES = 2000
@@ -81,7 +79,7 @@ def balanced[S: Solved](
         outcome, present = tresca(), backend.friction
         if not present.by_pressure or not outcome.converged:
             return outcome
-        following = present.following(spaces.pressure_of(outcome.iterate.flux))
+        following = present.following(pressure(backend, outcome.iterate))
         changes.append(present.change(following, spaces))
         if changes[-1] <= CHANGE or len(changes) == MOST:
             return outcome
@@ -101,6 +99,11 @@ def balanced[S: Solved](
         else:
             share /= 2
             backend.friction = accepted.moved(share * step)
+
+
+def pressure(backend: ElasticBackend, pairs: Pairs) -> Array:
+    """The pressure at the vertices with friction, shape (facets, d), 0 where it is rounding."""
+    return backend.spaces.pressure_of(np.where(np.abs(pairs.flux) > backend.sizes.rounding, pairs.flux, 0.0))
 
 
 def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome], changes: list[float]) -> Outcome:
@@ -165,9 +168,7 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
     segments = np.select([state == State.OPEN, state == State.STICK, state == State.PLUS], [1, 1, 2], 0)
     segments[normal:][(state[normal:] == State.FREE) & (p[normal:] > 0)] = 2
     outcome = tresca(segments)
-    changes.append(
-        backend.friction.change(backend.friction.following(backend.spaces.pressure_of(outcome.iterate.flux)), spaces)
-    )
+    changes.append(backend.friction.change(backend.friction.following(pressure(backend, outcome.iterate)), spaces))
     if changes[-1] > CHANGE:
         return outcome.ended(f"the bound of the friction still changes by {changes[-1]:.1e} at the end of a path")
     return outcome

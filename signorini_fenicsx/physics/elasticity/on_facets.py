@@ -9,7 +9,7 @@ import basix
 import numpy as np
 from dolfinx import la
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.data_values import check_means
@@ -158,3 +158,15 @@ def add_pulls(spaces: ElasticSpaces, pulls: Sequence[Pull], tractions: Array) ->
             rows = order[np.searchsorted(facets.facets, pull.facets.facets[mine], sorter=order)]
             moments[rows] += pull.moments[mine]
     return linear_values(on_contact, spaces.contact.measure)
+
+
+def neighbours(spaces: ElasticSpaces) -> tuple[Indices, Indices]:
+    """The sites near each site, those of its facet or its vertex, itself once; and the normal site of its vertex."""
+    dim, normal = spaces.dim, np.arange(len(spaces.sites))
+    along = len(normal) + np.arange(len(spaces.slip_sites))
+    facets, vertices = np.repeat(normal.reshape(-1, dim), dim, axis=0), along.reshape(-1, dim - 1)
+    near = np.full((len(normal) + len(along), dim), -1)
+    near[: len(normal)] = facets
+    near[len(normal) :, : dim - 1] = np.repeat(vertices, dim - 1, axis=0)
+    own = normal.reshape(-1, dim)[spaces.rough_rows]
+    return near, np.append(normal, np.repeat(own, dim - 1))

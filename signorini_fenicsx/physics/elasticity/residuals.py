@@ -70,7 +70,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     volume, square, of_loads, jumps = comm.allreduce(sums).tolist()
     jumps += _left_on_tools(spaces, data, stresses)
     norm, length = np.sqrt(square), volume ** (1 / dim)
-    norm = max(norm, _of_rounding(data, stiffness, norm, volume, comm))
+    norm = max(norm, _of_rounding(spaces, data, stiffness, norm, missing, volume))
     if norm == 0:
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[spaces.contact.cells], dim) / length
@@ -88,14 +88,19 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(of_loads) / norm))
 
 
-def _of_rounding(data: ElasticData, stiffness: Array, norm: float, volume: float, comm: MPI.Comm) -> float:
-    """‖σ‖ for a strain of the largest |u_D| or |g|, if only these are given and σ is rounding; else 0 (collective)."""
-    loads = np.append(data.tractions, data.pulled)
-    largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, loads)])
-    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-    stiff, displacement, load = largest.tolist()
-    size = stiff * displacement * np.sqrt(volume) / volume ** (1 / len(data.f.components))
-    at_rest = load == 0 and all(each.number == 0 for each in data.f.components) and norm <= LINEAR * size
+def _of_rounding(
+    spaces: ElasticSpaces, data: ElasticData, stiffness: Array, norm: float, missing: Array, volume: float
+) -> float:
+    """‖σ‖ for a strain of the largest |u_D| or |g|, if only these are given and σ is rounding; else 0 (collective).
+
+    Then what is missing of the balance is f.
+    """
+    loads, length = np.append(data.tractions, data.pulled), volume ** (1 / spaces.dim)
+    largest = np.array([np.abs(x).max(initial=0.0) for x in (stiffness, data.lift, loads, missing)])
+    spaces.mesh.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    stiff, displacement, load, force = largest.tolist()
+    size = stiff * displacement * np.sqrt(volume) / length
+    at_rest = load == 0 and max(norm, force * length * np.sqrt(volume)) <= LINEAR * size
     return size if at_rest else 0.0
 
 

@@ -28,7 +28,7 @@ from signorini_fenicsx.physics.elasticity.tools import (
     tools_at,
 )
 
-FREE = 1e-8
+FREE = 1e-6
 """A motion of size 1 that moves what is given by less is free."""
 SLACK = 1e-9
 """A motion is not into the foundation below this share of its size; loads do no work below this share of their most."""

@@ -31,7 +31,7 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.backend import Pairs
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.coulomb import CHANGE
+from signorini_fenicsx.physics.elasticity.coulomb import CHANGE, pressure
 from signorini_fenicsx.physics.elasticity.friction import STICKS, FrictionBounds, Slipping
 
 EXACT = 1e-11
@@ -81,10 +81,10 @@ def slipped(
         nonlocal share, last, known, base
         friction, normal = backend.friction, len(backend.spaces.sites)
         slip, shear = (each[normal:].reshape(-1, 3, 2) for each in (iterate.p, iterate.flux))
-        pressed = friction.following(backend.spaces.pressure_of(iterate.flux))
+        pressed = friction.following(pressure(backend, iterate))
         after = _following(backend, pressed, slip, shear)
         size, largest = _off(backend, after, iterate)
-        off = 0.0 if size[0] == 0 else size[0] / largest if largest > 0 else np.inf
+        off = 0.0 if size[0] <= backend.sizes.rounding else size[0] / largest if largest > 0 else np.inf
         if friction.by_pressure:
             changes.append(off)
         known = off <= EXACT or last / 2 <= off <= CHANGE
@@ -122,7 +122,7 @@ def slipped(
             reason += f"; σ_t is still off Coulomb's law by {changes[-1]:.1e} of the largest bound"
         return outcome.ended(reason)
     slip = outcome.iterate.p[len(backend.spaces.sites) :].reshape(-1, 3, 2)
-    backend.turn(backend.friction.following(backend.spaces.pressure_of(outcome.iterate.flux)).turned(slip))
+    backend.turn(backend.friction.following(pressure(backend, outcome.iterate)).turned(slip))
     law = backend.chains
     return replace(outcome, conditions=law.conditions(law.segments(outcome.conditions)))
 

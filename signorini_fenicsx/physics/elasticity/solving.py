@@ -13,12 +13,11 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.base.parallel import Stopwatch
+from signorini_fenicsx.base.errors import InputError, LinearSolveFailure, NumericalFailure
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.backend import Iterate, Pairs
 from signorini_fenicsx.contact.conditions import SiteConditions
-from signorini_fenicsx.contact.history import History, OnStep, Outcome
+from signorini_fenicsx.contact.history import History, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.discrete.contact_sets import transferred
@@ -163,23 +162,61 @@ class ElasticRun:
         return [*notes_of(self.spaces, self.data), *direction_of_gap(self.spaces, self.data)]
 
     def outcome(self) -> Outcome:
-        """Run the loop, with Coulomb's friction once for each bound of the shear (collective)."""
-        options, watch, start = self.wish.options, self.wish.watch, self.wish.start
+        """Run the loop, with Coulomb's friction once for each bound of the shear (collective).
+
+        If it fails from predicted or given sets, it begins again without them. If it is interrupted, the last state is
+        the outcome.
+        """
+        options, watch = self.wish.options, self.wish.watch
         with watch.phase("assembly"):
             self.backend = backend = ElasticBackend(self.spaces, self.data, options.tuning, self.motions)
+        try:
+            return self._from_best_start(backend, History(backend.comm, self.wish.on_step))
+        except LoopInterruption as interruption:
+            self._take(self.data, backend)
+            return Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver())
+
+    def _from_best_start(self, backend: ElasticBackend, history: History) -> Outcome:
+        """Run the loop from predicted or given sets, and if these fail without them (collective)."""
+        options, start, data = self.wish.options, self.wish.start, self.data
         predict = options.predict and len(self.spaces.part_names) > 0  # else the problem is linear
         large = predict and options.tuning.predicts(backend.dofs, PREDICT_FROM)
         if start is None and self.wish.remesh is not None and large:
-            with watch.phase("prediction"):
+            with self.wish.watch.phase("prediction"):
                 start = _on_coarser_mesh(self.wish.remesh, self.boundary, self.problem, options)
                 if start is not None:
                     start = _carried(start, backend)
         near = self._near() if self.motions.shape[1] > 0 else None
-        goes_on = isinstance(start, ElasticSegments)
-        first = _continued(backend, start, near) if goes_on else _first(backend, start, near)
-        outcome, self.changes = _run(backend, options, first, watch, self.wish.on_step, predict=large)
-        self.data = replace(self.data.after(self.spaces, backend.tools.rho), friction=backend.friction)
+        if not large and start is None:
+            return self._run(backend, _first(backend, None, near), history, predict=False)
+        with contextlib.suppress(LinearSolveFailure):
+            goes_on = isinstance(start, ElasticSegments)
+            first = _continued(backend, start, near) if goes_on else _first(backend, start, near)
+            outcome, kkt = self.judged(self._run(backend, first, history, predict=large))
+            if outcome.converged:
+                return replace(outcome, kkt=kkt)
+        self.data = data
+        backend.turn(data.friction)
+        outcome = self._run(backend, _first(backend, None, near), history, predict=False)
+        return replace(outcome, reason=f"{outcome.reason}, from a cold start because the predicted one failed")
+
+    def _run(
+        self, backend: ElasticBackend, first: SiteConditions | None, history: History, *, predict: bool
+    ) -> Outcome:
+        """Predict the sets and run the loop; the data get the last bounds of the friction (collective)."""
+        options, watch, before = self.wish.options, self.wish.watch, None
+        self.changes = changes = list[float]()
+        if predict and backend.inexact is not None and backend.friction.slipping is None:
+            with watch.phase("prediction"):
+                first, before = _settled(backend, options, first, history)
+        with watch.phase("solve"):
+            outcome = _with_friction(backend, options, first, before, history, changes)
+        self._take(self.data, backend)
         return outcome
+
+    def _take(self, data: ElasticData, backend: ElasticBackend) -> None:
+        """Take the last bounds of the friction, and where tools have moved to."""
+        self.data = replace(data.after(self.spaces, backend.tools.rho), friction=backend.friction)
 
     def _near(self) -> Mask:
         """The facet vertices whose contact holds the body at the start: those with small gaps (collective).
@@ -205,8 +242,10 @@ class ElasticRun:
 
     def judged(self, outcome: Outcome) -> tuple[Outcome, ElasticKKT]:
         """The outcome, which has converged only if its residuals are small, and these (collective)."""
-        stresses = self.spaces.split.values(outcome.iterate.sigma)
-        kkt = elastic_kkt(self.spaces, self.data, stresses, outcome.iterate.p)
+        kkt = outcome.kkt
+        if not isinstance(kkt, ElasticKKT):
+            stresses = self.spaces.split.values(outcome.iterate.sigma)
+            kkt = elastic_kkt(self.spaces, self.data, stresses, outcome.iterate.p)
         return outcome.ended(_failure(self.spaces, self.data, outcome, kkt)), kkt
 
     def solution(self, outcome: Outcome, kkt: ElasticKKT, **about: Any) -> ElasticSolution:
@@ -272,32 +311,6 @@ def _on_coarser_mesh(
         coarse: ElasticSolution = solve(remesh(factor), (boundary, problem), options, remesh=coarser)
         return coarse
     return None
-
-
-def _run(
-    backend: ElasticBackend,
-    options: Options,
-    first: SiteConditions | None,
-    watch: Stopwatch,
-    on_step: OnStep,
-    *,
-    predict: bool,
-) -> tuple[Outcome, list[float]]:
-    """Predict the sets and run the loop; if one is interrupted, return the last state (collective).
-
-    Returns:
-        The outcome, and how much the bound of Coulomb's friction changed after each loop, relative to itself.
-    """
-    history, changes = History(backend.comm, on_step), list[float]()
-    before: Iterate | None = None
-    try:
-        if predict and backend.inexact is not None and backend.friction.slipping is None:
-            with watch.phase("prediction"):
-                first, before = _settled(backend, options, first, history)
-        with watch.phase("solve"):
-            return _with_friction(backend, options, first, before, history, changes), changes
-    except LoopInterruption as interruption:
-        return Outcome.interrupted(interruption, backend.name, backend.dofs, backend.solver()), changes
 
 
 @dataclass(frozen=True)
@@ -369,7 +382,8 @@ def _with_friction(
     rule = rule_of(options)
     in_space = backend.friction.slipping is not None
     more = is_large(backend) if in_space else backend.friction
-    most = options.method.max_iterations * (MORE_WITH_FRICTION if more else 1)
+    sites = 0 if in_space else backend.comm.allreduce(backend.sites)  # in space the law turns in each step
+    most = options.method.most_iterations(1, sites) * (MORE_WITH_FRICTION if more else 1)
     parameters = Parameters(max_iterations=options.max_iterations or most)
     last: Indices | None = None
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from dolfinx import la
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
@@ -110,6 +111,7 @@ class ElasticSystem:
         load: Right side for x − lift.
         tractions: ⟨g_N, q⟩ for each owned unknown.
         element: The reference element.
+        loaded: Whether there are loads, or strains and stresses that the body has without them.
     """
 
     def __init__(self, spaces: ElasticSpaces, data: ElasticData):
@@ -122,6 +124,8 @@ class ElasticSystem:
         index_map, size = spaces.traces.dofmap.index_map, spaces.traces.dofmap.index_map_bs
         self.tractions = data.load[: size * index_map.size_local]
         self.load = self._load_of(self._blocks, data.lift) + self.tractions
+        given = any(values.any() for values in (self.tractions, *(block.stress_of_f for block in self._blocks)))
+        self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
 
     def _load_of(self, blocks: Sequence[Eliminated], lift: Array) -> Array:
         """The right side for x − lift, without given tractions: owned entries (collective)."""
