@@ -255,7 +255,7 @@ Physical Curve("base") = {{1}}; Physical Curve("far") = {{2}}; Physical Curve("t
 Physical Curve("stream") = {{4}};"""
         stage = H * rng.uniform(0.3, 1.0)
         bank = [
-            f'[[law]]\nparts = ["stream"]\nkind = "river"\nr = {rain * 10 ** rng.uniform(0, 3):.3g}\nlevel = {stage:.4g}\n'
+            f'[[law]]\nparts = ["stream"]\nkind = "river"\nr = {rain * 10 ** rng.uniform(0, 3):.3g}\nlevel = {stage:.4g}\n'  # noqa: E501
             f"bed = {stage * rng.uniform(0.3, 0.9):.4g}",
             f'[[law]]\nparts = ["stream"]\nkind = "seepage"\nlevel = "max(y, {stage:.4g})"',
             "",
@@ -270,7 +270,9 @@ Physical Curve("stream") = {{4}};"""
         size = H / rng.integers(6, 14)
         X = [0, a * up / H, a, a + crest, a + crest + b * (1 - down / H), a + crest + b]
         Y = [0, up, H, H, down, 0]
-        points = " ".join(f"Point({i + 1}) = {{{x:.6g}, {y:.6g}, 0, {size:.4g}}};" for i, (x, y) in enumerate(zip(X, Y, strict=True)))
+        points = " ".join(
+            f"Point({i + 1}) = {{{x:.6g}, {y:.6g}, 0, {size:.4g}}};" for i, (x, y) in enumerate(zip(X, Y, strict=True))
+        )
         text = f"""{points}
 Line(1) = {{1, 2}}; Line(2) = {{2, 3}}; Line(3) = {{3, 4}}; Line(4) = {{4, 5}}; Line(5) = {{5, 6}}; Line(6) = {{6, 1}};
 Curve Loop(1) = {{1:6}}; Plane Surface(1) = {{1}}; Physical Surface("dam") = {{1}};
@@ -297,7 +299,7 @@ Physical Curve("downstream") = {{5}}; Physical Curve("base") = {{6}};"""
                 f"Mesh.MeshSizeMax = {size:.5g}; Mesh.MeshSizeFromCurvature = 8;",
                 "r() = Abs(CombinedBoundary{ Surface{:}; });",
                 *(
-                    f"p() = Curve In BoundingBox {{{x0 - 1e-3:.7g}, {y0 - 1e-3:.7g}, -1, {x1 + 1e-3:.7g}, {y1 + 1e-3:.7g}, 1}};"
+                    f"p() = Curve In BoundingBox {{{x0 - 1e-3:.7g}, {y0 - 1e-3:.7g}, -1, {x1 + 1e-3:.7g}, {y1 + 1e-3:.7g}, 1}};"  # noqa: E501
                     f' Physical Curve("{name}") = {{p()}}; r() -= p();'
                     for name, x0, y0, x1, y1 in (
                         ("west", 0, 0, 0, W),
@@ -315,10 +317,10 @@ Physical Curve("downstream") = {{5}}; Physical Curve("base") = {{6}};"""
             f'[[law]]\nparts = ["wells"]\nkind = "regulator"\nk = {conductivity * rng.uniform(0.1, 10):.3g}\n'
             f"g_low = {-pumped:.3g}\ng_high = 0\na = {level * rng.uniform(0.2, 0.8):.4g}",
             f'[[law]]\nparts = ["wells"]\nkind = "seepage"\nlevel = {level * rng.uniform(0.3, 1.1):.4g}',
-            f'[[law]]\nparts = ["wells"]\nkind = "two-sided"\npsi = {level * 0.4:.4g}\npsi_upper = {level:.4g}\nq_S = {-pumped:.3g}',
+            f'[[law]]\nparts = ["wells"]\nkind = "two-sided"\npsi = {level * 0.4:.4g}\npsi_upper = {level:.4g}\nq_S = {-pumped:.3g}',  # noqa: E501
         ][int(rng.integers(3))]
         leak = conductivity * 10 ** rng.uniform(-4, 0)
-        river = f'[[law]]\nparts = ["west"]\nkind = "river"\nr = {leak:.3g}\nlevel = {level:.4g}\nbed = {level - rng.uniform(0.5, 4):.4g}'
+        river = f'[[law]]\nparts = ["west"]\nkind = "river"\nr = {leak:.3g}\nlevel = {level:.4g}\nbed = {level - rng.uniform(0.5, 4):.4g}'  # noqa: E501
         neumann = ["north", "south", *(["east"] if rng.random() < 0.4 else [])]
         lines = [of_wells, river, "[problem]", f"f = {rain / L * rng.choice([0, 1, 10]):.4g}"]
         lines += [f"kappa = {kappa('x', L / 2, L)}", f"u_D = {level * rng.uniform(0.9, 1.2):.4g}"]

@@ -12,7 +12,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.api import load_solution
-from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Regulator
@@ -35,6 +34,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     Elasticity,
     ElasticLaw,
     ElasticProblem,
+    InputError,
 )
 from signorini_fenicsx.physics.elasticity.shown import STATES, BodyFacets, ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -228,7 +228,7 @@ def test_pushed_away():
     solution = pushed(0.03)
     force = solution.resultants()["z0"][:3]
     assert force == pytest.approx([-0.024, -0.018, 0.1])
-    with pytest.raises(NumericalFailure, match="the body slides away, along"):
+    with pytest.raises(InputError, match=r"the body slides away, .* no pressure with friction"):
         pushed(0.06)
 
 
@@ -299,9 +299,7 @@ def test_a_tool_that_nothing_holds_is_told():
         Dirichlet("y1", ["0", "0", "0"]),
         Neumann(["x0", "x1", "z1"]),
     ]
-    with pytest.raises(
-        NumericalFailure, match=r"slides away, along .*, that is the tool on 'y0': .* friction under the last"
-    ):
+    with pytest.raises(InputError, match=r"slides away, along .*, that is the tool on 'y0': .* no pressure with"):
         solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), Elasticity(1.0, 0.3, conditions=conditions))
 
 

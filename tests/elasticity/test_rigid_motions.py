@@ -1,6 +1,7 @@
 """Which rigid motions nothing prevents: one linear programme with all rows, limits of loads by hand, sentences."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from mpi4py import MPI
 from scipy.optimize import linprog
 
 from signorini_fenicsx.api import Contact, Dirichlet, Elasticity, Neumann, Pressure, Support, Tresca, solve
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.laws import Regulator
-from signorini_fenicsx.physics.elasticity.rigid_motions import Limits, _in_words
+from signorini_fenicsx.physics.elasticity.motion_limits import Limits
+from signorini_fenicsx.physics.elasticity.rigid_motions import _in_words
 
 COMM = MPI.COMM_WORLD
 
@@ -30,17 +33,34 @@ def is_prevented(work: np.ndarray, into: np.ndarray, slips: np.ndarray, shears: 
     return True
 
 
+def work_at_most(work: Array, into: Array, slips: Array, shears: Array) -> float:
+    """The largest work·r of r with into·r ≤ 0, entries up to 1, and Σ shears |slips·r| ≤ work·r."""
+    own = np.eye(len(shears))
+    rows = np.block(
+        [[into, np.zeros((len(into), len(own)))], [slips, -own], [-slips, -own], [-work[None], shears[None]]]
+    )
+    bounds = [(-1, 1)] * len(work) + [(0, None)] * len(own)
+    cost = np.append(-work, np.zeros(len(own)))
+    return float(-linprog(cost, A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds).fun)
+
+
 @pytest.mark.parallel(3)
 def test_cutting_planes_find_what_one_programme_finds():
     """For random rows of 1 to 6 motions, spread over the ranks, some with none; and the motion is one of those."""
-    rng, held = np.random.default_rng(3), 0
+    rng, held, slides = np.random.default_rng(3), 0, 0
     for number in range(24):
         size = 1 + number % 6
         into, slips = rng.normal(size=(rng.integers(1, 30), size)), rng.normal(size=(rng.integers(0, 9), size))
         work = -rng.uniform(0, 1, len(into)) @ into if number % 2 else rng.normal(size=size)
         shears = rng.uniform(0, 0.1, len(slips))
         mine = [np.arange(len(rows)) % min(COMM.size, 2) == COMM.rank for rows in (into, slips)]
-        limits = Limits(COMM, work, into[mine[0]], slips[mine[1]][:, None], shears[mine[1]])
+        cones = rng.normal(size=(rng.integers(1, 9), 2, size)) * np.array([1.0, 0.1])[:, None]
+        of_rank = cones[np.arange(len(cones)) % min(COMM.size, 2) == COMM.rank]
+        limits = Limits(COMM, work, into[mine[0]], slips[mine[1]][:, None], shears[mine[1]], of_rank)
+        few = into[:2][mine[0][:2]]
+        slides += (sliding := replace(limits, into=few).sliding()) is not None
+        both = np.concatenate([into[:2], cones[:, 0] + cones[:, 1], cones[:, 0] - cones[:, 1]])
+        assert (sliding is None) == (work_at_most(work, both, slips, shears) < 1e-9)
         motion = limits.unprevented()
         assert (motion is None) == is_prevented(work, into, slips, shears)
         held += motion is None
@@ -49,6 +69,7 @@ def test_cutting_planes_find_what_one_programme_finds():
             assert (into @ motion).max() < 1e-8
             assert shears @ np.abs(slips @ motion) <= work @ motion + 1e-8
     assert 4 < held < 20
+    assert 4 < slides < 23
 
 
 def test_motions_are_told_without_rounding():

@@ -15,7 +15,6 @@ from signorini_fenicsx import (
     Elasticity,
     Evolution,
     InputError,
-    NumericalFailure,
     Options,
     Tresca,
     certify,
@@ -185,8 +184,8 @@ def test_bolted_joint():
     assert min(state["vertices"] for state in solution.friction_states().values()) > 0
     all_slips = solve_case(case.with_values({"problem.g_N": {"pulled": [-13, 0, 0]}}))
     assert all_slips.friction_states()["stick"]["vertices"] == 0  # that slip would have to turn holds the joint
-    with pytest.raises(NumericalFailure, match=r"the loads do the work 810, and friction .* takes at most 800"):
-        solve_case(case.with_values({"problem.g_N": {"pulled": [-13.5, 0, 0]}, "solve.max_iterations": 8}))
+    with pytest.raises(InputError, match=r"slides away, .*: on this motion the loads do the work .* no pressure with"):
+        solve_case(case.with_values({"problem.g_N": {"pulled": [-13.5, 0, 0]}}))
 
 
 def test_no_derivatives():

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Self
 
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.friction import STICKS
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells
+from signorini_fenicsx.physics.elasticity.motion_limits import FREE, SLACK, Limits
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.supports import Supports
@@ -28,18 +27,10 @@ from signorini_fenicsx.physics.elasticity.tools import (
     tools_at,
 )
 
-FREE = 1e-6
-"""A motion of size 1 that moves what is given by less is free."""
-SLACK = 1e-9
-"""A motion is not into the foundation below this share of its size; loads do no work below this share of their most."""
 HELD = 1e-12
 """Sites hold a motion of size 1 if the squares of its means add up to more."""
-SMALL = 1e-6
-"""What the size of a motion costs, so that of several a short one is told."""
 TURNS = 1e-6
 """A motion that turns the body by less than this share of what it shifts it is told as a shift, and less of it as 0."""
-MOST_CUTS = 200
-"""For each direction; far more than were ever seen."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +81,12 @@ def check_rigid_motions(spaces: ElasticSpaces, data: ElasticData) -> Array:
     means, motion = _motions_of_contact(spaces, data)
     if motion is not None:
         raise InputError(f"the body can move rigidly, {motion.why()}")
+    _, motion = _motions_of_contact(spaces, data, any_pressure=True)
+    if motion is not None:
+        raise InputError(
+            f"the body slides away, {motion.words}: on this motion the loads do the work {motion.loads:.4g}, and no "
+            "pressure with friction of at most μ times it balances them; with less load, or more friction, it rests"
+        )
     return means
 
 
@@ -104,8 +101,10 @@ def slides(spaces: ElasticSpaces, data: ElasticData) -> str:
     )
 
 
-def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, Unprevented | None]:
-    """What `check_rigid_motions` returns, and a motion that is not prevented (collective)."""
+def _motions_of_contact(
+    spaces: ElasticSpaces, data: ElasticData, *, any_pressure: bool = False
+) -> tuple[Array, Unprevented | None]:
+    """What `check_rigid_motions` returns, and a motion that is not prevented, see `Limits.unprevented` (collective)."""
     bodies = Bodies.of(spaces, data.tools)
     free = bodies.not_given(data.supports)
     if free.shape[1] == 0:
@@ -115,10 +114,10 @@ def _motions_of_contact(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array
     moves = normal_and_tangential(spaces, lambda directions: bodies.relative(directions) @ free)
     means = means_at_sites(*moves)
     limits = _limits(spaces, data, work, means, most)
-    motion = limits.unprevented()
+    motion = limits.sliding() if any_pressure else limits.unprevented()
     if motion is None:
         return means, None
-    motion = limits.plainer(motion, bodies.plain(free))
+    motion = motion if any_pressure else limits.plainer(motion, bodies.plain(free))
     at_vertices = np.concatenate([each.reshape(-1, free.shape[1]) for each in moves])
     on_mesh = _limits(spaces, data, work, at_vertices, most).unprevented() is None
     words, unit = bodies.in_words(free @ motion)
@@ -148,8 +147,11 @@ def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array,
     rows = np.concatenate([into[~shuts], -into[~opens]])
     rubbing = np.zeros((np.count_nonzero(between), spaces.dim - 1, into.shape[1]))
     rubbing[:, 0] = into[between]
+    pressing = np.repeat(data.friction.coulomb, spaces.dim)
+    onto = into.reshape(-1, spaces.dim, into.shape[1])[spaces.rough_rows].reshape(-1, 1, into.shape[1])[pressing]
+    cones = np.concatenate([onto, data.friction.mu.ravel()[pressing][:, None, None] * slips[pressing]], axis=1)
     slips, shears = np.concatenate([slips[: len(shears)], rubbing]), np.append(shears, half)
-    return Limits(spaces.mesh.comm, work, rows, slips, shears)
+    return Limits(spaces.mesh.comm, work, rows, slips, shears, cones)
 
 
 WEAK = (
@@ -161,7 +163,8 @@ HELD_BY = "neither the parts where u is given nor springs nor contact under thes
 
 def is_free(comm: MPI.Comm, means: Array) -> bool:
     """Whether a combination of motions has no means at the sites that hold, shape (sites, motions) (collective)."""
-    return means.shape[1] > 0 and bool(np.linalg.eigvalsh(comm.allreduce(means.T @ means))[0] <= HELD)
+    sizes = np.linalg.eigvalsh(comm.allreduce(means.T @ means)) if means.shape[1] > 0 else np.ones(1)
+    return bool(sizes[0] <= max(HELD, ROUNDING * sizes[-1]))
 
 
 def _motions(x: Array) -> Array:
@@ -331,99 +334,6 @@ class Bodies:
         shares = plain @ free
         shares = shares[np.abs(shares @ free.T - plain).max(axis=1) <= FREE]
         return np.concatenate([shares, -shares])
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a motion r ≠ 0 has to meet that nothing prevents: into·r ≤ 0 and Σ shears |slips·r| ≤ work·r.
-
-    Both sides are found by cutting planes: a linear programme with few rows gives a motion, and each rank adds the row
-    that this motion violates most. So only rows of as many numbers as there are motions go from rank to rank.
-
-    Attributes:
-        comm: Communicator.
-        work: What the loads do on the motions.
-        into: Rows of this rank, r_n on Γ_C.
-        slips: Rows of this rank, r_t where there is friction, shape (rows, d − 1, motions).
-        shears: The shear for each of them; where nothing slips it is infinite.
-    """
-
-    comm: MPI.Comm
-    work: Array
-    into: Array
-    slips: Array
-    shears: Array
-
-    def unprevented(self) -> Array | None:
-        """A motion with an entry 1 or −1, or None (collective)."""
-        still = self._still()
-        cuts = np.empty((0, len(self.work)))
-        way = self.work / (np.linalg.norm(self.work) or 1.0)  # where the loads push is told first
-        for objective in np.concatenate([way[None], np.eye(len(way)), -np.eye(len(way))]):
-            for _ in range(MOST_CUTS):
-                motion = on_root(self.comm, partial(_farthest, objective, cuts, still))
-                if motion is None or objective @ motion < 0.5:
-                    break
-                more = self._violated(motion)
-                if len(more) == 0:
-                    return np.asarray(motion)
-                cuts = np.concatenate([cuts, more])
-        return None
-
-    def plainer(self, motion: Array, others: Array) -> Array:
-        """The first of some other motions that nothing prevents either, or this one (collective).
-
-        They are tried by what the loads do on them. If the loads push this motion, they push the other one.
-        """
-        still, pushed = self._still(), self.work @ motion > SLACK
-        for other in others[np.argsort(-np.round(others @ self.work / SLACK), kind="stable")]:
-            if pushed and self.work @ other <= SLACK:
-                break
-            if np.abs(still @ other).max(initial=0.0) <= FREE and len(self._violated(other)) == 0:
-                return np.asarray(other)
-        return motion
-
-    def _still(self) -> Array:
-        """Motions whose shares must be 0 as they would slip where friction has no limit, orthonormal (collective)."""
-        stuck = self.slips[self._sticks].reshape(-1, len(self.work))
-        sizes, vectors = np.linalg.eigh(self.comm.allreduce(stuck.T @ stuck))
-        return np.asarray(vectors[:, sizes > FREE**2].T)
-
-    @property
-    def _sticks(self) -> Mask:
-        return self.shears > STICKS / 1e100
-
-    def rubbed(self, motion: Array) -> float:
-        """Σ shears |slips·r| where it may slip (collective)."""
-        lengths = np.linalg.norm(self.slips @ motion, axis=1)
-        return self.comm.allreduce(float(np.where(self._sticks, 0.0, self.shears) @ lengths))
-
-    def _violated(self, motion: Array) -> Array:
-        """Rows c for c·r ≤ 0 that this motion does not meet: at most one of each rank, and one (collective)."""
-        off = self.into @ motion
-        worst = self.into[np.argmax(off)][None] if off.max(initial=0.0) > SLACK else self.into[:0]
-        slips, shears = self.slips[~self._sticks], self.shears[~self._sticks]
-        moved = slips @ motion
-        size = np.linalg.norm(moved, axis=1)[:, None]
-        pulls = shears[:, None] * np.divide(moved, size, out=np.zeros_like(moved), where=size > 0)
-        rubbing = np.einsum("nk,nkr->r", pulls, slips)
-        along = self.comm.allreduce(rubbing) - self.work
-        rows = np.concatenate(self.comm.allgather(worst))
-        return np.concatenate([rows, along[None]]) if along @ motion > SLACK else rows
-
-
-def _farthest(objective: Array, cuts: Array, still: Array) -> Array | None:
-    """The motion with the largest objective, entries up to 1, or None if there is none; of several a short one."""
-    if len(objective) == 1:
-        return objective if len(still) == 0 and (cuts @ objective <= 0).all() else None
-    from scipy.optimize import linprog  # takes a second to load
-
-    both = np.append(-objective, objective) + SMALL  # entries above 0 and below 0 are variables of their own
-    equal = {"A_eq": np.hstack([still, -still]), "b_eq": np.zeros(len(still))} if len(still) else {}
-    rows = np.hstack([cuts, -cuts])
-    exact = {"primal_feasibility_tolerance": SLACK / 10}  # otherwise a cut may be violated again
-    optimum = linprog(both, A_ub=rows, b_ub=np.zeros(len(cuts)), bounds=(0, 1), options=exact, **equal)
-    return np.subtract(*np.split(optimum.x, 2)) if optimum.success else None
 
 
 def _without_rounding(vector: Array, size: float) -> str:

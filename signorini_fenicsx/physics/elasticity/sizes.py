@@ -12,8 +12,8 @@ from signorini_fenicsx.base.tolerances import LINEAR, ROUNDING
 class Sizes:
     """The largest |u| and |σ| of the last solution.
 
-    If nothing loads the body and u is rounding beside gaps, it is at rest: then the sizes are those of a strain by the
-    largest gap, beside which all is rounding.
+    If nothing loads the body and σ is rounding beside that of a strain by the largest gap, the body is at rest: then
+    the latter is the size, beside which all is rounding.
     """
 
     def __init__(self, comm: MPI.Comm, lift: Array, stiffness: Array, *, loaded: bool):
@@ -34,7 +34,8 @@ class Sizes:
     @property
     def largest(self) -> tuple[float, float]:
         """The sizes of u and σ."""
-        return self._at_rest if self._last[0] < LINEAR * self._at_rest[0] else self._last
+        (u, sigma), (gap, by_gap) = self._last, self._at_rest
+        return (max(u, gap), by_gap) if sigma < LINEAR * by_gap else self._last
 
     @property
     def rounding(self) -> float:
