@@ -7,9 +7,10 @@ times too large. r − g is a load like f − f_h, for which
 
     (r − g, w)_T ≤ min(the factor of `local_fields`, c^-½‖r − g‖_T) ‖w‖_T.
 
-For c a quadratic p stands, with mean p_T, and S is at least the root mean square of c − p: r is f − f_h + (p_T u* −
-pv), δ = ∫p(u* − v)/∫p, and there are two more loads: (c_h − p_T)u*, a number on each cell, and (p − c)(v + δ), whose
-mean and root mean square are at most S(|v| + |δ|). Where p_T ≤ 0, δ is 0.
+For c a quadratic p stands, with mean p_T, S is at least the root mean square of c − p, and μ its mean: r is f − f_h +
+(p_T u* − pv), δ = ∫p(u* − v)/∫p, and there are two more loads: (c_h − p_T − μ)u*, a number on each cell, and (p − c +
+μ)u* + (p − c)(v + δ − u*). With D ≥ |v + δ − u*| the mean of the second one is at most SD, and its root mean square at
+most S(|u*| + D). So where c jumps within cells its mean counts, and not its size. Where p_T ≤ 0, δ is 0.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions import TREES, is_polynomial
 from signorini_fenicsx.expressions.enclosures import ranges
+from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, constant, interpolated
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, projected
@@ -66,11 +68,13 @@ class _Coefficient:
     Attributes:
         values: p in points.
         deviation: S.
+        mean: μ.
         least: Lower bound of c.
     """
 
     values: Callable[[CellPoints], Array]
     deviation: Array
+    mean: Interval
     least: Array
 
 
@@ -82,8 +86,9 @@ def reaction_terms(
         return None
     mesh, number = spaces.mesh, len(metric.volume)
     cell, dim = mesh.basix_cell(), mesh.topology.dim
-    nodes = np.abs(trace.v.x.array[cell_dofs(trace.v.function_space)]).max(axis=1)
-    coefficient = _coefficient(data, metric, resolution, np.maximum(nodes, np.abs(owned_values(u))))
+    level = owned_values(u)
+    nodes = np.abs(trace.v.x.array[cell_dofs(trace.v.function_space)] - level[:, None]).max(axis=1)
+    coefficient = _coefficient(data, metric, resolution, np.abs(level) + nodes)
     if coefficient is None:
         return None
     delta, mean, missed = np.zeros(number), np.zeros(number), np.zeros(number)
@@ -94,21 +99,24 @@ def reaction_terms(
         points, weights = positive_quadrature(cell, degree)
         for some in in_cells(mesh, cells, points, weights):
             own = some.cells
-            v, p, level = trace.jet(some, near=near)[:, :, 0], coefficient.values(some), u.x.array[own]
+            v, p = trace.jet(some, near=near)[:, :, 0], coefficient.values(some)
             mean[own] = some.means(p)
-            lacking = some.means(p * (level[:, None] - v))
+            lacking = some.means(p * (level[own, None] - v))
             positive = mean[own] > 0
             delta[own] = np.divide(lacking, mean[own], out=np.zeros(len(own)), where=positive)
-            values = (mean[own] * level)[:, None] - p * (v + delta[own, None])
+            values = (mean[own] * level[own])[:, None] - p * (v + delta[own, None])
             missed[own] = np.where(positive, 0.0, np.abs(lacking))
-            largest = np.maximum(nodes[own], np.abs(v).max(axis=1, initial=0.0))
-            missed[own] += coefficient.deviation[own] * (largest + np.abs(delta[own]))
+            farthest = np.maximum(nodes[own], np.abs(v - level[own, None]).max(axis=1, initial=0.0)) + np.abs(
+                delta[own]
+            )
+            missed[own] += coefficient.deviation[own] * farthest
             part = projected(values - some.means(values)[:, None], cell, OF_LOAD, points, weights)
             load.coefficients[own], load.rest[own] = part.coefficients, part.rest
     c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
-    resolution.add_means("c", (c_h - mean) * owned_values(u), metric)
-    resolution.add_load("c", missed, metric)
-    load.rest[:] = (np.sqrt(load.rest) + missed * np.sqrt(weights.sum())) ** 2
+    of_level = (Interval(c_h - mean, c_h - mean) - coefficient.mean) * level
+    size = missed + coefficient.deviation * np.abs(level)
+    resolution.add_load("c", Interval(of_level.lo - missed, of_level.hi + missed), size, metric)
+    load.rest[:] = (np.sqrt(load.rest) + size * np.sqrt(weights.sum())) ** 2
     gap = delta**2 * (np.maximum(mean, 0.0) + coefficient.deviation) * metric.volume
     return ReactionTerms(gap, load, coefficient.least)
 
@@ -119,10 +127,10 @@ def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: A
     `size` is that of u on each cell.
     """
     number, dim = len(metric.volume), metric.jacobian.shape[1]
-    deviation = np.zeros(number)
+    deviation, *mean = np.zeros((3, number))
     pieces = resolution.pieces("c", data.c)
     if not pieces:
-        return None if data.c_h is None else _Coefficient(data.c.values, deviation, np.zeros(number))
+        return None if data.c_h is None else _Coefficient(data.c.values, deviation, enclosing(deviation), deviation)
     vertices, p = resolution.vertices, constant(np.zeros(number), dim)
     length = resolution.volume ** (1 / dim)
     tolerance = resolution.flux(metric) / (length * np.maximum(size, SMALLEST))
@@ -133,13 +141,13 @@ def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: A
         p.value[cells], p.gradient[cells], p.hessian[cells] = q.value, q.gradient, q.hessian
         least[cells] = bernstein(q, vertices[cells]).min(axis=1)
         if not is_polynomial(tree, 2):
-            deviation[cells] = resolution.deviation(tree, q, cells, tolerance[cells])
+            deviation[cells], (mean[0][cells], mean[1][cells]) = resolution.deviation(tree, q, cells, tolerance[cells])
             least[cells] = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, np.inf).lo
     below = np.flatnonzero(least < -ROUNDING * np.abs(p.value).max(initial=0.0))
     resolution.note("the sign of c", vertices[below].mean(axis=1), below)
     if not resolution.spaces.mesh.comm.allreduce(bool(p.value.any() or deviation.any()), MPI.LOR):
         return None
-    return _Coefficient(lambda points: _values(p, points), deviation, np.maximum(least, 0.0))
+    return _Coefficient(lambda points: _values(p, points), deviation, Interval(*mean), np.maximum(least, 0.0))
 
 
 def _values(p: Quadratic, points: CellPoints) -> Array:

@@ -172,8 +172,11 @@ class Resolution:
         self._record(name, cells, mean, squares * np.maximum(norm**2 - seen.norm**2, 0.0), metric)
         return np.asarray(norm * np.sqrt(area), dtype=np.float64)
 
-    def deviation(self, tree: Tree, p: Quadratic, cells: AnyIndices, tolerance: Array) -> Array:
-        """Root mean square of a tree minus quadratics on owned cells, about as sharp as `tolerance` (collective)."""
+    def deviation(self, tree: Tree, p: Quadratic, cells: AnyIndices, tolerance: Array) -> tuple[Array, Array]:
+        """Root mean square and the ends of the mean of a tree minus quadratics on owned cells (collective).
+
+        They are about as sharp as `tolerance`.
+        """
         rule = positive_quadrature(self.spaces.mesh.basix_cell(), 2 * DEGREE)
         norm, mean = np.empty((2, len(cells)))
         for points in in_cells(self.spaces.mesh, cells.astype(np.int32), *rule):
@@ -182,7 +185,7 @@ class Resolution:
             rest = rest - p.of(rows).at(points.arms)[:, :, 0]
             norm[rows], mean[rows] = np.sqrt(rest**2 @ weights), rest @ weights
         weight = self.spaces.cell_measures[cells] / self.volume / np.maximum(tolerance, SMALLEST) ** 2
-        return self._enclosed(tree, self.vertices[cells], Seen(p, norm, mean), weight)[0]
+        return self._enclosed(tree, self.vertices[cells], Seen(p, norm, mean), weight)
 
     def _enclosed(self, tree: Tree, vertices: Array, seen: Seen, weight: Array) -> tuple[Array, Array]:
         """Root mean square and the ends of the mean of a tree minus p, with the weights of `means` (collective)."""
@@ -214,10 +217,10 @@ class Resolution:
         """Record the means of a load on the owned cells."""
         self._record(name, np.arange(len(means)), enclosing(means), np.zeros(len(means)), metric)
 
-    def add_load(self, name: str, size: Array, metric: CellMetric) -> None:
-        """Record a load of which only a bound of its size on each owned cell is known."""
+    def add_load(self, name: str, mean: Interval, size: Array, metric: CellMetric) -> None:
+        """Record a load of which only its mean and a bound of its size on each owned cell are known."""
         squares = (metric.diameter / np.pi * size) ** 2 * metric.volume / metric.low
-        self._record(name, np.arange(len(size)), Interval(-size, size), squares, metric)
+        self._record(name, np.arange(len(size)), mean, squares, metric)
 
     def range_of(self, name: str, datum: Datum, cells: AnyIndices, limit: Array) -> Interval:
         """Range of a datum on some owned cells, as narrow as is needed to see whether it is ≤ a limit (collective).
