@@ -9,7 +9,7 @@ import pytest
 import ufl
 from made_cases import on_square, rotated
 from mpi4py import MPI
-from random_bounds import examine
+from random_bounds import difference, examine
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
@@ -17,6 +17,9 @@ from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import with_mean
 from signorini_fenicsx.forms.mixed import flux_product
+from signorini_fenicsx.meshes.domain import Boundary
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -55,6 +58,33 @@ def test_near_the_error(n: int, values: dict[str, object], sharp: float):
     """The bound is above the distance to a solution on a mesh 4 times as fine, which is slightly below the error."""
     coarse, fine = solve_case(on_square(n, ["bottom"], **values)), solve_case(on_square(4 * n, ["bottom"], **values))
     assert energy(coarse, fine) < certify(coarse).sigma_bound < sharp * energy(coarse, fine)
+
+
+C, S = "cos(8*x)", "sin(8*x)"
+TURNING = [[f"30*{C}^2 + {S}^2", f"29*{C}*{S}"], [f"29*{C}*{S}", f"30*{S}^2 + {C}^2"]]
+LEGENDRE = "12870*x^8 - 51480*x^7 + 84084*x^6 - 72072*x^5 + 34650*x^4 - 9240*x^3 + 1260*x^2 - 72*x + 1"
+
+
+@pytest.mark.parametrize(
+    ("given", "sharp"),
+    [
+        ({"f": LEGENDRE}, 1.3),  # was 2.3
+        ({"f": "100*(2*x - 1)^15"}, 1.25),  # was 1.8
+        ({"f": 100, "c": "1 if x + y < 0.77 else 10"}, 1.9),  # was 3.3
+        ({"f": 100, "c": "1 if x < 0.43 else 100"}, 7.5),  # was 13.5
+        ({"f": 20, "kappa": TURNING}, 1.6),  # was 12
+        ({"f": 20, "kappa": "sqrt(x + 0.01)"}, 1.5),  # was 4
+    ],
+    ids=["legendre", "power", "small jump", "jump", "rotated", "root"],
+)
+def test_data_that_the_mesh_hardly_resolves(given: dict[str, object], sharp: float):
+    """The bound is near the error for loads of a high degree, c that jumps in cells, κ that is far from quadratic."""
+    coarse = build_domain(COMM, "square", 0.25, mesh="structured")
+    problem, fine = Problem(**given), coarse  # type: ignore[arg-type]
+    for _ in range(2):
+        fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
+    one, other = (solve(each, (Boundary(["bottom"]), problem)) for each in (coarse, fine))
+    assert difference(one, other) < certify(one).sigma_bound < sharp * difference(one, other)
 
 
 def test_without_dirichlet_part():

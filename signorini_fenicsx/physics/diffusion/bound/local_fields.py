@@ -30,7 +30,7 @@ import basix
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.reference_cells import orthonormal
 from signorini_fenicsx.base.small_matrices import times
 from signorini_fenicsx.discrete.points import FacetPoints, facet_type
@@ -39,8 +39,12 @@ from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 OF_LOAD, OF_FLUX = 1, 2
 """Degrees of Π and of all Π_e. τ has degree 2 in cells at Γ_N and Γ_S; in all other cells degree 1 is enough."""
 SINGULAR = 1e-10
-AT_ONCE = 20_000
-"""Cells whose matrices are in memory at the same time."""
+HIGH = {2: 5, 3: 3}
+"""Degree of Π by dimension where a load is known and the rest after OF_LOAD is a large part of what a cell adds,"""
+WORTH = 0.1
+"""which it is from this share on."""
+AT_ONCE = 20_000_000
+"""Entries of the matrices of cells that are in memory at the same time."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Projection:
 
     Attributes:
         coefficients: Coefficients of the projection in an orthonormal basis on the reference cell or facet without the
-            constant, shape (n, basis).
+            constant, those of lower degree first, shape (n, basis).
         rest: Squared L² norm of the remainder, divided by the measure of the reference cell or facet.
     """
 
@@ -57,9 +61,10 @@ class Projection:
     rest: Array
 
     def plus(self, other: Projection) -> Projection:
-        """The sum of two loads; the norm of its remainder is at most that of both."""
+        """The sum of two loads, of any degrees; the norm of its remainder is at most that of both."""
         rest = (np.sqrt(self.rest) + np.sqrt(other.rest)) ** 2
-        return Projection(self.coefficients + other.coefficients, rest)
+        short, long = sorted((self.coefficients, other.coefficients), key=lambda each: each.shape[1])
+        return Projection(long + np.pad(short, ((0, 0), (0, long.shape[1] - short.shape[1]))), rest)
 
     def norms(self, scale: Array) -> Array:
         """L² norm per cell or facet; `scale` is its measure, divided by that of the reference one."""
@@ -85,7 +90,7 @@ class _Reference:
 
     Attributes:
         products: ∫ τ_a,i τ_b,j, shape (dim, dim, n, n). The first fluxes belong to one moment each: moments of the load
-            up to degree OF_LOAD and then, for cells with facets that carry a load, moments on each facet. The other
+            up to a degree and then, for cells with facets that carry a load, moments on each facet. The other
             fluxes have neither divergence nor normal component.
         moments: Number of the first fluxes.
     """
@@ -95,8 +100,8 @@ class _Reference:
 
 
 @cache
-def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
-    degree = OF_FLUX if at_facets else OF_LOAD
+def _reference(cell: basix.CellType, of_load: int, *, at_facets: bool) -> _Reference:
+    degree = max(OF_FLUX, of_load) if at_facets else of_load
     element = basix.create_element(
         basix.ElementFamily.RT, cell, degree + 1, basix.LagrangeVariant.legendre, basix.DPCVariant.unset
     )
@@ -115,10 +120,11 @@ def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
         flux = element.tabulate(0, x[0] + on_facet @ edges)[0] @ normal
         facet_basis = orthonormal(facet_type(dim), degree).tabulate(0, on_facet)[0][:, :, 0]
         conditions.append(area * facet_basis.T @ (facet_weights[:, None] * flux))
-    of_load = orthonormal(cell, OF_LOAD).dim
-    wanted = [at_facets & (np.arange(len(rows)) > 0) for rows in conditions]
-    wanted[0][1:of_load] = True
-    wanted[0][of_load:] = False
+    numbers = [orthonormal(cell, of_load).dim, *[orthonormal(facet_type(dim), OF_FLUX).dim * at_facets] * (dim + 1)]
+    wanted = [
+        (np.arange(len(rows)) > 0) & (np.arange(len(rows)) < number)
+        for rows, number in zip(conditions, numbers, strict=True)
+    ]
     matrix = np.concatenate(conditions)
     _, values_of, right = np.linalg.svd(matrix)
     free = right[np.count_nonzero(values_of > SINGULAR * values_of[0]) :]
@@ -127,9 +133,7 @@ def _reference(cell: basix.CellType, *, at_facets: bool) -> _Reference:
     return _Reference(np.einsum("q,aqi,bqj->ijab", weights, fluxes, fluxes), len(answers))
 
 
-def _local_norms(
-    reference: _Reference, metric: CellMetric, cells: npt.NDArray[np.intp] | slice, moments: Array
-) -> Array:
+def _local_norms(reference: _Reference, metric: CellMetric, cells: npt.NDArray[np.intp], moments: Array) -> Array:
     """Smallest ‖κ_h^-½ τ‖ on some cells, for moments of shape (cells, moments) on the reference cell."""
     jacobian = metric.jacobian[cells]
     dim, number = jacobian.shape[1], moments.shape[1]
@@ -178,27 +182,43 @@ def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None
     """
     dim, number = metric.jacobian.shape[1], len(metric.volume)
     determinant = math.factorial(dim) * metric.volume
-    norms, rest, within = np.zeros(number), np.zeros(number), np.zeros((number, dim))
+    within, after, higher = np.zeros((number, dim)), np.zeros(number), np.zeros(number)
     if load is not None:
         within = -determinant[:, None] * load.coefficients
-        rest += metric.diameter / np.pi * np.sqrt(determinant * load.rest)
-        reference = _reference(cell, at_facets=False)
-        for first in range(0, number, AT_ONCE):
-            cells = slice(first, first + AT_ONCE)
-            norms[cells] = _local_norms(reference, metric, cells, within[cells])
-    at_facets = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *(each.points.cells for each in on_facets)]))
-    reference = _reference(cell, at_facets=True)
-    moments = np.zeros((len(at_facets), reference.moments))
-    moments[:, :dim] = within[at_facets]
+        after = metric.diameter / np.pi * np.sqrt(determinant * load.rest)
+        squares = (load.coefficients[:, dim:] ** 2).sum(axis=1)
+        higher = metric.diameter / np.pi * np.sqrt(determinant * (load.rest + squares)) - after
+    of_facets = np.zeros((number, (dim + 1) * (orthonormal(facet_type(dim), OF_FLUX).dim - 1)))
     for each in on_facets:
-        points = each.points
-        scale = points.scale
+        points, scale = each.points, each.points.scale
         projection = projected(each.values, facet_type(dim), OF_FLUX, points.points, points.weights)
         of_facet = projection.coefficients.shape[1]
-        columns = dim + of_facet * points.local[:, None] + np.arange(of_facet)
-        moments[np.searchsorted(at_facets, points.cells)[:, None], columns] = scale[:, None] * projection.coefficients
+        columns = of_facet * points.local[:, None] + np.arange(of_facet)
+        of_facets[points.cells[:, None], columns] = scale[:, None] * projection.coefficients
         constant = facet_constants(metric, points.cells, scale / math.factorial(dim - 1))
-        rest += points.per_cell(constant * (np.sqrt(scale * projection.rest) + each.missed), number)
-    for some in np.array_split(np.arange(len(at_facets)), len(at_facets) // AT_ONCE + 1):
-        norms[at_facets[some]] = _local_norms(reference, metric, at_facets[some], moments[some])
-    return (norms + rest) / np.sqrt(metric.low)
+        after = after + points.per_cell(constant * (np.sqrt(scale * projection.rest) + each.missed), number)
+    loaded = np.isin(np.arange(number), [cell for each in on_facets for cell in np.unique(each.points.cells)])
+    norms, better = np.zeros((2, number))
+    if load is not None:
+        _add_norms(norms, cell, metric, ~loaded, within[:, :dim])
+    _add_norms(norms, cell, metric, loaded, within[:, :dim], of_facets)
+    norms += higher
+    rough = higher > WORTH * (norms + after)
+    _add_norms(better, cell, metric, rough & ~loaded, within)
+    _add_norms(better, cell, metric, rough & loaded, within, of_facets)
+    norms[rough] = np.minimum(norms, better)[rough]
+    return (norms + after) / np.sqrt(metric.low)
+
+
+def _add_norms(
+    norms: Array, cell: basix.CellType, metric: CellMetric, chosen: Mask, within: Array, of_facets: Array | None = None
+) -> None:
+    """Add the smallest ‖κ_h^-½ τ‖ on chosen cells, by moments of loads in the cells and on their facets."""
+    dim, cells = metric.jacobian.shape[1], np.flatnonzero(chosen)
+    if len(cells) == 0:
+        return
+    degree = OF_LOAD if within.shape[1] == dim else HIGH[dim]
+    reference = _reference(cell, degree, at_facets=of_facets is not None)
+    moments = within if of_facets is None else np.hstack([within, of_facets])
+    for some in np.array_split(cells, len(cells) * reference.products.shape[-1] ** 2 // AT_ONCE + 1):
+        norms[some] += _local_norms(reference, metric, some, moments[some])

@@ -30,6 +30,7 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
+    HIGH,
     OF_FLUX,
     OF_LOAD,
     FacetLoad,
@@ -169,7 +170,9 @@ def _remembered(
     return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
 
 
-def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> tuple[Projection, Array]:
+def _projected(
+    spaces: Spaces, load: Callable[[CellPoints], Array], degree: int, of_load: int = OF_LOAD
+) -> tuple[Projection, Array]:
     """A load on the owned cells less its means, and these; the quadrature is for squares of `degree` (collective)."""
     cell = spaces.mesh.basix_cell()
     points, weights = positive_quadrature(cell, degree)
@@ -177,7 +180,7 @@ def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int)
     for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), points, weights):
         values = load(some)
         means.append(some.means(values))
-        parts.append(projected(values - means[-1][:, None], cell, OF_LOAD, points, weights))
+        parts.append(projected(values - means[-1][:, None], cell, of_load, points, weights))
     names = ("coefficients", "rest")
     return Projection(*(np.concatenate([getattr(part, name) for part in parts]) for name in names)), np.concatenate(
         means
@@ -190,10 +193,12 @@ def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution
         return None
     cell, f_h = spaces.mesh.basix_cell(), data.means_of_f
     degree = quadrature_degree(data.f, power=2)
-    load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree)
+    enclosed = resolution.encloses("f", data.f)
+    of_load = OF_LOAD if enclosed else HIGH[spaces.mesh.topology.dim]
+    load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree, of_load)
     load.coefficients[takes_f], load.rest[takes_f] = 0.0, 0.0
     cells = owned_cells(spaces.mesh)[~takes_f]
-    if not resolution.encloses("f", data.f):
+    if not enclosed:
         return load
     p = quadratic_of(resolution.vertices, f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell)))
     volume = 1 / math.factorial(metric.jacobian.shape[1])
