@@ -17,6 +17,7 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.contact.history import OnStep, Step
+from signorini_fenicsx.physics.diffusion.water import PASSES
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.solved import Solved
 
@@ -125,6 +126,7 @@ def interval(quantity: Quantity) -> str:
     place = ", in" if quantity.lower <= quantity.value <= quantity.upper else " of the discrete solution, outside of"
     words = f"{quantity.value:.8g}{place} [{below(quantity.lower, 8)}, {above(quantity.upper, 8)}]"
     words += f" for {quantity.of}" if quantity.of else ""
+    words += f"; {100 * quantity.above_table:.3g} % of it {PASSES}" if quantity.above_table else ""
     return words if quantity.guaranteed else f"{words}; not guaranteed: {quantity.reason}"
 
 

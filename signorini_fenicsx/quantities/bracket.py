@@ -65,6 +65,7 @@ class Quantity:
         guaranteed: Whether both are proved: all data are enclosed and resolved.
         reason: Why they are not; empty if they are.
         of: Of which solution it is a quantity, in words; empty if it is that of the problem itself.
+        above_table: Of a discharge of groundwater the share that passes where the pressure is negative, else None.
         shares: What each owned cell adds to the length of the interval; None where there is none.
     """
 
@@ -74,6 +75,7 @@ class Quantity:
     guaranteed: bool
     reason: str = ""
     of: str = ""
+    above_table: float | None = None
     shares: Array | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -105,7 +107,7 @@ class Quantity:
 
     def summary(self) -> dict[str, float | bool | str]:
         """The quantity ready for JSON; an interval of another problem is guaranteed only with the name of that one."""
-        entries = {key: value for key, value in vars(self).items() if key not in ("shares", "of")}
+        entries = {key: value for key, value in vars(self).items() if key not in ("shares", "of") and value is not None}
         if not self.of:
             return entries
         return entries | {"guaranteed": False} | ({"guaranteed_for": self.of} if self.guaranteed else {})

@@ -32,6 +32,7 @@ from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
 from signorini_fenicsx.physics.diffusion.bound.near_quadratic import NearQuadratic
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
+from signorini_fenicsx.physics.diffusion.water import share_above_table
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import SHARE, Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
@@ -163,7 +164,7 @@ class Fluxes(_Beside):
 
     def interval(self) -> Quantity:
         """The interval (collective)."""
-        quantity = super().interval()
+        quantity = replace(super().interval(), above_table=share_above_table(self.solution, self.kind.parts))
         if math.isfinite(quantity.width) and self.by_quadrature:
             return replace(quantity, guaranteed=False, reason=quantity.reason or self.by_quadrature)
         return quantity

@@ -1,10 +1,12 @@
 """Values of quantities are those of the discrete solution; intervals of a problem and of its mirror are the same."""
 
+from dataclasses import replace
+
 import pytest
 import ufl
 from mpi4py import MPI
 
-from signorini_fenicsx import Corners, Diffusion, Dirichlet, Neumann, Seepage, Signorini, solve
+from signorini_fenicsx import Corners, Diffusion, Dirichlet, Neumann, River, Seepage, Signorini, solve
 from signorini_fenicsx.cli.solution_report import interval
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.solution import flux_through
@@ -39,6 +41,28 @@ def test_a_value_beside_its_interval_is_told():
     within, beside = Quantity(0.5, 0.0, 1.0, guaranteed=True), Quantity(-0.5, 0.0, 1.0, guaranteed=True)
     assert interval(within) == "0.5, in [0.0000000e+00, 1.0000000e+00]"
     assert interval(beside).startswith("-0.5 of the discrete solution, outside of [0.0")
+
+
+@pytest.mark.parallel([1, 3])
+def test_discharge_above_the_water_table():
+    """Half of what flows through a square passes cells above the table, on its way in and out; others say nothing."""
+    domain = build_domain(COMM, "square", 1.001 * 2**0.5 / 4, mesh="structured")
+    river = River("right", r=1, level=0.45, bed=-1)
+    solution = solve(domain, Diffusion(f=0, u_D=0.5, conditions=[river, Neumann(["top", "bottom"])]))
+    assert solution.water["right"] == pytest.approx({"inflow": -0.025, "above_table": 0.5}, abs=1e-9)
+    assert "through 'right' 0.025 flow out, 50 % of it passes where" in " ".join(solution.notes())
+    for part in ("left", "right"):
+        found = solution.quantity(Flux(part))
+        assert found.above_table == pytest.approx(0.5, abs=1e-9)
+        assert "50 % of it passes where the pressure is negative" in interval(found)
+    wet = solve(domain, Diffusion(f=0, u_D=2, conditions=[replace(river, level=1.5), Neumann(["top", "bottom"])]))
+    assert wet.water["right"]["above_table"] == 0
+    assert not wet.notes()
+    dry = solve(domain, Diffusion(f=0, u_D=-1, conditions=[Seepage("right", rain=-0.1), Neumann(["top", "bottom"])]))
+    assert dry.water["right"]["above_table"] == pytest.approx(1, abs=1e-9)  # of a pressure head
+    other = solve(domain, Diffusion(f=0, u_D=0.5, conditions=[Signorini("right"), Neumann(["top", "bottom"])]))
+    assert other.quantity(Flux("right")).above_table is None
+    assert "above_table" not in other.quantity(Flux("right")).summary()
 
 
 def test_laws_and_their_mirrors():

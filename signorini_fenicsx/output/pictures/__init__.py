@@ -118,6 +118,8 @@ def caption(solution: Solved, fields: Fields, certificate: Certificate | None) -
     if solution.method.has_eps:
         words.append(rf"$\varepsilon = {style.power(solution.options.eps)}$")
     words.append(fields.count)
+    if share := max((about["above_table"] for about in getattr(solution, "water", {}).values()), default=0.0):
+        words.append(f"{100 * share:.3g} % of the discharge at negative pressure")
     if certificate is not None and math.isfinite(certificate.bound):
         share = rf" ({100 * certificate.relative:.3g} % of $\|\sigma_h\|$)" if certificate.smaller_than_flux else ""
         words += style.bound_in_words(certificate, rf"${style.power(certificate.bound)}${share}")

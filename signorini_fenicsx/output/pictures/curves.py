@@ -114,7 +114,9 @@ def draw_quantities(path: Path, rows: Sequence[Mapping[str, Any]], title: str) -
         bounded = np.isfinite(lower) & np.isfinite(upper)
         axes.fill_between(times, lower, upper, where=bounded, color=style.CONTACT, alpha=0.3, linewidth=0)
         axes.plot(times, value, color=style.CONTACT, marker="." if len(times) <= FEW else "")
-        axes.set(xlabel="$t$", title=name)
+        share = rows[-1].get(f"{QUANTITY}{name}.above_table", 0.0)
+        passes = f", in the end {100 * share:.3g} % of it at negative pressure" if share else ""
+        axes.set(xlabel="$t$", title=name + passes)
     sheet.legend_below([])
     sheet.save(path)
 

@@ -35,6 +35,7 @@ from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_erro
 from signorini_fenicsx.physics.diffusion.notes import notes_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.water import discharges, in_words
 from signorini_fenicsx.solving.solved import InContact, Solved
 
 SAME = 1e-9
@@ -357,12 +358,18 @@ class Solution(Solved):
 
     def notes(self) -> list[str]:
         """See `Solved.notes`."""
-        return [*notes_of(self.spaces, self.data), *super().notes()]
+        return [*notes_of(self.spaces, self.data), *super().notes(), *in_words(self.water)]
+
+    @cached_property
+    def water(self) -> dict[str, dict[str, float]]:
+        """What flows in through parts with laws of groundwater, see `discharges` (collective when first used)."""
+        return discharges(self)
 
     def _particular(self) -> dict[str, Any]:
         own = self.outcome.own_residual
         return {
             **({} if own is None else {"own_residual": own}),
             **({"eps": self.options.eps, "violation": self.violation()} if self.method.has_eps else {}),
+            **({"water": self.water} if self.water else {}),
             "details": self.outcome.details,
         }
