@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # One large run on a cluster: sbatch --ntasks=64 scripts/slurm_solve.sh example2 --h 2^-10
-# A run that was cut off leaves nothing; start a finer one from a coarser one's result with --start-from.
+# Slurm ends a run at its time limit by SIGTERM: its last state is then in <output>.failed, for --start-from. A run that is
+# killed while it solves leaves nothing but, in time, its complete steps, for --restart.
 #SBATCH --job-name=signorini
 #SBATCH --ntasks=16
 #SBATCH --cpus-per-task=1

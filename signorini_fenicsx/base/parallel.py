@@ -20,6 +20,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.progress import doing
+from signorini_fenicsx.base.text import printable_lines
 
 FORWARDING = 0.5
 """Seconds in which mpirun can forward the last message of a rank; it loses the message when the rank aborts at once."""
@@ -142,7 +143,7 @@ def abort_all_on_exception(comm: MPI.Comm) -> None:
 def end_all(comm: MPI.Comm, last_words: str, status: int = 1) -> NoReturn:
     """Print the last words and end all ranks, whatever the others are doing (called by one rank)."""
     if sys.__stderr__ is not None:  # sys.stderr may be silenced on this rank
-        sys.__stderr__.write(last_words)
+        sys.__stderr__.write(printable_lines(last_words))
         sys.__stderr__.flush()
     if comm.size > 1:
         time.sleep(FORWARDING)

@@ -28,4 +28,4 @@ def text_of(path: Path | str, *, at: int | None = None) -> str:
         text = file.read(MAX_BYTES + 1)
     if len(text) > MAX_BYTES:
         raise OSError(errno.EFBIG, f"has more than {MAX_BYTES} bytes", str(path))
-    return text.decode("utf-8")
+    return text.decode("utf-8-sig")  # some editors begin a file with a byte order mark

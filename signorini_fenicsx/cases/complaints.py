@@ -1,9 +1,12 @@
 """Errors that pydantic finds in a file, in one sentence with key and reason."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import get_args
 
 from pydantic import BaseModel, ValidationError
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 
 
@@ -27,7 +30,9 @@ def complaint(error: ValidationError, root: type[BaseModel], section: str = "", 
     match first["type"]:
         case "extra_forbidden":
             keys = _known_keys(root, sections[len(above) :], last)
-            return f"unknown key '{last}'{owner}; known are {keys}"
+            others = [name for name in root.model_fields if not owner and last in _section(root, name).model_fields]
+            hint = f"; '{last}' is a key of [{others[0]}]" if others else ""
+            return f"unknown key '{last}'{owner}; known are {keys}{hint}"
         case "missing":
             return f"missing {'key' if owner else 'section or key'} '{last}'{owner}"
         case "model_type" | "model_attributes_type":
@@ -56,15 +61,32 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+@contextlib.contextmanager
+def naming(case: str) -> Iterator[None]:
+    """Name the case in messages about its keys that only what solves it can find."""
+    try:
+        yield
+    except InputError as error:
+        words = str(error)
+        if words.startswith(("[", "h = ")):
+            error.args = (f"case {case}: {'' if words[0] == '[' else '[solve] '}{words}",)
+        raise
+
+
 def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
     for section in sections:
         if section.isdigit():  # which one of a list of sections
             continue
-        annotation = model.model_fields[section].annotation
-        kinds = (annotation, *get_args(annotation))  # a section that may be left out is a union with None
-        model = next(kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel))
+        model = _section(model, section)
     keys = keys_of(model)
     return ", ".join(keys) + did_you_mean(wrong, keys)
+
+
+def _section(model: type[BaseModel], name: str) -> type[BaseModel]:
+    """The model of a section of a file; one without keys for what is none."""
+    annotation = model.model_fields[name].annotation
+    kinds = (annotation, *get_args(annotation))  # a section that may be left out is a union with None
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), BaseModel)
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:

@@ -38,7 +38,7 @@ class Parts(Section):
         repeated = sorted(part for part, times in Counter(self.listed()).items() if times > 1)
         if repeated:
             places = dict.fromkeys(key for key, parts in self.named.items() if repeated[0] in parts and key != "inner")
-            raise ValueError(f"'{repeated[0]}' is listed twice: in {' and in '.join(places)}")
+            raise ValueError(f"'{repeated[0]}' is listed twice: in {' and in '.join([*places][:2])}")
 
     def check(self, known: list[str], where: str, inside: Collection[str] = ()) -> None:
         """Make sure that the named parts exist and, if parts of Γ_D are listed, that every part is named.

@@ -11,6 +11,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.complaints import naming
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -54,25 +55,19 @@ def solve_case(
     check_kind("case", case, CaseFile, hint="; load_case reads one")
     refuse_time(case)
     watch = Stopwatch()
-    with watch.phase("mesh"):
+    with watch.phase("mesh"), naming(case.name):
         place = domain or mesh_case(case, comm)
     mesh = place.spaces.domain if isinstance(place, Solver) else place
     remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh))
-    with watch.phase("assembly"):
+    with watch.phase("assembly"), naming(case.name):
         posed = case.posed(mesh.mesh.geometry.dim)
         check_quantities_of(case, mesh)
     solved = place.solve if isinstance(place, Solver) else partial(solve, place)
-    return solved(
-        posed,
-        options_of(case, tuning),
-        start=start,
-        remesh=remesh,
-        name=case.name,
-        title=case.title,
-        source=case,
-        watch=watch,
-        on_step=on_step,
-    )
+    about: dict[str, Any] = {"name": case.name, "title": case.title, "source": case}
+    with naming(case.name):
+        return solved(
+            posed, options_of(case, tuning), start=start, remesh=remesh, **about, watch=watch, on_step=on_step
+        )
 
 
 def _remade(case: CaseFile, present: Domain, factor: float) -> Domain:
@@ -100,8 +95,14 @@ def check_quantities_of(case: CaseFile, domain: Domain) -> None:
 @collector_off()
 def quantities_of(solution: Solved) -> dict[str, Quantity]:
     """The intervals for the quantities of the case of a solution, by their names (collective)."""
-    listed = solution.source.quantity if isinstance(solution.source, CaseFile) else []
-    return {each.name: solution.quantity(each.made()) for each in listed}
+    found = {}
+    for each in solution.source.quantity if isinstance(solution.source, CaseFile) else []:
+        try:
+            found[each.name] = solution.quantity(each.made())
+        except InputError as error:
+            error.args = (f"[[quantity]] {each.name}: {error}",)
+            raise
+    return found
 
 
 @collector_off()
@@ -123,8 +124,9 @@ def evolve_case(
     """
     if case.time is None:
         raise InputError(f"{case.name}: has no [time]")
-    place = domain or mesh_case(case, comm)
-    check_quantities_of(case, place)
+    with naming(case.name):
+        place = domain or mesh_case(case, comm)
+        check_quantities_of(case, place)
     return evolve(
         place,
         case.posed(place.mesh.geometry.dim),
@@ -175,8 +177,10 @@ def adapt_case(
     def solve_on(domain: Domain, start: Solved | None) -> Any:
         return solve_case(case, domain=domain, start=start, on_step=on_step)
 
+    with naming(case.name):
+        first = mesh_case(case, comm)
     return adapt(
-        mesh_case(case, comm),
+        first,
         solve_on,
         target=target,
         max_cells=max_cells,

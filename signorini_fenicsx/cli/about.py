@@ -55,12 +55,14 @@ def check(
       signorini check dam --set 'boundary.signorini=["face", "top"]'
     """
     from signorini_fenicsx.cases import inspection
+    from signorini_fenicsx.cases.complaints import naming
     from signorini_fenicsx.cli.case_report import CaseReport
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet)
     problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
     report.heading(problem, comm)
-    report.checked(problem, inspection.check(problem, comm))
+    with naming(problem.name):
+        report.checked(problem, inspection.check(problem, comm))
 
 
 def cases(

@@ -183,7 +183,7 @@ def _go_on(
         else:
             shorter = f"--set time.steps={done} --set time.end={case.time.evolution().time(done)!r}"
             ways = f"; `--restart` goes on after the {done} steps in {steps.path}; with `{shorter}` it ends with them"
-        error.args = (f"step {done + 1}, t = {t:.5g}: {error}{ways}",)
+        error.args = (f"case {case.name}, step {done + 1}, t = {t:.5g}: {error}{ways}",)
         raise
     assert last is not None
     return last, quantities

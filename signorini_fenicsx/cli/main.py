@@ -34,6 +34,7 @@ from signorini_fenicsx.base.parallel import (
     refuse_lone_copies,
 )
 from signorini_fenicsx.base.signals import Interruption, listen_again, listening, outlive_readers
+from signorini_fenicsx.base.text import printable
 from signorini_fenicsx.cli.app import app
 
 LOCAL = "--local-options"
@@ -86,7 +87,7 @@ def _end_others(comm: MPI.Comm, interruption: Interruption) -> None:
 def _complain(kind: str, message: str) -> None:
     console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"{kind}:", style="bold red", end=" ")
-    words, (first, last) = " ".join(message.split()), MAX_WORDS
+    words, (first, last) = printable(" ".join(message.split())), MAX_WORDS
     console.print(words if len(words) <= first + last else f"{words[:first]} … {words[-last:]}", markup=False)
 
 
@@ -111,6 +112,9 @@ def main() -> None:
 
     def run() -> None:
         refuse_lone_copies(comm)
+        for word in sys.argv:
+            if not word.isascii() and word != word.encode(errors="replace").decode():
+                raise InputError(f"'{word}': is not in UTF-8, which all names and texts have to be")
         if local:
             on_root(comm, local_options.check)
         else:

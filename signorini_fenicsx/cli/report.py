@@ -9,7 +9,7 @@ from mpi4py import MPI
 from rich.console import Console
 
 from signorini_fenicsx.base import progress
-from signorini_fenicsx.base.text import json_text
+from signorini_fenicsx.base.text import json_text, printable_lines
 from signorini_fenicsx.cli.live import Live
 
 
@@ -41,7 +41,7 @@ class Report:
     def title(self, text: str) -> None:
         """Print a title."""
         with self._live.above():
-            self.console.print(text, style="bold", markup=False)
+            self.console.print(printable_lines(text), style="bold", markup=False)
 
     def line(self, text: str) -> None:
         """Print a line."""
@@ -62,7 +62,7 @@ class Report:
 
     def _print(self, text: str) -> None:
         with self._live.above():
-            self.console.print(text, markup=False)
+            self.console.print(printable_lines(text), markup=False)
 
     def entry(self, name: str, text: str, *, width: int = 10) -> None:
         """Print a name, in a column of this width, and a text."""

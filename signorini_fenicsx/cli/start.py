@@ -25,6 +25,7 @@ def main() -> None:
     if os.path.expanduser("~") == "~":
         sys.stderr.write("error: HOME is not set, and the system knows no home of this user; set HOME to a folder\n")
         sys.exit(EXIT_BAD_INPUT)
+    os.environ.pop("MPLBACKEND", None)  # no window is opened, and Matplotlib refuses some of its values
     from mpi4py import MPI
 
     if MPI.COMM_WORLD.size > 1:

@@ -7,7 +7,9 @@ from typing import Any, Self
 
 from mpi4py import MPI
 from rich.live import Live
+from rich.text import Text
 
+from signorini_fenicsx.base.text import printable_lines
 from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.studies.folder import Record, Status, StudyFolder
 from signorini_fenicsx.studies.study import Run, Study
@@ -132,10 +134,10 @@ class Progress:
             return ""
         return f"  about {(time.perf_counter() - self._began) * left / new:.0f} s left"
 
-    def _view(self) -> str:
+    def _view(self) -> Text:
         states = [self._folder.status(run) for run in self._runs]
         ended = [run.name for run, state in zip(self._runs, states, strict=True) if state in ENDED]
         running = [run for run, state in zip(self._runs, states, strict=True) if state is Status.RUNNING]
         failed = f", {states.count(Status.FAILED)} of them failed" if Status.FAILED in states else ""
         head = f"{len(ended)}/{len(self._runs)}{failed}{self._left(ended)}"
-        return "\n".join([head, *(f"  running {in_words(run, self._keys)}" for run in running)])
+        return Text(printable_lines("\n".join([head, *(f"  running {in_words(run, self._keys)}" for run in running)])))

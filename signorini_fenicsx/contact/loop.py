@@ -132,7 +132,7 @@ def iterate_sets[I: Pairs](
             except LinearSolveFailure as failure:
                 return end(str(failure), converged=False)
             if rule.clip is not None and safeguard.clips:
-                iterate, clipped = _clipped(backend, iterate, rule.clip(conditions.kind, iterate.flux))
+                iterate, clipped = _clipped(backend, iterate, rule.clipped(conditions.kind, iterate.flux))
         solved_with = conditions
         change = (0.0, 0.0) if iterate is before else backend.change(iterate, before)
         before = iterate

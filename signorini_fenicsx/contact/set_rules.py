@@ -17,10 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty
 
@@ -55,19 +57,38 @@ class SetRule:
         return law.beside_reference(steep=self.start == self.contact)
 
     def following(self, law: Chains, p: Array, flux: Array, rho: float, present: Present | None = None) -> Indices:
-        """The next segment of each site by the rule, from p and σ·n per site (Step 2)."""
+        """The next segment of each site by the rule, from p and σ·n per site (Step 2).
+
+        Raises:
+            InputError: If the rule of a user gives something else than a condition for each site.
+        """
         segment = np.zeros(len(p), dtype=np.int64)
         for corner in range(law.corners):
             trace, excess = p - law.p[:, corner], flux - law.flux[:, corner]
             if present is None:
-                segment += self.rule(trace, excess, rho) != self.contact
+                segment += self._leaves(trace, excess, rho)
                 continue
             tied = (np.abs(trace) <= present.trace) & (np.abs(excess) <= present.flux)
-            passed = self.rule(np.where(tied, 0.0, trace), np.where(tied, 0.0, excess), rho) != self.contact
+            passed = self._leaves(np.where(tied, 0.0, trace), np.where(tied, 0.0, excess), rho)
             segment += passed if present.segment is None else np.where(tied, present.segment > corner, passed)
         if present is None or present.segment is None:
             return segment
         return law.towards(present.segment, segment)
+
+    def _leaves(self, p: Array, flux: Array, rho: float) -> Mask:
+        """The sites that are not in contact by the rule."""
+        return (
+            per_site("rule", self.rule(p, flux, rho), p, "iu", "whole numbers, the Condition of each") != self.contact
+        )
+
+    def clipped(self, kind: Kinds, flux: Array) -> Mask:
+        """The sites where σ·n is set to 0 (Step 3), by a rule with a clip.
+
+        Raises:
+            InputError: If the clip of a user gives something else.
+        """
+        assert self.clip is not None
+        return per_site("clip", self.clip(kind, flux), flux, "b", "truth values, whether σ·n is set to 0")
 
 
 @dataclass(frozen=True)
@@ -84,6 +105,18 @@ class Present:
     segment: Indices | None
     trace: Array | float = 0.0
     flux: Array | float = 0.0
+
+
+def per_site(name: str, given: object, sites: Array, kinds: str, right: str) -> Any:
+    """What a function of a user gives for sites.
+
+    Raises:
+        InputError: If it is no array of one of these kinds of NumPy with a row for each site.
+    """
+    if isinstance(given, np.ndarray) and given.shape == sites.shape and given.dtype.kind in kinds:
+        return given
+    what = f"{given.dtype} of shape {given.shape}" if isinstance(given, np.ndarray) else type(given).__name__
+    raise InputError(f"{name}: must return an array of {right}, shape {sites.shape}; it returns {what}")
 
 
 def _either(where: Mask, kind: Condition, other: Condition) -> Kinds:

@@ -100,10 +100,8 @@ class Quantity:
         return replace(self, lower=min(ends), upper=max(ends))
 
     def columns(self, name: str) -> dict[str, float | bool | str]:
-        """All of it for a row of a table, whose columns are the same for each quantity."""
-        summary = self.summary()
-        summary.setdefault("guaranteed_for", "")
-        return {f"{QUANTITY}{name}.{key}": value for key, value in summary.items()}
+        """All of it for a row of a table."""
+        return {f"{QUANTITY}{name}.{key}": value for key, value in self.summary().items()}
 
     def summary(self) -> dict[str, float | bool | str]:
         """The quantity ready for JSON; an interval of another problem is guaranteed only with the name of that one."""

@@ -8,6 +8,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.extras import EXTRAS
 
+MANY = "law=[" + 200 * '{kind="seepage", parts=["top"]}, ' + "]"
 BAD_INPUT = [
     (["solve", "example7"], "unknown case 'example7'"),
     (["solve", "missing.toml"], "no such file"),
@@ -18,6 +19,13 @@ BAD_INPUT = [
     (["solve", "example1", "--h", "nan"], "not a number"),
     (["solve", "example1", "--h", "5"], "larger than the domain"),
     (["solve", "example1", "--h", "1e-6"], "asks for about"),
+    (["solve", "example1", "--h", "1e-5"], "case example1: [solve] h = 1e-05 asks for"),
+    (["solve", "example1", "--set", "problem.kappa=-1"], "case example1: [problem] kappa: must be positive"),
+    (["check", "example1", "--set", "problem.kappa=-1"], "case example1: [problem] kappa: must be positive"),
+    (["solve", "example1", "--set", "max_iterations=3"], "'max_iterations' is a key of [solve]"),
+    (["solve", "example1", "--output", "\udcff"], "'\\udcff': is not in UTF-8"),
+    (["solve", "example1", "--set", 'boundary.signorini=["\\u001b"]'], "unknown part '\\x1b'"),
+    (["check", "example1", "--set", "boundary.signorini=[]", "--set", MANY], "law.0.parts and in law.1.parts"),
     (["solve", "example1", "--rho", "0"], "greater than 0"),
     (["solve", "example1", "--algorithm", "vi", "--rho", "2"], "--rho: vi has no such option; alg1"),
     (["solve", "example1", "--eps", "1e-3"], "--eps: alg1 has no such option; alg3"),
@@ -127,6 +135,21 @@ def test_bad_input(tmp_path: Path, arguments: list[str], message: str):
     assert message in words
     assert len(words) < 1200
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_files_with_a_byte_order_mark_and_control_characters(tmp_path: Path):
+    """Some editors begin a file with a mark; what a title does to a terminal is shown, not done."""
+    text = 'title = "a\\u001b[31mb\\u0007"\n[geometry]\nshape = "square"\n[problem]\nf = 1\n'
+    text += '[boundary]\nsignorini = ["top"]\n'
+    (tmp_path / "a.toml").write_text(text, encoding="utf-8-sig")
+    done = signorini(tmp_path, "check", "a.toml", "--h", "1/2")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(r"a\x1b[31mb\x07")
+    (tmp_path / "s.toml").write_text('case = "a.toml"\ntitle = "\\u001b"\n[vary]\nh = ["1/2"]', encoding="utf-8-sig")
+    done = signorini(tmp_path, "study", "s.toml", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(r"\x1b")
+    assert "\x1b" not in done.stdout
 
 
 @pytest.mark.parametrize("option", list(EXTRAS))

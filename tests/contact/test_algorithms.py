@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.set_rules import (
     ALGORITHM_1,
@@ -85,3 +87,22 @@ def test_clean_leaves_no_noise():
     p, flux = conditions.clean(np.array([2.0, 1e-17]), np.array([-1e-17, 3.0]), 1.0)
     np.testing.assert_array_equal(p, [2.0, 0.0])
     np.testing.assert_array_equal(flux, [0.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (None, "it returns NoneType"),
+        ([0, 1, 1, 0, 0], "it returns list"),
+        (np.zeros(3, dtype=np.int8), r"shape \(5,\); it returns int8 of shape \(3,\)"),
+        (np.zeros((5, 1), dtype=np.int8), r"it returns int8 of shape \(5, 1\)"),
+        (np.zeros(5), "it returns float64"),
+    ],
+)
+def test_a_rule_that_gives_something_else(given: object, told: str):
+    """A rule or a clip of a user is refused in a sentence if it gives no condition, or truth value, for each site."""
+    mine = SetRule(start=NO_FLUX, rule=lambda p, flux, rho: given, clip=lambda kind, flux: given)
+    with pytest.raises(InputError, match=f"rule: must return an array of whole numbers, .*{told}"):
+        mine.following(Chains.at_corner(len(P)), P, FLUX, 1.0)
+    with pytest.raises(InputError, match=f"clip: must return an array of truth values, .*{told}"):
+        mine.clipped(np.zeros(5, dtype=np.int8), FLUX)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.mathtext import MathTextParser
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.text import printable
+from signorini_fenicsx.base.text import printable_lines
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certificate import Certificate
 
@@ -75,7 +75,7 @@ def readable(text: str) -> str:
 
     Texts of users are among those of pictures, so none of them may fail.
     """
-    return "\n".join("".join(map(_piece, DOLLARS.split(printable(line)))) for line in text.split("\n"))
+    return "\n".join("".join(map(_piece, DOLLARS.split(line))) for line in printable_lines(text).split("\n"))
 
 
 @cache

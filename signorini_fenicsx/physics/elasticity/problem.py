@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
@@ -343,8 +344,7 @@ class ElasticProblem:
         if any(isinstance(law, Law) and law.region for law in self.laws):
             raise InputError("laws: those of an elastic body hold on parts, not in regions")
         parts = [part for law in self.laws for part in law.parts]
-        twice = [part for part in parts if parts.count(part) > 1]
-        if twice:
+        if twice := [part for part, times in Counter(parts).items() if times > 1]:
             raise InputError(f"laws: part '{twice[0]}' has two laws")
 
     def in_time(self, dim: int) -> ElasticProblem:
