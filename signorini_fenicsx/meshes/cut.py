@@ -135,6 +135,12 @@ def opened(mesh: FileMesh, inner: Sequence[str], sides: Mapping[str, Side]) -> F
     return replace(mesh, points=done.points, cells=done.cells, parts=parts, together=np.concatenate(pairs))
 
 
+def along_last_axis(mesh: FileMesh, name: str) -> bool:
+    """Whether facets of a part are along the last coordinate axis, so that this is no direction to a side of it."""
+    corners = mesh.points[mesh.parts[name]]
+    return bool((np.abs(unit_normals(corners[:, 1:] - corners[:, :1])[:, -1]) < PARALLEL).any())
+
+
 def _is_second(mesh: FileMesh, name: str, side: Side, facets: Indices, cells: Indices) -> Mask:
     """Whether the second of the two cells of each facet is on the named side.
 

@@ -74,6 +74,7 @@ class Domain:
         made: How the mesh was made, in words.
         coarser: The mesh of which this one is a uniform refinement, with all cells on the rank of their parents, if
             there is one.
+        unsided: The parts inside the domain of which a condition has to name the side, as the last coordinate does not.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -86,6 +87,7 @@ class Domain:
     is_shape: bool = False
     made: str = "given"
     coarser: "Domain | None" = None
+    unsided: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuse a mesh far from 0 whose cells are too small for its coordinates (collective).

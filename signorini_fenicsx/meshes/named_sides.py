@@ -37,8 +37,8 @@ def oriented(domain: Domain, sides: Mapping[str, Side]) -> Domain:
         facets[part], facets[other_side(part)] = (
             np.sort(np.where(wrong, *pair)).astype(np.int32) for pair in ((across, named), (named, across))
         )
-        changed |= domain.mesh.comm.allreduce(bool(wrong.any()), MPI.LOR)
-    return replace(domain, facets=facets) if changed else domain
+        changed |= domain.mesh.comm.allreduce(bool(wrong.any()), MPI.LOR) or part in domain.unsided
+    return replace(domain, facets=facets, unsided=domain.unsided - sides.keys()) if changed else domain
 
 
 def _is_across(domain: Domain, part: str, side: Side, pair: Sequence[npt.NDArray[np.int32]]) -> Mask:

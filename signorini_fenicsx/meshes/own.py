@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import dolfinx.mesh
 import numpy as np
@@ -13,7 +14,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, sums_at
 from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
-from signorini_fenicsx.meshes.cut import opened
+from signorini_fenicsx.meshes.cut import along_last_axis, opened
 from signorini_fenicsx.meshes.domain import (
     AXES,
     Domain,
@@ -52,11 +53,10 @@ def domain_of(
         regions: Cells for each name of a region, for κ by region.
         name: Name of the domain.
         inner: Names of the parts inside the domain. The named side of each, out of which n points, is where the last
-            coordinate is larger, if its condition has no `side`.
+            coordinate is larger, if its condition has no `side`. It has to have one where facets are along that axis.
 
     Raises:
-        InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function; if
-            facets of `inner` are along the last coordinate axis.
+        InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function.
     """
     check_kind("mesh", mesh, dolfinx.mesh.Mesh)
     check_kind("parts", parts, Mapping, hint='; an example is {"bottom": facets}')
@@ -78,12 +78,14 @@ def domain_of(
     if inner:
         whole, cut = _gathered(mesh, facets, cells), list[FileMesh]()
 
-        def open_them() -> None:
+        def open_them() -> frozenset[str]:
             assert whole is not None
-            cut.append(opened(whole, inner, {}))
+            unsided = [part for part in inner if part in whole.parts and along_last_axis(whole, part)]
+            cut.append(opened(whole, inner, dict.fromkeys(unsided, tuple(np.sqrt(np.arange(2.0, dim + 2))))))
+            return frozenset(unsided)
 
-        on_root(mesh.comm, open_them)
-        return handed_out(mesh.comm, cut[0] if cut else None, name)
+        unsided = on_root(mesh.comm, open_them)
+        return replace(handed_out(mesh.comm, cut[0] if cut else None, name), unsided=unsided)
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
     box = bounding_box(mesh.geometry.x, mesh.comm)
     curvature = OWN_CURVATURE / float((box[1] - box[0]).max())

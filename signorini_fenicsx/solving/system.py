@@ -151,7 +151,13 @@ def with_sides(domain: Domain, problem: Any) -> Domain:
         InputError: If a part is not inside the domain, or a side is not clear.
     """
     conditions = getattr(problem, "conditions", ())
-    return oriented(domain, {part: each.side for each in conditions if each.side is not None for part in each.parts})
+    named = oriented(domain, {part: each.side for each in conditions if each.side is not None for part in each.parts})
+    for part in sorted(named.unsided):
+        raise InputError(
+            f"side: facets of '{part}' are along the last coordinate axis, so a larger coordinate names no side of it; "
+            "give its condition a side, a region or a direction"
+        )
+    return named
 
 
 def _problems() -> str:

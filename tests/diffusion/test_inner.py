@@ -3,12 +3,14 @@
 import math
 from pathlib import Path
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 from exact import energy_error
 from mpi4py import MPI
 from random_bounds import difference
 
+from signorini_fenicsx import Diffusion, Signorini
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import Case, load_case
@@ -19,10 +21,11 @@ from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.cut import Side, opened
 from signorini_fenicsx.meshes.domain import Boundary, other_side
 from signorini_fenicsx.meshes.grids import Share, tetrahedron_grid, triangle_grid
+from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.solving.solver import Solver
+from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
 
@@ -54,6 +57,26 @@ def test_exact_solutions(name: str, h: float | None):
             one, two = (getattr(solution, key).x.array for solution in (other, coarse))
             size = np.abs(getattr(coarse, "u" if key == "p" else key).x.array).max()
             np.testing.assert_allclose(one, two, rtol=0, atol=tolerance * size, err_msg=algorithm)
+
+
+@pytest.mark.parallel([1, 2])
+def test_a_part_along_the_last_axis():
+    """Its condition names the side, as the larger coordinate cannot: the solution is that of the part turned round."""
+    norms = []
+    for axis, names in ((0, "xy"), (1, "yx")):
+        mesh = dolfinx.mesh.create_unit_square(COMM, 8, 8, diagonal=dolfinx.mesh.DiagonalType.crossed)
+
+        def slit(x: np.ndarray, axis: int = axis) -> np.ndarray:
+            return np.isclose(x[axis], 0.5) & (np.abs(x[1 - axis] - 0.5) < 0.3)
+
+        domain, load = domain_of(mesh, {"slit": slit}, inner=["slit"]), f"10*({names[0]} - 0.6)*{names[1]}"
+        if axis == 0:
+            with pytest.raises(InputError, match="'slit' are along the last coordinate axis, so a larger coordinate"):
+                solve(domain, Diffusion(f=load, conditions=[Signorini("slit", side=None)]))
+        side = tuple(float(axis == k) for k in range(2))
+        norms.append(solve(domain, Diffusion(f=load, conditions=[Signorini("slit", side=side)])).norms())
+    assert norms[0] == pytest.approx(norms[1], rel=1e-9)
+    assert norms[0]["p_L2"] > 0
 
 
 @pytest.mark.parallel([1, 3])
