@@ -24,7 +24,7 @@ from fuzzing.runner import Runner, begin_again, import_everything, numbered
 
 KINDS = (
     *("case", "law", "elastic", "option", "expression", "mesh", "geo", "checkpoint", "study"),
-    *("forged", "config", "far", "pulse", "early", "unjoined"),
+    *("forged", "config", "far", "pulse", "early", "unjoined", "drawn"),
 )
 
 
@@ -93,7 +93,7 @@ class Fuzz:
             if not keep:
                 shutil.rmtree(root)
 
-        self.runner.start(broken.words, root, done)
+        self.runner.start(broken.words, root, done, homeless=broken.homeless)
 
     def _show(self, name: str, about: str, words: list[str], verdict: Verdict) -> None:
         command = shlex.join(["signorini", *words])[:200]

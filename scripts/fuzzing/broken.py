@@ -70,6 +70,7 @@ class Broken:
         at_least: Whether `flux` is a lower bound.
         contact: The measure of contact; None if it is not known.
         forged: Beginnings of the names of what is no file of the user, although it was there before.
+        homeless: Whether HOME is not set.
     """
 
     words: list[str]
@@ -82,6 +83,7 @@ class Broken:
     at_least: bool = False
     contact: float | None = None
     forged: tuple[str, ...] = ()
+    homeless: bool = False
 
 
 @dataclass(frozen=True)

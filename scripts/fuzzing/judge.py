@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fuzzing.broken import OUTPUT, Broken
+from signorini_fenicsx.base.errors import EXIT_LATER
 
 ENDINGS = {0: "solved", 1: "failed", 2: "refused"}
 CRASHES = re.compile(
@@ -94,7 +95,11 @@ def judged(broken: Broken, ending: Ending, before: Files, after: Files, root: Pa
         verdict.details.append(detail)
 
     code = os.waitstatus_to_exitcode(ending.status)
-    if code in (1, 2) and "traceback" not in verdict.bad and not _is_a_sentence(ending.said, code):
+    if (
+        code in (1, 2, EXIT_LATER)
+        and not {"traceback", "status"} & verdict.bad
+        and not _is_a_sentence(ending.said, code)
+    ):
         blame("wordy", f"said {ending.said[:300]!r}")
     if code == 0 and ending.said.strip() and "--" not in broken.words:
         blame("wordy", f"solved, and said {ending.said[:300]!r}")
@@ -108,7 +113,7 @@ def judged(broken: Broken, ending: Ending, before: Files, after: Files, root: Pa
     solves = broken.words[0] in ("solve", "adapt", "export") and OUTPUT in broken.words
     if code == 0 and solves and not _has_solved(root / "work" / OUTPUT):
         blame("untrue", "status 0 without a solution that can be trusted")
-    if broken.solved and code in (1, 2):
+    if broken.solved and code in (1, 2, EXIT_LATER):
         blame("untrue", f"not solved: {ending.said[:300]!r}")
     if code == 0 and "untrue" not in verdict.bad:
         for untruth in _untruths(broken, root / "work" / OUTPUT):
@@ -123,10 +128,10 @@ def _of_process(ending: Ending) -> Verdict:
     elif code < 0 or "Caught signal number" in ending.said:  # PETSc catches them and ends with its own status
         name = signal.Signals(-code).name if code < 0 else "caught by PETSc"
         verdict = Verdict("signal", {"signal"}, [f"signal {name}"])
-    elif code not in ENDINGS:
+    elif code not in ENDINGS and not (code == EXIT_LATER and "; the solution is in " in ending.said):
         verdict = Verdict("status", {"status"}, [f"exit status {code}"])
     else:
-        verdict = Verdict(ENDINGS[code])
+        verdict = Verdict(ENDINGS.get(code, "solved, but not complete"))
     crash = CRASHES.search(ending.said)
     if crash is not None:
         verdict.bad.add("traceback")
@@ -156,7 +161,7 @@ def _files(broken: Broken, code: int, before: Files, after: Files) -> tuple[list
     if code not in ENDINGS:  # after a crash there may be a file that it was writing
         outside = [name for name in outside if not name.startswith(f"work/.{OUTPUT}.")]
     changed = [name for name, of in before.items() if after.get(name) != of and not name.startswith(broken.forged)]
-    replaced = code == 0 or broken.words[0] == "study"
+    replaced = code in (0, EXIT_LATER) or broken.words[0] == "study"
     lost = [name for name in changed if not (replaced and name.startswith(out + "/") and _is_result(name, out))]
     return outside, lost
 

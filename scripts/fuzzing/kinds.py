@@ -7,6 +7,7 @@ from broken_input import msh_text, square_msh
 from fuzzing.broken import Generator, Valid
 from fuzzing.cases import case_file
 from fuzzing.checkpoints import checkpoint
+from fuzzing.drawn import drawn
 from fuzzing.elastic import few_facets
 from fuzzing.expressions import expression
 from fuzzing.geometries import geometry
@@ -37,6 +38,7 @@ GENERATORS: dict[str, Generator] = {
     "pulse": pulses,
     "early": ends_early,
     "unjoined": unjoined,
+    "drawn": drawn,
 }
 
 

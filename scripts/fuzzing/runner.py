@@ -90,20 +90,21 @@ class Runner:
         self._ranks = ranks
         self._running: dict[int, Process] = {}
 
-    def start(self, words: list[str], root: Path, done: Callable[[Ending], None]) -> None:
+    def start(self, words: list[str], root: Path, done: Callable[[Ending], None], *, homeless: bool = False) -> None:
         """Start the program in `root/work`, as soon as the number of processes allows it.
 
         Args:
             words: Its arguments.
             root: Folder with the folders `work`, `home` and `tmp`, and the file `said` for the output.
             done: Called with its ending.
+            homeless: Whether HOME is not set.
         """
         while len(self._running) >= self._jobs:
             self._wait()
         sys.stdout.flush()
         process = os.fork()
         if process == 0:
-            _become(words, root, self._ranks)
+            _become(words, root, self._ranks, homeless=homeless)
         self._running[process] = Process(root, done, time.monotonic() + WALL_SECONDS)
 
     def finish(self) -> None:
@@ -135,11 +136,13 @@ def _end_all(group: int) -> bool:
     return True
 
 
-def _become(words: list[str], root: Path, ranks: int) -> None:
+def _become(words: list[str], root: Path, ranks: int, *, homeless: bool) -> None:
     """Become the program in a new process, and end like a program, so that errors at the end are seen too."""
     os.setsid()
     os.chdir(root / "work")
     os.environ |= {"HOME": str(root / "home"), "TMPDIR": str(root / "tmp")}
+    if homeless:
+        del os.environ["HOME"]
     said = [os.open(root / "said" / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC) for name in ("stdout", "stderr")]
     for number, file in enumerate([os.open(os.devnull, os.O_RDONLY), *said]):
         os.dup2(file, number)

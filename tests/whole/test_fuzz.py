@@ -41,6 +41,7 @@ def ended(status: int, said: str = "", *, late: bool = False, orphans: bool = Fa
         (ended(2 << 8, "error: no", orphans=True), {"orphan"}),
         (ended(2 << 8, "error: no", memory=1e10), {"memory"}),
         (ended(3 << 8, "what?"), {"status"}),
+        (ended(3 << 8, "failed: fields: no; the solution is in out\n"), set()),
         (ended(11), {"signal"}),
         (ended(0), {"untrue"}),
     ],

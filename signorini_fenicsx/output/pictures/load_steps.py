@@ -84,7 +84,7 @@ def _contact(scene: Scene, tables: Sequence[ContactTable], times: Sequence[float
             slip = np.array([table.slip[mine] for table in tables])
             values["slip $u_t$"] = np.where(together, slip, np.nan)
         ends = along[together.any(axis=0)] if together.any() else along
-        room = 0.1 * np.ptp(ends)
+        room = 0.1 * (np.ptp(ends) or np.ptp(along))  # one vertex may touch
         limits = max(along.min(), ends.min() - room), min(along.max(), ends.max() + room)
         for column, (word, over_time) in enumerate(values.items()):
             axes = sheet.panel(row, column, aspect=2.8 / 2.4 if rubs else 1.5)
