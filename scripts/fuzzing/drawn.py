@@ -21,9 +21,9 @@ TEXTS = (
         "$\\frac{1$",
         "#x",
     ),
-    *("$" + 400 * "{" + "$", 300 * "x", 90 * "long, ", "\u202eabc"),
+    *("$" + 400 * "{" + "$", 300 * "x", 90 * "long, "),
 )
-CONTROLS = ("\x1b[31m", "a\nb$\nc$", "\t", "\x00")
+CONTROLS = ("\x1b[31m", "a\nb$\nc$", "\t", "\x00", "\u202eabc")
 """These are no names of parts in a file of Gmsh."""
 
 
