@@ -73,7 +73,7 @@ def certified(solution: Solved, module: str, certify: Callable[[Any], Certificat
         return _none(solution)
     with watch.phase("certificate"), holding(solution):
         certificate = certify(of_physics)
-        names = lost_digits(solution.spaces, solution.data) if certificate.guaranteed else ()
+        names = lost_digits(solution) if certificate.guaranteed else ()
     if names:
         about = {key: value for key, value in certificate.about.items() if key != "guaranteed_for"}
         certificate = replace(certificate, guaranteed=False, by_quadrature=names, lacking=LOST, about=about)

@@ -94,7 +94,7 @@ def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
     _check(solution, v)
     with holding(solution):
         bound: FieldBound = of_physics.field_bound(solution, v)
-    if bound.guaranteed and (names := lost_digits(solution.spaces, solution.data)):
+    if bound.guaranteed and (names := lost_digits(solution)):
         return replace(bound, guaranteed=False, reason=f"{', '.join(names)} {LOST}")
     return bound
 

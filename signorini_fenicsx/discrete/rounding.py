@@ -17,28 +17,30 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.expressions import TREES, Tree, interval, values
 from signorini_fenicsx.expressions.intervals import enclosing
 
 LOST = "loses more than a billionth of its size by rounding where its text is evaluated"
 SHARE = 1e-9
-"""Rounding is small below this share of the largest value, of levels of u below that of the extent of the values."""
+"""Rounding is small below this share of the largest value, of levels of u below that of the extent of the values; and
+below this share of the extent of u_h, or of what a load has to be to make σ_h."""
 LEVELS = ("u_D", "psi", "gap", "obstacle")
 """Beginnings of names of data to which a number may be added without a change of the energy."""
+LOADS = ("f", "g_N", "q_S")
 PLACES = 0.0, 0.1, 0.2
 """Points of each cell: from its middle by these shares towards a vertex. The least rounding of them counts, as a point
 may be on a jump."""
 
 
-def lost_digits(spaces: MeshSpaces, data: Any) -> tuple[str, ...]:
-    """The names of the texts that lose too many digits in some cell (collective).
-
-    Args:
-        spaces: The spaces.
-        data: The data of a problem: a dataclass with `Datum`s somewhere in it.
-    """
+def lost_digits(solution: Any) -> tuple[str, ...]:
+    """The names of the texts in the data of a solution that lose too many digits in some cell (collective)."""
+    spaces, data, u, flux = solution.spaces, solution.data, solution.u.x.array, solution.norms()["sigma_L2"]
     vertices, comm, names = corners(spaces.mesh), spaces.mesh.comm, dict[str, None]()
+    of_u = np.array([u.max(initial=-np.inf), -u.min(initial=np.inf)])
+    comm.Allreduce(MPI.IN_PLACE, of_u, MPI.MAX)
+    volume = comm.allreduce(float(spaces.cell_measures.sum()))
+    density = flux / volume**0.5
+    per_length = density / volume ** (1 / spaces.mesh.geometry.dim)
     middle = vertices.mean(axis=1)
     x = np.stack([middle + share * (vertices[:, 0] - middle) for share in PLACES], axis=1)
     for name, datum in _texts(data, "", set()):
@@ -49,7 +51,10 @@ def lost_digits(spaces: MeshSpaces, data: Any) -> tuple[str, ...]:
                 comm.Allreduce(MPI.IN_PLACE, of_rank, MPI.MAX)
                 lost, highest, lowest = of_rank.tolist()
                 is_level = name.startswith(LEVELS) and highest + lowest > 0
-                if lost > SHARE * (highest + lowest if is_level else max(highest, lowest)):
+                size = highest + lowest if is_level else max(highest, lowest)
+                beside = of_u.sum() if name.startswith(LEVELS) else 0.0
+                beside = min(density, per_length) if name.startswith(LOADS) else beside
+                if lost > SHARE * max(size, beside):
                     names[name] = None
     return tuple(names)
 
