@@ -278,3 +278,17 @@ def test_thousands_of_contacts(algorithm: str):
     order = np.argsort(solution.spaces.Lambda.tabulate_dof_coordinates()[: len(contact), 0])
     assert np.count_nonzero(np.diff(contact[order].astype(int)) == 1) > 0.45 * n
     assert len(solution.outcome.history) <= 6
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("backend", ["hybrid", "mixed"])
+def test_a_bound_far_below_where_kappa_is_large(backend: str):
+    """κ up to 5e8 makes the rounding of u − ψ a flux; a ψ that u does not touch changes nothing."""
+    case = problem(f="3", u_D="0", backend=backend).with_values({"problem.kappa": "exp(20*x)"})
+    domain = square(COMM, 8, "left")
+    solution, near = (solve_case(case.with_values({"problem.psi": psi}), domain=domain) for psi in ("-1", "-0.005"))
+    assert solution.contact.facets == 0
+    assert solution.kkt.stationarity < 1e-9
+    assert solution.norms()["sigma_L2"] == pytest.approx(near.norms()["sigma_L2"], rel=1e-9)
+    facets = solution.p.x.array[: len(solution.spaces.facets)]
+    assert facets == pytest.approx(near.p.x.array[: len(facets)], abs=1e-12)

@@ -1,9 +1,12 @@
 """First problems of engineers: at rest, held by friction alone, slow sets, flat cells."""
 
+from pathlib import Path
+
 import dolfinx.mesh
 import numpy as np
 import pytest
 from mpi4py import MPI
+from random_first_problems import ending, problem
 
 from signorini_fenicsx import (
     Contact,
@@ -86,3 +89,11 @@ def test_a_flat_cell():
     below = Contact("bottom")
     conditions = [below, Dirichlet("left", ["0", "0", "0"]), Neumann("rest", ["0", "0", "-1"])]
     assert solve(domain, Elasticity(7e4, 0.3, conditions=conditions)).kkt.tractions < 1e-8
+
+
+@pytest.mark.parametrize(
+    "seed", [1, 3, 56, 312, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(5, 56))]
+)
+def test_random_first_problem(seed: int, tmp_path: Path):
+    """A few seeds of `scripts/random_first_problems.py`, by default options: solved, or it is said why not."""
+    assert ending(problem(seed, tmp_path)) in (["no solution"] if seed == 56 else ["solved", "no solution"])

@@ -199,6 +199,13 @@ class Data:
             inside=self.inside and self.inside.less(constant),
         )
 
+    def with_bound(self, spaces: Spaces, psi_h: Array) -> Data:
+        """The data with other means of ψ on the facets of Γ_S (collective)."""
+        u_lift = self.u_lift.copy()
+        u_lift.x.array[cells_and_dofs(u_lift.function_space, spaces.facets)[1]] = psi_h
+        u_lift.x.scatter_forward()
+        return replace(self, psi_h=psi_h, u_lift=u_lift)
+
 
 def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -> Data:
     """Take means over cells and facets, by quadrature of the degree that `quadrature_degree` gives (collective).

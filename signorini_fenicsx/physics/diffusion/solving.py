@@ -7,12 +7,17 @@ from functools import partial
 from typing import Any
 from weakref import ref
 
+import numpy as np
+from mpi4py import MPI
+
 from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Backend, Iterate, Renewable
+from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import LAWS
 from signorini_fenicsx.contact.residuals import Residuals
@@ -36,6 +41,9 @@ from signorini_fenicsx.physics.diffusion.task import DiffusionTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Remesh, Wish, check_start
+
+FARTHER = 10.0
+"""A ψ so many times as far below u as u is large is replaced by a nearer one, if digits of u are lost otherwise."""
 
 
 class System:
@@ -133,7 +141,7 @@ class System:
         return backend
 
 
-@dataclass(frozen=True)
+@dataclass
 class DiffusionRun:
     """A problem on its mesh, ready to be solved.
 
@@ -145,6 +153,7 @@ class DiffusionRun:
         data: The data on the mesh.
         constant: What is taken from u.
         system: What it was prepared by.
+        trace: u − constant on Γ_S where u − ψ has too few digits of it; None if it has not.
     """
 
     task: DiffusionTask
@@ -154,18 +163,50 @@ class DiffusionRun:
     data: Data
     constant: float
     system: System
+    trace: Array | None = None
 
     def remarks(self) -> list[str]:
         """Data that jump and should not, in words (collective)."""
         return notes_of(self.task.spaces, self.data)
 
     def outcome(self) -> Outcome:
-        """Run the method; if it is interrupted, return its last state (collective)."""
+        """Run the method; if it is interrupted, return its last state (collective).
+
+        Where ψ is so far below u that too few digits of u are left in u − ψ, it runs again with a nearer one, and is
+        left as it is if u touches that.
+        """
         try:
             with self.task.watch.phase("solve"):
-                return self.options.method.run(self.task)
+                outcome = self.options.method.run(self.task)
+                if not outcome.converged or self.options.method.rule is None:
+                    return outcome
+                kkt = outcome.kkt or self.task.kkt(outcome.iterate, self.options.method.penalty)
+                nearer = self._nearer(outcome) if kkt.violation() else None
+                if nearer is None:
+                    return replace(outcome, kkt=kkt)
+                task = replace(self.task, data=nearer)
+                again = self.options.method.run(task)
+                touched = (nearer.psi_h != self.task.data.psi_h) & (again.conditions.kind != Condition.NO_FLUX)
+                if not again.converged or task.spaces.mesh.comm.allreduce(int(touched.sum())) > 0:
+                    return replace(outcome, kkt=kkt)
+                self.trace = again.iterate.p + nearer.psi_h
+                as_given = replace(again.iterate, p=self.trace - self.task.data.psi_h)
+                kkt = again.kkt or task.kkt(again.iterate, self.options.method.penalty)
+                return replace(again, iterate=as_given, kkt=kkt)
         except LoopInterruption as interruption:
             return Outcome.interrupted(interruption, self.options.backend_name)
+
+    def _nearer(self, outcome: Outcome) -> Data | None:
+        """The data with a ψ that is nearer to u where it is far below, and open; None if it is nowhere (collective).
+
+        Signorini's conditions hold there with both: what matters is that u is above ψ, and that the flux is q_S.
+        """
+        spaces, data, p = self.task.spaces, self.task.data, outcome.iterate.p
+        reach = spaces.mesh.comm.allreduce(float(np.abs(outcome.iterate.u.x.array).max(initial=0.0)), MPI.MAX)
+        far = (outcome.conditions.kind == Condition.NO_FLUX) & (p > FARTHER * reach)
+        if not data.chains.plain or spaces.mesh.comm.allreduce(int(far.sum())) == 0:
+            return None
+        return data.with_bound(spaces, np.where(far, data.psi_h + p - reach, data.psi_h))
 
     def judged(self, outcome: Outcome) -> tuple[Outcome, Residuals]:
         """Judge an outcome by its own residual if it has one, else by its KKT residuals (collective)."""
@@ -180,7 +221,9 @@ class DiffusionRun:
 
     def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> Solution:
         """The solution (collective)."""
-        spaces = self.task.spaces
+        spaces, trace = self.task.spaces, outcome.iterate.p + self.data.psi_h
+        if self.trace is not None:
+            trace = self.trace + self.data.psi_h - self.task.data.psi_h  # the latter is u − constant
         self.system.solved = ref(outcome), self.task.data
         return Solution(
             boundary=self.boundary,
@@ -188,7 +231,7 @@ class DiffusionRun:
             options=self.options,
             spaces=spaces,
             data=self.data,
-            p=spaces.multiplier(outcome.iterate.p + self.data.psi_h),
+            p=spaces.multiplier(trace),
             outcome=outcome,
             kkt=kkt,
             system=ref(self.system),
