@@ -70,10 +70,10 @@ LEGENDRE = "12870*x^8 - 51480*x^7 + 84084*x^6 - 72072*x^5 + 34650*x^4 - 9240*x^3
     [
         ({"f": LEGENDRE}, 1.3),  # was 2.3
         ({"f": "100*(2*x - 1)^15"}, 1.25),  # was 1.8
-        ({"f": 100, "c": "1 if x + y < 0.77 else 10"}, 1.9),  # was 3.3
-        ({"f": 100, "c": "1 if x < 0.43 else 100"}, 7.5),  # was 13.5
-        ({"f": 20, "kappa": TURNING}, 1.6),  # was 12
-        ({"f": 20, "kappa": "sqrt(x + 0.01)"}, 1.5),  # was 4
+        ({"f": 100, "c": "1 if x + y < 0.77 else 10"}, 1.9),
+        ({"f": 100, "c": "1 if x < 0.43 else 100"}, 7.5),
+        ({"f": 20, "kappa": TURNING}, 1.6),
+        ({"f": 20, "kappa": "sqrt(x + 0.01)"}, 1.5),
     ],
     ids=["legendre", "power", "small jump", "jump", "rotated", "root"],
 )
