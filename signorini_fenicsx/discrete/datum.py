@@ -239,6 +239,11 @@ class _OnParts(Datum):
         return [(last == number, datum) for number, (_, datum) in enumerate(self.parts)]
 
 
+def datum_by_cells(parts: list[tuple[Mask, Datum]]) -> Datum:
+    """A datum with a value in each of some sets of owned cells; each cell is in one of them."""
+    return _ByRegion(max((datum for _, datum in parts), key=lambda datum: datum.degree).ufl, parts)
+
+
 def datum_on_parts(spaces: MeshSpaces, name: str, given: Given | Mapping[str, Given]) -> Datum:
     """A datum on the boundary that may have a value on each part, and by "" one elsewhere (collective).
 

@@ -158,6 +158,26 @@ def test_bound_of_a_step():
     assert difference(one, other) < certify(one).sigma_bound < 1.5 * difference(one, other)
 
 
+@pytest.mark.parametrize(
+    ("capacity", "u_0"),
+    [
+        ({"corners": [[0, 0]], "before": 1, "beyond": 1}, "sin(40*x)"),
+        ({"corners": [[-0.5, -0.2], [0, 0], [0.1, 1]], "before": 0.5, "beyond": 2}, "sin(40*x)"),
+        ({"corners": [[0, 0], [0, 1]], "before": 1, "beyond": 1}, "sin(5*x)"),
+        ("0.1 + x", "sin(5*x)"),
+    ],
+)
+def test_the_start_within_cells_is_in_the_bound(capacity: dict[str, object] | str, u_0: str):
+    """The content of u_0 in each point, not that of its means."""
+    coarse = build_domain(COMM, "square", 0.3, mesh="structured")
+    fine = coarse
+    for _ in range(2):
+        fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
+    problem = Diffusion(f=1, conditions=[Neumann("top")])
+    one, other = (next(iter(evolve(domain, problem, Evolution(0.05, 1, u_0, capacity)))) for domain in (coarse, fine))
+    assert StepBounds().certify(one).sigma_bound > difference(one.solution, other.solution)
+
+
 def test_restart(tmp_path: Path):
     """A run that ends after step 3 goes on there: with the θ that was selected, so that all numbers are the same."""
     settings = ["solve", "thawing", "--h", "1/8", "--set", "time.steps=6", "--quiet"]

@@ -9,6 +9,7 @@ balance has selected, so that nothing is lost. At the start θ is the least valu
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl import Form
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.chains import Chains
@@ -27,11 +28,12 @@ from signorini_fenicsx.contact.laws import Corners, Storage
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
-from signorini_fenicsx.discrete.datum import Datum, regional_datum
+from signorini_fenicsx.discrete.datum import Datum, datum_by_cells, datum_of, regional_datum
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.seen import seen_in_cells
-from signorini_fenicsx.expressions import TREES, Binary, exactly
-from signorini_fenicsx.expressions.given import Given, at_time, is_fixed, parsed
+from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
+from signorini_fenicsx.expressions.given import Given, Rows, at_time, is_fixed, parsed
+from signorini_fenicsx.expressions.tree import Comparison, Conditional
 from signorini_fenicsx.physics.diffusion.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.data import cell_means
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -39,12 +41,15 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.evolution import Evolution, Past
 
+type Pieces = list[tuple[Tree | Rows, Mask | None]] | None
+
 
 class DiffusionSteps:
     """The problems of the steps on a mesh.
 
     Attributes:
         spaces: The discrete spaces.
+        given: C.
         capacity: Mean of C on each owned cell.
         initial: u_0.
         storage: The laws of θ with their cells, and their chains between u and −θ.
@@ -66,7 +71,8 @@ class DiffusionSteps:
             raise InputError("[time] scheme: a storage that jumps, as of melting, needs implicit-euler")
         try:
             capacity = parsed(_capacity(evolution, self._problem), "xyz"[:dim], "[time] capacity")
-            self.capacity = self._means("capacity", regional_datum(spaces, "capacity", capacity))
+            self.given = regional_datum(spaces, "capacity", capacity)
+            self.capacity = self._means("capacity", self.given)
             self.initial = regional_datum(spaces, "initial", parsed(evolution.initial, "xyz"[:dim], "[time] initial"))
         except InputError as error:
             raise InputError(str(error).replace("[problem]", "[time]")) from None
@@ -92,6 +98,25 @@ class DiffusionSteps:
         for part, chains in self.storage:
             least[part.rows] -= chains.ends_at(u[part.rows])[0]
         return self._content(u, least)
+
+    def start_given(self) -> Datum | None:
+        """W = Cu + θ for u_0 as a text in the points of each cell; None if u_0 is given in Python."""
+        pieces = _both(len(self.capacity), self.initial.pieces, self.given.pieces)
+        if pieces is None:
+            return None
+        contents = [(inside, u, Binary("*", c, u)) for inside, u, c in pieces]
+        for (_, law), (part, _) in zip(_storages(self._problem), self.storage, strict=True):
+            at_start, stores = law.with_data(lambda key, given: at_time(given, 0.0)), np.zeros(len(self.capacity), bool)
+            stores[part.rows] = True
+            contents = [
+                each
+                for inside, u, w in contents
+                for each in (
+                    (inside & ~stores, u, w),
+                    (inside & stores, u, Binary("+", w, _least_theta(at_start, u))),
+                )
+            ]
+        return datum_by_cells([(inside, datum_of(self.spaces, "initial", w)) for inside, _, w in contents])
 
     def _content(self, u: Array, theta: Array) -> fem.Function:
         return function_of(self.spaces.Q, self.capacity * u + theta, "content")
@@ -254,6 +279,45 @@ def _capacity(evolution: Evolution, problem: Problem) -> Given | Mapping[str, Gi
 def _storages(problem: Problem) -> Iterator[tuple[int, Storage]]:
     """The laws of storage with their numbers."""
     return ((i, law) for i, law in enumerate(problem.laws) if isinstance(law, Storage))
+
+
+def _both(number: int, u: Pieces, c: Pieces) -> list[tuple[Mask, Tree, Tree]] | None:
+    """The trees of two data with the cells, of so many, in which both hold; None if one has none."""
+    if u is None or c is None:
+        return None
+    everywhere = np.ones(number, dtype=bool)
+    pairs = ((one, other, a, b) for one, a in u for other, b in c)
+    return [
+        (everywhere & (True if a is None else a) & (True if b is None else b), one, other)
+        for one, other, a, b in pairs
+        if isinstance(one, TREES) and isinstance(other, TREES)
+    ]
+
+
+def _least_theta(law: Storage, u: Tree) -> Tree:
+    """The least θ that a graph allows for u."""
+
+    def line(corner: tuple[Given, Given], slope: Given) -> Tree:
+        level, theta = (_tree(each) for each in corner)
+        rise = Binary("*", _tree(0.0 if slope == VERTICAL else slope), Binary("-", u, level))
+        return Binary("+", theta, rise)
+
+    theta = line(law.corners[-1], law.beyond)
+    if len(law.corners) == 1 and law.before == law.beyond:
+        return theta
+    for one, other in itertools.pairwise(reversed(law.corners)):
+        if one[0] != other[0]:
+            width, height = (Binary("-", _tree(b), _tree(a)) for a, b in zip(other, one, strict=True))
+            theta = _up_to(u, one, line(other, Binary("/", height, width)), theta)
+    return _up_to(u, law.corners[0], line(law.corners[0], law.before), theta)
+
+
+def _up_to(u: Tree, corner: tuple[Given, Given], then: Tree, otherwise: Tree) -> Tree:
+    return Conditional(Comparison("<=", u, _tree(corner[0])), then, otherwise)
+
+
+def _tree(given: Given) -> Tree:
+    return given if isinstance(given, TREES) else exactly(float(given))  # type: ignore[arg-type]
 
 
 def _scaled(law: Storage, a: float) -> Corners:

@@ -47,6 +47,10 @@ from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 OF_MEMORY = 8
 """Degree of the square of a bubble, also in space."""
+DEGREE = 2
+"""Degree of the polynomials in the place of a capacity."""
+ROUNDING = 1e-12
+"""Means of this size, relative to the load itself, are rounding."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +59,15 @@ class Memory:
 
     Attributes:
         values: The load in points of cells, shape (cells, points).
-        initial: u_0, where it is a part of this load.
-        factor: By what this part is more than u_0, per owned cell.
+        missed: What it may have beside these values: a bound of its size per owned cell; None for nothing.
+        initial: The content at the start, where it is a part of this load.
+        factor: By what this part is more than that.
     """
 
     values: Callable[[CellPoints], Array]
+    missed: Array | None = None
     initial: Datum | None = None
-    factor: Array | None = None
+    factor: float = 0.0
 
 
 def load_oscillation(
@@ -147,12 +153,20 @@ def _remembered(
     spaces: Spaces, load_h: Array, metric: CellMetric, memory: Memory, resolution: Resolution
 ) -> Projection:
     """What a step takes from those before, without its means (collective)."""
-    if memory.initial is None or memory.factor is None:
-        return _projected(spaces, lambda points: memory.values(points) - load_h[points.rows, None], OF_MEMORY)[0]
-    u, factor, cell = memory.initial, memory.factor, spaces.mesh.basix_cell()
-    degree, number = max(OF_MEMORY, quadrature_degree(u, power=2)), len(factor)
+    u, cell, number = memory.initial, spaces.mesh.basix_cell(), len(load_h)
+    degree = OF_MEMORY if memory.missed is None else OF_MEMORY + 2 * DEGREE
+    volume = 1 / math.factorial(metric.jacobian.shape[1])
+
+    def less(points: CellPoints) -> Array:
+        return memory.values(points) - load_h[points.rows, None]
+
+    if u is None:
+        load, means = _projected(spaces, less, degree)
+        return load if memory.missed is None else _with(load, means, "capacity", memory.missed, metric, resolution)
+    degree = max(degree, quadrature_degree(u, power=2))
+    missed = np.zeros(number) if memory.missed is None else memory.missed
     if not resolution.encloses("initial", u):
-        return _projected(spaces, lambda points: memory.values(points) - load_h[points.rows, None], degree)[0]
+        return _with(*_projected(spaces, less, degree), "initial", missed, metric, resolution)
     nodes = np.concatenate(
         [u.values(some) for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), quadratic_nodes(cell))]
     )
@@ -161,12 +175,23 @@ def _remembered(
     def values(points: CellPoints) -> Array:
         rest = u.values(points) - p.of(points.cells).at(points.arms)[:, :, 0]
         norm[points.cells], mean[points.cells] = _moments(rest, points.weights / points.weights.sum())
-        return memory.values(points) - load_h[points.rows, None] - factor[points.cells, None] * rest
+        return less(points) - memory.factor * rest
 
     load, means = _projected(spaces, values, degree)
+    load = _with(load, means, "initial", missed, metric, resolution)
+    seen, factor = Seen(p, norm, mean), np.full(number, memory.factor)
+    rest = resolution.on_cells("initial", u, seen, metric, owned_cells(spaces.mesh), factor)
+    return replace(load, rest=(np.sqrt(load.rest) + rest * np.sqrt(volume)) ** 2)
+
+
+def _with(
+    load: Projection, means: Array, name: str, missed: Array, metric: CellMetric, resolution: Resolution
+) -> Projection:
+    """A load with means that are more than rounding, and with what may be missed of it, which are recorded."""
+    means = np.where(np.abs(means) > ROUNDING * np.sqrt(load.rest + (load.coefficients**2).sum(axis=1)), means, 0.0)
+    resolution.add_means(name, means, metric)
+    resolution.add_load(name, missed, metric)
     volume = 1 / math.factorial(metric.jacobian.shape[1])
-    resolution.add_means("initial", means, metric)
-    missed = resolution.on_cells("initial", u, Seen(p, norm, mean), metric, owned_cells(spaces.mesh), factor)
     return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
 
 

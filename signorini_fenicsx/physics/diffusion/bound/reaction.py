@@ -25,7 +25,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
-from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions import TREES, is_polynomial
 from signorini_fenicsx.expressions.enclosures import ranges
@@ -126,30 +126,43 @@ def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: A
 
     `size` is that of u on each cell.
     """
-    number, dim = len(metric.volume), metric.jacobian.shape[1]
-    deviation, *mean = np.zeros((3, number))
-    pieces = resolution.pieces("c", data.c)
+    pieces, nothing = resolution.pieces("c", data.c), np.zeros(len(metric.volume))
     if not pieces:
-        return None if data.c_h is None else _Coefficient(data.c.values, deviation, enclosing(deviation), deviation)
-    vertices, p = resolution.vertices, constant(np.zeros(number), dim)
-    length = resolution.volume ** (1 / dim)
-    tolerance = resolution.flux(metric) / (length * np.maximum(size, SMALLEST))
-    least = np.zeros(number)
+        return None if data.c_h is None else _Coefficient(data.c.values, nothing, enclosing(nothing), nothing)
+    vertices, least = resolution.vertices, nothing.copy()
+    p, deviation, mean = near_quadratics("c", data.c, metric, resolution, size)
     for tree, cells in pieces:
         assert isinstance(tree, TREES)
-        q = interpolated(tree, vertices[cells])
-        p.value[cells], p.gradient[cells], p.hessian[cells] = q.value, q.gradient, q.hessian
-        least[cells] = bernstein(q, vertices[cells]).min(axis=1)
+        least[cells] = bernstein(p.of(cells), vertices[cells]).min(axis=1)
         if not is_polynomial(tree, 2):
-            deviation[cells], (mean[0][cells], mean[1][cells]) = resolution.deviation(tree, q, cells, tolerance[cells])
             least[cells] = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, np.inf).lo
     below = np.flatnonzero(least < -ROUNDING * np.abs(p.value).max(initial=0.0))
     resolution.note("the sign of c", vertices[below].mean(axis=1), below)
     if not resolution.spaces.mesh.comm.allreduce(bool(p.value.any() or deviation.any()), MPI.LOR):
         return None
-    return _Coefficient(lambda points: _values(p, points), deviation, Interval(*mean), np.maximum(least, 0.0))
+    return _Coefficient(lambda points: at_points(p, points), deviation, mean, np.maximum(least, 0.0))
 
 
-def _values(p: Quadratic, points: CellPoints) -> Array:
+def near_quadratics(
+    name: str, datum: Datum, metric: CellMetric, resolution: Resolution, size: Array
+) -> tuple[Quadratic, Array, Interval]:
+    """Quadratics near a factor of u given as text; root mean square and mean of the rest per owned cell (collective).
+
+    `size` is that of u on each cell.
+    """
+    number, dim = len(metric.volume), metric.jacobian.shape[1]
+    vertices, p, (deviation, *mean) = resolution.vertices, constant(np.zeros(number), dim), np.zeros((3, number))
+    tolerance = resolution.flux(metric) / (resolution.volume ** (1 / dim) * np.maximum(size, SMALLEST))
+    for tree, cells in resolution.pieces(name, datum):
+        assert isinstance(tree, TREES)
+        q = interpolated(tree, vertices[cells])
+        p.value[cells], p.gradient[cells], p.hessian[cells] = q.value, q.gradient, q.hessian
+        if not is_polynomial(tree, 2):
+            deviation[cells], (mean[0][cells], mean[1][cells]) = resolution.deviation(tree, q, cells, tolerance[cells])
+    return p, deviation, Interval(*mean)
+
+
+def at_points(p: Quadratic, points: CellPoints) -> Array:
+    """Values of quadratics on the owned cells in points of some of them."""
     values: Array = p.of(points.cells).at(points.arms)[:, :, 0]
     return values

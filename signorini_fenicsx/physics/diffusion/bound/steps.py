@@ -4,14 +4,15 @@ A step solves an elliptic problem with the load f + C Σ_k w_k u_(n−k). The bo
 solution of this problem, with continuous functions for the computed u_(n−k): v of their own certificate, plus on each
 cell a bubble that gives it the mean u_(n−k) there. What the errors of earlier steps do to a step is not in its bound.
 With u_(n−k) itself, which jumps from cell to cell, the problem would be another one, and its bound about four times
-larger. For k = n it is u_0 as it is given. With a law of storage the content of the steps before is C times that plus
-a θ with the right means, which is linear on each cell, like the η of their certificates; at the start it is constant.
+larger. With a law of storage the content of the steps before is C times that plus a θ with the right means, which is
+linear on each cell, like the η of their certificates. For k = n it is the content of u_0 as it is given, in each point:
+Cu_0 and the least θ that u_0 allows. In the place of a C that varies are quadratics, and a bound of what they leave.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -19,13 +20,17 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import owned_cells, owned_values
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature
+from signorini_fenicsx.expressions.quadratics import constant
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
-from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, at_points
+from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection
+from signorini_fenicsx.physics.diffusion.bound.local_fields import at_points as of_projection
 from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory
+from signorini_fenicsx.physics.diffusion.bound.reaction import at_points, near_quadratics
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.evolving import Instant
@@ -57,6 +62,12 @@ class Continuous:
         mean_of_product = math.factorial(dim) / math.factorial(2 * dim + 1)
         return cls(v, (owned_values(solution.u) - means) / mean_of_product)
 
+    def largest(self) -> Array:
+        """Bounds of its size on the owned cells."""
+        nodes = self.v.x.array[cell_dofs(self.v.function_space)]
+        corners = self.v.function_space.mesh.topology.dim + 1
+        return np.asarray(np.abs(nodes).max(axis=1) + np.abs(self.bubble) / corners**corners)
+
     def __call__(self, points: CellPoints) -> Array:
         """Values of the datum in points."""
         product = points.barycentric.prod(axis=2)
@@ -64,58 +75,96 @@ class Continuous:
         return values
 
 
+@dataclass(frozen=True)
+class _Content:
+    """The content after a step.
+
+    Attributes:
+        values: It in points of cells, with a P2 function in the place of C.
+        missed: What this leaves of it, per owned cell; None if that is nothing.
+    """
+
+    values: InPoints
+    missed: Array | None = None
+
+
 class StepBounds:
     """Certificates of one step of diffusion after another, see the module."""
 
     def __init__(self) -> None:
         """Begin; then the first step is to be bounded."""
-        self._before: list[InPoints] = []
+        self._before: list[_Content] = []
+        self._start: Datum | None = None
 
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
         steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
         if instant.step == 1:
-            self._before = [_at_start(steps)]
-
-        before, weights = self._before, steps.weights(instant.step)
-
-        def values(points: CellPoints) -> Array:
-            return np.asarray(sum(weight * content(points) for weight, content in zip(weights, before, strict=False)))
-
+            self._start = steps.start_given()
+            self._before = [_Content(_at_start(steps, self._start))]
+        weights = steps.weights(instant.step)
         memory = None
-        if len(before) >= len(weights):
-            of_start = instant.step <= len(weights) and not steps.storage
-            memory = Memory(values, steps.initial, weights[-1] * steps.capacity) if of_start else Memory(values)
+        if len(self._before) >= len(weights):
+            memory = self._memory(weights, from_start=instant.step <= len(weights), initial=steps.initial)
         with np.errstate(all="ignore"):
             own = Admissible.of(solution, Goal.of(solution, for_signorini=False))
             parts = gap_parts(own, own, own.goal, memory)
         certificate = summed(own, parts)
-        self._before = [_content(instant, Continuous.of(solution, certificate.v), parts.of_laws), *before[:1]]
+        content = _content(instant, Continuous.of(solution, certificate.v), parts.of_laws, own)
+        self._before = [content, *self._before[:1]]
         return certificate
 
+    def _memory(self, weights: Sequence[float], *, from_start: bool, initial: Datum) -> Memory:
+        """What a step takes from those before."""
+        terms = list(zip(weights, self._before, strict=False))
 
-def _at_start(steps: DiffusionSteps) -> InPoints:
-    """The content at the start: of a storage its means."""
-    if not steps.storage:
-        return lambda points: steps.capacity[points.cells, None] * steps.initial.values(points)
-    start = owned_values(steps.start())
-    return lambda points: np.broadcast_to(start[points.cells, None], points.shape)
+        def values(points: CellPoints) -> Array:
+            return np.asarray(sum(weight * content.values(points) for weight, content in terms))
+
+        missed = [abs(weight) * content.missed for weight, content in terms if content.missed is not None]
+        left = np.asarray(sum(missed)) if missed else None
+        return Memory(values, left, self._start or initial, weights[-1]) if from_start else Memory(values, left)
 
 
-def _content(instant: Instant, u: InPoints, load: Projection | None) -> InPoints:
+def _at_start(steps: DiffusionSteps, given: Datum | None) -> InPoints:
+    """The content at the start; without a text of it C has its means, as have the data of θ."""
+    if given is not None:
+        return given.values
+
+    def content(points: CellPoints) -> Array:
+        u = steps.initial.values(points)
+        stored = steps.capacity[points.cells, None] * u
+        for part, chains in steps.storage:
+            of_cells = np.zeros((len(steps.capacity), points.shape[1]))
+            of_cells[points.cells] = u
+            theta = np.stack([-chains.ends_at(column)[0] for column in of_cells[part.rows].T], axis=1)
+            of_cells[:] = 0.0
+            of_cells[part.rows] = theta
+            stored += of_cells[points.cells]
+        return stored
+
+    return content
+
+
+def _content(instant: Instant, u: Continuous, load: Projection | None, own: Admissible) -> _Content:
     """The content after a step, with the means that the step has left and the load of its laws in Ω (collective)."""
     steps = cast(DiffusionSteps, instant.steps)
     theta, a = steps.theta(instant.solution), steps.rate(instant.step)
     stores = np.zeros(len(theta), dtype=bool)
     for part, _ in steps.storage:
         stores[part.rows] = True
+    capacity, missed = constant(steps.capacity, own.metric.jacobian.shape[1]), None
+    if steps.given.polynomial != 0:
+        largest = u.largest()
+        capacity, rest = near_quadratics("capacity", steps.given, own.metric, own.resolution, largest)
+        missed = rest * largest
 
     def content(points: CellPoints) -> Array:
         cells = points.cells
-        stored = steps.capacity[cells, None] * u(points) + theta[cells, None]
+        stored = at_points(capacity, points) * u(points) + theta[cells, None]
         if load is not None and steps.storage:
             of_cells = Projection(load.coefficients[cells] * stores[cells, None], load.rest[cells])
-            stored -= at_points(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
+            stored -= of_projection(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
         return stored
 
-    return content
+    return _Content(content, missed)
