@@ -42,6 +42,7 @@ API = (
     "indicator",
     "numbers",
     "oscillation",
+    "proved",
     "relative",
     "remainder",
     "sigma_bound",
@@ -74,7 +75,7 @@ class Certificate:
         remainder: Bound of ‖y − σ_h‖, which comes from the linear solver or a penalty, including rounding; in
             elasticity also what quadrature may have missed of linear parts of loads.
         relative: bound/‖σ_h‖.
-        guaranteed: Whether all data are enclosed and resolved, so that the bound is proved, for the solution `of`.
+        proved: Whether all data are enclosed and resolved, so that the bound is proved, for the solution `of`.
         by_quadrature: The data that are not enclosed: those given in Python, and loads without Γ_D.
         unresolved: Data that are not resolved, each with a place; the same on all ranks.
         coarse: Mask of the owned cells where data are not resolved.
@@ -93,7 +94,7 @@ class Certificate:
     oscillation: float
     remainder: float
     relative: float
-    guaranteed: bool
+    proved: bool
     by_quadrature: tuple[str, ...]
     unresolved: Places
     coarse: npt.NDArray[np.bool_]
@@ -119,6 +120,11 @@ class Certificate:
         unresolved = [{"data": name, "x": list(place)} for name, place in self.unresolved]
         lists = {"by_quadrature": list(self.by_quadrature), "unresolved": unresolved}
         return self.numbers() | {"guaranteed": self.guaranteed} | lists | dict(self.about)
+
+    @property
+    def guaranteed(self) -> bool:
+        """Whether the bound is proved for the solution of the problem, not only of one with its last friction bound."""
+        return self.proved and bool(self.about.get("guaranteed", True))
 
     @property
     def error(self) -> str:
@@ -205,7 +211,7 @@ class Gap:
             oscillation=float(np.sqrt(oscillation)),
             remainder=remainder,
             relative=float(bound / size) if size > 0 else (0.0 if bound == 0 else np.inf),
-            guaranteed=not if_none and not unresolved and not self.by_quadrature,
+            proved=not if_none and not unresolved and not self.by_quadrature,
             by_quadrature=self.by_quadrature,
             unresolved=unresolved,
             coarse=np.zeros(len(self.squares), dtype=bool) if self.coarse is None else self.coarse(),

@@ -73,10 +73,10 @@ def certified(solution: Solved, module: str, certify: Callable[[Any], Certificat
         return _none(solution)
     with watch.phase("certificate"), holding(solution):
         certificate = certify(of_physics)
-        names = lost_digits(solution) if certificate.guaranteed else ()
+        names = lost_digits(solution) if certificate.proved else ()
     if names:
         about = {key: value for key, value in certificate.about.items() if key != "guaranteed_for"}
-        certificate = replace(certificate, guaranteed=False, by_quadrature=names, lacking=LOST, about=about)
+        certificate = replace(certificate, proved=False, by_quadrature=names, lacking=LOST, about=about)
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
@@ -90,7 +90,7 @@ def _none(solution: Solved) -> Certificate:
         oscillation=infinite,
         remainder=infinite,
         relative=infinite,
-        guaranteed=False,
+        proved=False,
         by_quadrature=(),
         unresolved=(),
         coarse=np.zeros(len(spaces.cell_measures), dtype=bool),

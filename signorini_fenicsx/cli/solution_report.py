@@ -127,7 +127,7 @@ def interval(quantity: Quantity) -> str:
     words = f"{quantity.value:.8g}{place} [{below(quantity.lower, 8)}, {above(quantity.upper, 8)}]"
     words += f" for {quantity.of}" if quantity.of else ""
     words += f"; {100 * quantity.above_table:.3g} % of it {PASSES}" if quantity.above_table else ""
-    return words if quantity.guaranteed else f"{words}; not guaranteed: {quantity.reason}"
+    return words if quantity.proved else f"{words}; not guaranteed: {quantity.reason}"
 
 
 def bounds_in_words(certificate: Certificate) -> str:

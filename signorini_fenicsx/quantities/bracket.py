@@ -62,7 +62,7 @@ class Quantity:
         value: That of the discrete solution, which may be outside of the interval.
         lower: Lower bound.
         upper: Upper bound.
-        guaranteed: Whether both are proved: all data are enclosed and resolved.
+        proved: Whether both are proved, for the solution `of`: all data are enclosed and resolved.
         reason: Why they are not; empty if they are.
         of: Of which solution it is a quantity, in words; empty if it is that of the problem itself.
         above_table: Of a discharge of groundwater the share that passes where the pressure is negative, else None.
@@ -72,11 +72,16 @@ class Quantity:
     value: float
     lower: float
     upper: float
-    guaranteed: bool
+    proved: bool
     reason: str = ""
     of: str = ""
     above_table: float | None = None
     shares: Array | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def guaranteed(self) -> bool:
+        """Whether both are proved for the solution of the problem itself."""
+        return self.proved and not self.of
 
     @property
     def width(self) -> float:
@@ -105,10 +110,9 @@ class Quantity:
 
     def summary(self) -> dict[str, float | bool | str]:
         """The quantity ready for JSON; an interval of another problem is guaranteed only with the name of that one."""
-        entries = {key: value for key, value in vars(self).items() if key not in ("shares", "of") and value is not None}
-        if not self.of:
-            return entries
-        return entries | {"guaranteed": False} | ({"guaranteed_for": self.of} if self.guaranteed else {})
+        names = ("value", "lower", "upper", "guaranteed", "reason", "above_table")
+        entries = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return entries | ({"guaranteed_for": self.of} if self.proved and self.of else {})
 
 
 @dataclass(frozen=True)

@@ -166,7 +166,7 @@ class Fluxes(_Beside):
         """The interval (collective)."""
         quantity = replace(super().interval(), above_table=share_above_table(self.solution, self.kind.parts))
         if math.isfinite(quantity.width) and self.by_quadrature:
-            return replace(quantity, guaranteed=False, reason=quantity.reason or self.by_quadrature)
+            return replace(quantity, proved=False, reason=quantity.reason or self.by_quadrature)
         return quantity
 
     def half(self, of_v: Admissible, of_y: Admissible) -> Half:

@@ -63,8 +63,8 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
             of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
             interval = of(solution, kind).interval()
     interval = replace(interval, of=physics.named_for(solution))
-    if interval.guaranteed and (names := lost_digits(solution)):
-        return replace(interval, guaranteed=False, reason=f"{', '.join(names)} {LOST}")
+    if interval.proved and (names := lost_digits(solution)):
+        return replace(interval, proved=False, reason=f"{', '.join(names)} {LOST}")
     return interval
 
 

@@ -102,6 +102,6 @@ def shape_axes(axes: Axes, title: str, frame: Array) -> None:
 
 
 def bound_in_words(certificate: Certificate, value: str) -> list[str]:
-    """A bound for a caption: certified only if it is guaranteed, and to which solution the error is."""
-    words = f"certified {certificate.error}" if certificate.guaranteed else certificate.error
-    return [rf"{words} $\leq$ {value}", *([] if certificate.guaranteed else ["not guaranteed"])]
+    """A bound for a caption: certified only if it is proved, and to which solution the error is."""
+    words = f"certified {certificate.error}" if certificate.proved else certificate.error
+    return [rf"{words} $\leq$ {value}", *([] if certificate.proved else ["not guaranteed"])]

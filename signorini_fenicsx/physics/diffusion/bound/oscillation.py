@@ -190,7 +190,7 @@ def _with(
     """A load with means that are more than rounding, and with what may be missed of it, which are recorded."""
     means = np.where(np.abs(means) > ROUNDING * np.sqrt(load.rest + (load.coefficients**2).sum(axis=1)), means, 0.0)
     resolution.add_means(name, means, metric)
-    resolution.add_load(name, missed, metric)
+    resolution.add_load(name, Interval(-missed, missed), missed, metric)
     volume = 1 / math.factorial(metric.jacobian.shape[1])
     return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
 

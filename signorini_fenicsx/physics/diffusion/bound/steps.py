@@ -156,7 +156,7 @@ def _content(instant: Instant, u: Continuous, load: Projection | None, own: Admi
     capacity, missed = constant(steps.capacity, own.metric.jacobian.shape[1]), None
     if steps.given.polynomial != 0:
         largest = u.largest()
-        capacity, rest = near_quadratics("capacity", steps.given, own.metric, own.resolution, largest)
+        capacity, rest, _ = near_quadratics("capacity", steps.given, own.metric, own.resolution, largest)
         missed = rest * largest
 
     def content(points: CellPoints) -> Array:

@@ -113,7 +113,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     of = with_surface(solution, TRESCA if of_last_bound else "")
     certificate = replace(gap.certificate(spaces), lacking=_lacking(resolution, gap.by_quadrature), of=of)
     about = {"guaranteed": False, "of_last_bound": True} if of_last_bound else {}
-    return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.guaranteed else {}))
+    return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.proved else {}))
 
 
 def with_surface(solution: ElasticSolution, of: str) -> str:
