@@ -174,6 +174,11 @@ class _ByRegion(Datum):
     parts: list[tuple[Mask, Datum]]
 
     @property
+    def number(self) -> None:
+        """None: it is not one number."""
+        return
+
+    @property
     def polynomial(self) -> int | None:
         """The largest degree in a region, or None."""
         return largest_degree(datum for _, datum in self.parts)

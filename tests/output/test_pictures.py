@@ -305,7 +305,7 @@ def test_only_a_guaranteed_bound_is_called_certified():
     assert fields is not None
     assert certificate.guaranteed
     assert "certified energy error $" in caption(solution, fields, certificate)
-    words = caption(solution, fields, replace(certificate, guaranteed=False, relative=1.3))
+    words = caption(solution, fields, replace(certificate, proved=False, relative=1.3))
     assert "certified" not in words
     assert words.endswith("not guaranteed")
     assert "%" not in words  # of a norm that is not above the bound

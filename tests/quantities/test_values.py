@@ -38,7 +38,7 @@ def test_the_value_is_that_of_the_solution():
 
 def test_a_value_beside_its_interval_is_told():
     """It is said in the report where σ_h is outside of the interval that it belongs to."""
-    within, beside = Quantity(0.5, 0.0, 1.0, guaranteed=True), Quantity(-0.5, 0.0, 1.0, guaranteed=True)
+    within, beside = Quantity(0.5, 0.0, 1.0, proved=True), Quantity(-0.5, 0.0, 1.0, proved=True)
     assert interval(within) == "0.5, in [0.0000000e+00, 1.0000000e+00]"
     assert interval(beside).startswith("-0.5 of the discrete solution, outside of [0.0")
 

@@ -50,7 +50,7 @@ OF_MEMORY = 8
 DEGREE = 2
 """Degree of the polynomials in the place of a capacity."""
 ROUNDING = 1e-12
-"""Means of this size, relative to the load itself, are rounding."""
+"""Means of what is left of a load of this size, relative to the load itself, are rounding."""
 
 
 @dataclass(frozen=True)
@@ -160,13 +160,19 @@ def _remembered(
     def less(points: CellPoints) -> Array:
         return memory.values(points) - load_h[points.rows, None]
 
+    def recorded(load: Projection, means: Array, name: str, missed: Array) -> Projection:
+        """A load with means that are more than rounding and with what may be missed of it; both are recorded."""
+        resolution.add_means(name, np.where(np.abs(means) > ROUNDING * np.abs(load_h), means, 0.0), metric)
+        resolution.add_load(name, Interval(-missed, missed), missed, metric)
+        return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
+
     if u is None:
         load, means = _projected(spaces, less, degree)
-        return load if memory.missed is None else _with(load, means, "capacity", memory.missed, metric, resolution)
+        return load if memory.missed is None else recorded(load, means, "capacity", memory.missed)
     degree = max(degree, quadrature_degree(u, power=2))
     missed = np.zeros(number) if memory.missed is None else memory.missed
     if not resolution.encloses("initial", u):
-        return _with(*_projected(spaces, less, degree), "initial", missed, metric, resolution)
+        return recorded(*_projected(spaces, less, degree), "initial", missed)
     nodes = np.concatenate(
         [u.values(some) for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), quadratic_nodes(cell))]
     )
@@ -178,26 +184,13 @@ def _remembered(
         return less(points) - memory.factor * rest
 
     load, means = _projected(spaces, values, degree)
-    load = _with(load, means, "initial", missed, metric, resolution)
+    load = recorded(load, means, "initial", missed)
     seen, factor = Seen(p, norm, mean), np.full(number, memory.factor)
     rest = resolution.on_cells("initial", u, seen, metric, owned_cells(spaces.mesh), factor)
     return replace(load, rest=(np.sqrt(load.rest) + rest * np.sqrt(volume)) ** 2)
 
 
-def _with(
-    load: Projection, means: Array, name: str, missed: Array, metric: CellMetric, resolution: Resolution
-) -> Projection:
-    """A load with means that are more than rounding, and with what may be missed of it, which are recorded."""
-    means = np.where(np.abs(means) > ROUNDING * np.sqrt(load.rest + (load.coefficients**2).sum(axis=1)), means, 0.0)
-    resolution.add_means(name, means, metric)
-    resolution.add_load(name, Interval(-missed, missed), missed, metric)
-    volume = 1 / math.factorial(metric.jacobian.shape[1])
-    return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
-
-
-def _projected(
-    spaces: Spaces, load: Callable[[CellPoints], Array], degree: int, of_load: int = OF_LOAD
-) -> tuple[Projection, Array]:
+def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> tuple[Projection, Array]:
     """A load on the owned cells less its means, and these; the quadrature is for squares of `degree` (collective)."""
     cell = spaces.mesh.basix_cell()
     points, weights = positive_quadrature(cell, degree)
