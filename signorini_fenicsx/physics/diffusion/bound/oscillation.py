@@ -29,6 +29,7 @@ from signorini_fenicsx.discrete.points import (
     in_cells,
     quadratic_nodes,
 )
+from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_FLUX,
@@ -190,7 +191,9 @@ def _remembered(
     return replace(load, rest=(np.sqrt(load.rest) + rest * np.sqrt(volume)) ** 2)
 
 
-def _projected(spaces: Spaces, load: Callable[[CellPoints], Array], degree: int) -> tuple[Projection, Array]:
+def _projected(
+    spaces: Spaces, load: Callable[[CellPoints], Array], degree: int, of_load: int = OF_LOAD
+) -> tuple[Projection, Array]:
     """A load on the owned cells less its means, and these; the quadrature is for squares of `degree` (collective)."""
     cell = spaces.mesh.basix_cell()
     points, weights = positive_quadrature(cell, degree)
