@@ -134,9 +134,8 @@ def test_what_fails_does_not_spoil_what_follows(folder: Path):
     domain, boundary = setting(folder)
     solver = Solver(domain, (boundary, None))
     expected = solve(domain, (boundary, PROBLEMS[1]))
-    solver.solve(PROBLEMS[0])
     with pytest.raises(NumericalFailure):
-        solver.solve(PROBLEMS[1], Options(max_iterations=1, predict=False))
+        solver.solve(PROBLEMS[0], Options(max_iterations=1, predict=False))
     assert_same(solver.solve(PROBLEMS[1]), expected, 1e-12)
     with pytest.raises(InputError, match="kappa: must be positive"):
         solver.solve(Problem(f=1, kappa=-1))
