@@ -9,6 +9,7 @@ from signorini_fenicsx.expressions.evaluation import (
     difference,
     interval,
     linear_terms,
+    rational,
     values,
     values_and_gradient,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "linear_terms",
     "parse_expression",
     "parse_number",
+    "rational",
     "read",
     "substituted",
     "to_ufl",

@@ -9,6 +9,7 @@ which the mean value theorem holds), and all numbers otherwise.
 import operator
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,8 @@ CHOICES: dict[str, Callable[..., Conditional]] = {
     "abs": lambda a: Conditional(Comparison(">=", a, exactly(0.0)), a, Negative(a)),
 }
 """Functions of the language that are choices."""
+LONGEST = 100_000
+"""Most binary digits of a power in exact arithmetic."""
 
 
 class Logic:
@@ -141,6 +144,46 @@ class Intervals(Logic):
 
     def jump(self, condition: Truth, then: Interval, otherwise: Interval) -> Interval:
         return then.where(condition.surely, intervals.WHOLE.where(condition.possibly, otherwise))
+
+
+class _Rational(Logic):
+    """The algebra of arrays of fractions; there are neither functions nor choices."""
+
+    def __init__(self, names: Mapping[str, Any]):
+        self._names = names
+
+    def number(self, number: Number) -> Fraction:
+        if number.fraction is None:
+            raise ArithmeticError("a number that is not rational")
+        return number.fraction
+
+    def coordinate(self, name: str) -> Any:
+        return self._names[name]
+
+    def power(self, base: Any, exponent: Any) -> Any:
+        if not isinstance(exponent, Fraction) or exponent.denominator != 1:
+            raise ArithmeticError("a root")
+        digits = max(each.numerator.bit_length() + each.denominator.bit_length() for each in np.atleast_1d(base).flat)
+        if digits * abs(exponent) > LONGEST:
+            raise ArithmeticError("a number with too many digits")
+        return base ** int(exponent)
+
+    def call(self, name: str, arguments: Sequence[Any]) -> Any:
+        raise ArithmeticError("a function")
+
+    def compare(self, sign: str, left: Any, right: Any) -> Any:
+        raise ArithmeticError("a choice")
+
+    choose = compare
+
+
+def rational(tree: Tree, x: Any) -> Any:
+    """Exact values in points given by fractions; None if the tree is not written with + − * / and decimal numbers."""
+    try:
+        value = evaluate(tree, _Rational(_coordinates(x)))
+    except ArithmeticError:
+        return None
+    return np.array(np.broadcast_to(value, x.shape[:-1]))
 
 
 def values(tree: Tree, x: Array) -> Array:

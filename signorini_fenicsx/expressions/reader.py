@@ -103,11 +103,11 @@ class _Reader:
         value = float(node.value)  # type: ignore[arg-type]
         if not math.isfinite(value):
             raise ValueError(f"{ast.unparse(node)} is not finite")
-        exact = node.value if isinstance(node.value, int) else ast.get_source_segment(self.source, node)
-        difference = Decimal(exact).compare(Decimal(value))  # type: ignore[arg-type]
+        exact = Decimal(node.value if isinstance(node.value, int) else ast.get_source_segment(self.source, node))  # type: ignore[arg-type]
+        difference = exact.compare(Decimal(value))
         below = math.nextafter(value, -math.inf) if difference < 0 else value
         above = math.nextafter(value, math.inf) if difference > 0 else value
-        return Number(value, below, above)
+        return Number(value, below, above, None if below == above else exact)
 
     @staticmethod
     def binary(sign: str, left: Read, right: Read) -> Read:

@@ -6,16 +6,32 @@ import functools
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from decimal import Decimal
+from fractions import Fraction
 from typing import Any, Protocol
+
+LONG = 400
+"""Numbers with so many digits before or behind the point are not made fractions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A literal or pi: the nearest float, and floats below and above the exact number, equal to it if it is a float."""
+    """A literal or pi: the nearest float, and floats below and above the exact number, equal to it if it is a float.
+
+    A literal that is not a float has its decimal digits, too.
+    """
 
     value: float
     below: float
     above: float
+    digits: Decimal | None = None
+
+    @property
+    def fraction(self) -> Fraction | None:
+        """The exact number; None for pi, and where numerator or denominator would be very long."""
+        if self.below == self.above:
+            return Fraction(self.value)
+        return Fraction(self.digits) if self.digits is not None and abs(self.digits.adjusted()) < LONG else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from signorini_fenicsx.expressions.evaluation import (
     difference,
     interval,
     linear_terms,
+    rational,
     values,
     values_and_gradient,
 )
@@ -317,3 +319,15 @@ def test_abs_of_abs_ends():
 def test_what_is_no_arithmetic_is_shown(text: str, where: str):
     with pytest.raises(InputError, match=re.escape(f"is not arithmetic in pi, x, y: {where}")):
         parse_expression(text, X)
+
+
+def test_fractions():
+    """Exact values of what is written with + − * / and decimal numbers, and of nothing else."""
+    x = np.array([[Fraction(1, 3), Fraction(2)], [Fraction(0.5), Fraction(0)]])
+    found = rational(read("0.1 + 0.2*y/(2*x)^2 - 3e-1 + 1e-30", "xy"), x)
+    assert found.tolist() == [Fraction(7, 10) + Fraction(1, 10**30), Fraction(-1, 5) + Fraction(1, 10**30)]
+    assert rational(exactly(0.1), x).tolist() == [Fraction(0.1)] * 2
+    for text in ("pi", "sqrt(2)", "2^0.5", "1 if x > 0 else 2", "1/y", "1e-999", "1^1e9", "(x^1000)^1000"):
+        assert rational(read(text, "xy"), x) is None
+    assert difference(read("0.1", "x"), read("0.1", "x")) == exactly(0.0)
+    assert difference(read("0.1", "x"), read("0.10000000000000000001", "x")) != exactly(0.0)

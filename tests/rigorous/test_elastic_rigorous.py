@@ -17,7 +17,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.expressions import Tree, exactly, read, values
+from signorini_fenicsx.expressions import Binary, Tree, exactly, read, values
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import enclosing
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, stretch
@@ -307,6 +307,45 @@ def test_bodies_that_touch(name: str, monkeypatch: pytest.MonkeyPatch):
     proof = proof_of(solution, certificate.v)
     assert proof.proven is not None, proof.reason
     assert proof.proven.gap == pytest.approx(certificate.gap, rel=1e-6)
+
+
+EQUAL: dict[str, tuple[object, list[object], list[str], float]] = {
+    "number": (0.1, [0, -0.1], ["x1", "y1"], 0.0),
+    "text": ("0.1 + 0.02*x^2", ["0", "-0.1 - 0.2*y"], ["x1", "y1"], 0.0),
+    "both ends": ("0.1 + 0.2*x^2", ["0", "-0.1 - 0.2*x"], ["y1"], 0.0),
+    "slope": ("x^2/10", ["0.05", "0.05"], ["x1", "y1"], 1.0),
+    "in space": ("0.1 + 0.05*y^2 + 0.1*x", ["0", "0", "-0.1 - 0.05*y^2"], ["x1", "z1"], 0.0),
+}
+"""Gaps that are u_n at a vertex or an edge, u_D, the free parts, and the slope of the foundation."""
+
+
+@pytest.mark.parametrize(("gap", "u_D", "free", "slope"), EQUAL.values(), ids=list(EQUAL))
+def test_where_u_meets_the_gap(gap: object, u_D: list[object], free: list[str], slope: float):
+    """Where u_n is given and equal to the gap there is a proof; where it is above it by 1e-19 there is none."""
+    dim = len(u_D)
+    domain, down = box(MPI.COMM_SELF, 4 - dim, [0.0] * dim, [1.0] * dim), [0.0] * (dim - 1) + [-0.1]
+    x = domain.mesh.geometry.x
+    x[:, :2] += slope * x[:, 1::-1] * [-1, 1]
+    problem = ElasticProblem(1.0, 0.3, f=down, u_D=u_D, gap=gap)  # type: ignore[arg-type]
+    solution = solve(domain, (ElasticBoundary(["xyz"[dim - 1] + "0"], neumann=free), problem))
+    certificate = certify(solution)
+    proof = proof_of(solution, certificate.v)
+    assert proof.proven is not None, proof.reason
+    assert certificate.gap * (1 - 1e-8) <= proof.proven.gap <= 1.6 * certificate.gap
+    discrete, given = discrete_of(solution)
+    (number,) = np.unique(discrete.gap[discrete.gap >= 0])
+    lower = (Binary("-", tree, read("1e-19", "x")) if k == number else tree for k, tree in enumerate(given.trees))
+    with pytest.raises(InputError, match=r"u_n ≤ gap is not certain near .*: u_n − gap is up to .* Right is u_n below"):
+        prove(discrete, dataclasses.replace(given, trees=tuple(lower)))
+
+
+def test_where_given_jumps_meet_the_gap():
+    """Two bodies whose sides move as one: the jump is exactly the gap, 0, where they end."""
+    u_D = ["0.03*y + 0.01", "0.03*x + 0.01"]
+    changes = {"boundary.neumann": ["top"], "problem.u_D": u_D, "solve.h": 0.5}
+    solution = solve_case(load_case("stack").with_values(changes), MPI.COMM_SELF)
+    proof = proof_of(solution, certify(solution).v)
+    assert proof.proven is not None, proof.reason
 
 
 @pytest.mark.parallel([2, 3])

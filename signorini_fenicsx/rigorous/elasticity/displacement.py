@@ -3,7 +3,8 @@
 It is quadratic on each subcell, by coefficients in Bernstein's basis. Those at the nodes of Γ_D are the coefficients of
 u_D, enclosed. On a facet of Γ_C with N = |e|n the displacement is off the foundation if all coefficients of |e|g − v·N
 are ≥ 0. Where this is not certain, up to rounding, the coefficient of v is moved against the mean normal of the facets
-at its node, along which u is not given. Where two bodies touch v is the jump, and that of the named side is moved.
+at its node, along which u is not given. Where u_n is given it may be equal to g, which fractions decide: see `seam`.
+Where two bodies touch v is the jump, and that of the named side is moved.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import Tree, interval, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
+from signorini_fenicsx.rigorous.elasticity.seam import Seam, nodes_on_facet
 from signorini_fenicsx.rigorous.simplices import EDGES, bernstein, facet_measures, total, with_midpoints
 
 ROUNDS = 20
@@ -45,12 +47,6 @@ class Displacement:
         for number, (i, j) in enumerate(EDGES[dim]):
             columns[dim + 1 + number] = columns[dim + 1 + number] / 2.0 + (columns[i] + columns[j]) / 4.0
         return Interval(*(np.stack([getattr(each, end) for each in columns], axis=2) for end in ("lo", "hi")))
-
-
-def nodes_on_facet(dim: int) -> Indices:
-    """Places of the coefficients on the facet opposite to the last vertex of a subcell, in the order on facets."""
-    number = {edge: dim + 1 + index for index, edge in enumerate(EDGES[dim])}
-    return np.array([*range(dim), *(number[edge] for edge in EDGES[dim - 1])])
 
 
 def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Displacement:
@@ -86,9 +82,15 @@ def admissible(discrete: ElasticDiscrete, given: Given, areas: Interval) -> Disp
         _, gap = _on_facets(discrete, given, "gap", tree, mask, numbers)
         g = g.put(mask[on], gap)
     wide = g * facet_measures(x)[:, None]
+    beyond = np.full(nodes.shape, NONE)
+    beyond[touching] = other
+    seam = Seam(discrete, given, numbers, areas, (nodes, beyond))
+    on_dirichlet, met = fixed[nodes].any(axis=2), np.zeros(nodes.shape, dtype=bool)
     for _ in range(ROUNDS):
         jump = _jump(at_nodes, nodes, touching, other)
         off = wide - total(jump * areas[:, None])
+        met |= seam.met((off.lo < 0) & on_dirichlet & ~met)
+        off = Interval(*(np.where(met, np.maximum(each, 0.0), each) for each in (off.lo, off.hi)))
         if (off.lo >= 0).all():
             return Displacement(at_nodes[numbers], off, jump)
         at_nodes = at_nodes - _moves(off, nodes, areas, fixed, x)
@@ -151,5 +153,9 @@ def _moves(off: Interval, nodes: Indices, areas: Interval, fixed: Mask, x: Array
     if not np.isfinite(rho).all():
         facet = np.argmax(np.isinf(rho[nodes]).any(axis=1))
         where = ", ".join(f"{each:.4g}" for each in x[facet].mean(axis=0))
-        raise InputError(f"where u is given, u_n ≤ gap is not certain near ({where})")
+        most = lack[facet].max() / np.linalg.norm(middle[facet])
+        raise InputError(
+            f"where u is given, u_n ≤ gap is not certain near ({where}): u_n − gap is up to {most:.1e}. Right is u_n "
+            "below gap, or equal to it, with u_D and gap as polynomials that are texts with decimal numbers"
+        )
     return np.asarray(away * rho[:, None])
