@@ -156,6 +156,7 @@ def _moves(off: Interval, nodes: Indices, areas: Interval, fixed: Mask, x: Array
         most = lack[facet].max() / np.linalg.norm(middle[facet])
         raise InputError(
             f"where u is given, u_n ≤ gap is not certain near ({where}): u_n − gap is up to {most:.1e}. Right is u_n "
-            "below gap, or equal to it, with u_D and gap as polynomials that are texts with decimal numbers"
+            "below gap, or equal to it at the stored vertices, with u_D and gap as polynomials that are texts with "
+            "decimal numbers; if only rounding is between them, a gap that is larger by 1e-12"
         )
     return np.asarray(away * rho[:, None])
