@@ -20,6 +20,11 @@ mass. So ‖τ_h‖² < (‖p‖² + ‖r‖²/l)/θ for all p and r, if K and t
 
 the Schur complement of the other block. A factorisation counts the negative eigenvalues of K_θ by Sylvester's law. ∎
 
+*Loads on facets alone.* Let p = 0, and M have weights ρ_e > 0. Then ‖τ_h‖² = t·K⁻¹t ≤ Σ ‖r‖_e²/μρ_e if K − μM is
+positive definite, as it is if K_θ with μρ_e for θl is. So
+
+    Σ ⟨r, w⟩_e ≤ (Σ ‖r‖_e²/μρ_e)^½ |w|.
+
 Where 𝔸 varies in a cell it is replaced by one matrix that is at least 𝔸 in all points, with which ‖τ_h‖ is larger.
 """
 
@@ -27,6 +32,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +59,8 @@ ON_FACETS = 1 / 8
 """l is this share of |Ω|^(1/d)."""
 FIRST, FINER, TRIES = 6.0, 16.0, 6
 """The first θ is one over so many times |Ω|^(2/d) max a_T², the next ones smaller by so many times, and how many."""
+ALONE = 1e-6
+"""For r alone θ is so many times 1/(|Ω|^(2/d) max a_T²)."""
 MOST = {2: 1_000_000, 3: 100_000}
 """For each dimension the largest number of unknowns that are factorised."""
 INERTIA = MUMPS_WORKSPACE | {"mat_mumps_icntl_13": "1", "mat_mumps_icntl_24": "1"}
@@ -78,10 +86,15 @@ def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask, len
         loaded: Mask of the facets with r, opposite to the vertices of each cell, shape (cells, d + 1).
         length: l.
     """
-    digested = compliance.tobytes() + loaded.tobytes() + str(length).encode()
+    return _kept(spaces, _by_factorisations, compliance, loaded, length)
+
+
+def _kept(spaces: ElasticSpaces, find: Callable[..., float], *given: Array | Mask | float) -> float:
+    """A constant for these spaces and what is given, found when it is first asked for (collective)."""
+    digested = b"".join([find.__name__.encode(), *(np.asarray(each).tobytes() for each in given)])
     comm, key = spaces.mesh.comm, hashlib.sha256(digested).digest()
     if not comm.allreduce(key in spaces.constants_of_body, MPI.LAND):
-        spaces.constants_of_body[key] = _by_factorisations(spaces, compliance, loaded, length)
+        spaces.constants_of_body[key] = find(spaces, *given)
     return spaces.constants_of_body[key]
 
 
@@ -97,6 +110,28 @@ def _by_factorisations(spaces: ElasticSpaces, compliance: Array, loaded: Mask, l
             return float(1 / math.sqrt(theta) + MOMENTS[spaces.dim] * of_cells)
         theta /= FINER
     return math.inf
+
+
+def constant_of_facets(spaces: ElasticSpaces, compliance: Array, weights: Array) -> float:
+    """1/√μ, which bounds loads on facets alone; ∞ if no μ that was tried is small enough (collective).
+
+    Args:
+        spaces: The spaces.
+        compliance: As in `constant_of_body`.
+        weights: ρ of the facets, opposite to the vertices of each cell, 0 where r = 0, shape (cells, d + 1).
+    """
+    return _kept(spaces, _of_facets, compliance, weights)
+
+
+def _of_facets(spaces: ElasticSpaces, compliance: Array, weights: Array) -> float:
+    """1/√μ, found anew, μ by bisection of its exponent (collective)."""
+    softness = spaces.mesh.comm.allreduce(np.linalg.eigvalsh(compliance)[:, -1].max(initial=0.0), MPI.MAX)
+    mu, least, most = 1 / (softness * spaces.length), 0.0, math.inf
+    for _ in range(TRIES):
+        positive = _is_positive(spaces, compliance, mu * weights, ALONE / (softness * spaces.length**2))
+        least, most = (mu, most) if positive else (least, mu)
+        mu = math.sqrt(least * most) if least > 0 and most < math.inf else mu * FINER ** (1 if positive else -1)
+    return 1 / math.sqrt(least) if least > 0 else math.inf
 
 
 def length_of_facets(spaces: ElasticSpaces) -> float:

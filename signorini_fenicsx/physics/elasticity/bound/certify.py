@@ -33,6 +33,7 @@ from dataclasses import replace
 import numpy as np
 import ufl
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
@@ -84,23 +85,26 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     comm = spaces.mesh.comm
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
-    v, of_cells, past = _displacement(solution, y, resolution, spaces.split, degree=2)
+    v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, degree=2)
     lacking, lifted_data = lifted(resolution, of_cells, y.floors)
     of_cells = _with(of_cells, lacking)
     with_most = _with_most(spaces, of_cells)
     if comm.allreduce(len(with_most)) > 0:
         part = spaces.split.part(with_most)
-        _, better, past_there = _displacement(solution, y, resolution, part, degree=HIGHER[spaces.dim], v=v)
+        _, better, slips_there, past_there = _displacement(
+            solution, y, resolution, part, degree=HIGHER[spaces.dim], v=v
+        )
         better = _with(better, of_degree(resolution, lifted_data, HIGHER[spaces.dim], y.floors))
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
+            slips = np.where(np.isin(spaces.rough.cells, with_most), slips_there, slips)
     oscillation, missed = load_oscillation(resolution, y.stresses, of_cells)
-    of_friction, more, rubbing = _of_friction(resolution)
+    of_cells, oscillation, rubbing = _with_friction(resolution, slips, of_cells, oscillation)
     gap = Gap(
         squares=of_cells,
-        oscillation=oscillation + of_friction,
-        remainder=y.distance + missed + more,
+        oscillation=oscillation,
+        remainder=y.distance + missed,
         size=solution.norms()["energy"],
         v=v,
         hindrance=past,
@@ -142,32 +146,34 @@ def _displacement(
     split: SplitMesh,
     degree: int,
     v: fem.Function | None = None,
-) -> tuple[fem.Function, Array, str]:
+) -> tuple[fem.Function, Array, Array, str]:
     """The best displacement on the split mesh or a part of it (collective).
 
     Returns:
-        It, what it makes of 2 gap on each owned cell, and where it passes the foundation; empty if it does not.
+        It, what it makes of 2 gap on each owned cell, `slipping`, and where it passes the foundation; empty if it does
+        not.
     """
     spaces = solution.spaces
     problem = BestDisplacement(spaces, solution.data, y, split, degree, v)
     v, past = problem.minimum()
     mismatch, on_contact = gap_of_cells(solution, y, problem, v, resolution)
-    return v, mismatch + 2 * on_contact, past
+    return v, mismatch + 2 * on_contact, problem.slipping(v), past
 
 
-def _of_friction(resolution: Resolution) -> tuple[Array, float, tuple[str, ...]]:
-    """What texts for g add to the oscillation of cells and to the bound, and the names of those for which it is known.
+def _with_friction(
+    resolution: Resolution, slips: Array, squares: Array, oscillation: Array
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Twice the gap and the oscillation of cells with what texts for g add, and the names of known g.
 
     There has to be a constant of the body (collective).
     """
     spaces, data = resolution.spaces, resolution.data
-    texts, nothing = data.friction.texts, np.zeros(len(spaces.order))
+    texts = data.friction.texts
     if not texts or resolution.no_constant or any(datum.pieces is None for _, datum, _ in texts):
-        return nothing, 0.0, ()
-    of_cells, together = hidden.friction_missed(resolution, compliances_above(spaces, data))
-    if not np.isfinite(together):
-        return nothing, 0.0, ()
-    return of_cells, together, tuple(name for name, *_ in texts)
+        return squares, oscillation, ()
+    found = hidden.friction_missed(resolution, compliances_above(spaces, data), slips, squares, oscillation)
+    known = spaces.mesh.comm.allreduce(bool(np.isfinite(found[1]).all()), MPI.LAND)
+    return (*found, tuple(name for name, *_ in texts)) if known else (squares, oscillation, ())
 
 
 def _with(of_cells: Array, lacking: Array) -> Array:

@@ -422,6 +422,15 @@ class BestDisplacement:
         means = self.contact.lengths(self._slips(v), self.data.friction.bound[in_rough], self.moments)
         return np.asarray(self.contact.facets.measure[rough] * means)
 
+    def slipping(self, v: fem.Function) -> Array:
+        """‖v_t − w‖ on the facets of `ElasticSpaces.rough`, w the slip of the last step; 0 where v is not."""
+        (rough, in_rough), norms = self.rough, np.zeros(len(self.spaces.rough_rows))
+        points, weights = facet_rule(self.spaces.dim, 2 * self.contact.degree)
+        slips = np.einsum("qk,nkm->nqm", self.contact.basis(points), self._slips(v))
+        squares = np.einsum("q,nqm->n", weights / weights.sum(), slips**2)
+        norms[in_rough] = np.sqrt(self.contact.facets.measure[rough] * squares)
+        return norms
+
     def _slips(self, v: fem.Function) -> Array:
         """The coefficients of v_t − w on the facets with friction, shape (facets, nodes, d − 1)."""
         (rough, in_rough), slips = self.rough, self.contact.jump(v.x.array.reshape(-1, self.spaces.dim))

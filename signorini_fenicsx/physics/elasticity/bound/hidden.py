@@ -8,10 +8,18 @@ there. Π₁d is a load that nothing balances: `body` bounds what all of them do
 polynomial of degree K on the simplex S, then ‖d‖ ≤ ‖d‖_Q + 2ρ|S|^½ and ‖Π₁d‖ ≤ 2ρ|S|^½, as p has the moments by
 quadrature. Where this is too much S is cut, see `moments`.
 
-*Friction.* The discrete problem has linear bounds ĝ of the shear on facets in the place of g. With ĝ in the gap the
-identity of `forms/elasticity.py` lacks at most ∫|g − ĝ| |w_t|, w = u − v, on both sides where two bodies touch, as
-g|u_t| + y_t·u_t ≥ (g − ĝ)|u_t| and ĝ|v_t| + σ_t·v_t ≥ (ĝ − g)|v_t|. So |g − ĝ| adds like a load: ‖Π₁w‖_e is bounded by
-the constant of `body`, whose r is any linear field on e, and ‖w − Π₁w‖_e by that of `korn` for tractions.
+*Friction.* The discrete problem has linear bounds ĝ of the shear on facets in the place of g, and |y_t| ≤ ĝ. On each
+facet let g̃ be ĝ or max(g, ĝ): y is admissible for the problem with g̃, too. Let ũ be its solution. With g̃ in the gap
+the identity of `forms/elasticity.py` bounds |v − ũ|, and for u lacks at most ∫|g − g̃| |w_t|, w = u − v, on both sides
+where two bodies touch, as g|u_t| + y_t·u_t ≥ (g − g̃)|u_t| and g̃|v_t| + σ_t·v_t ≥ (g̃ − g)|v_t|. So |g − g̃| adds like a
+load. With g̃ = ĝ this is |g − ĝ|. With g̃ = max(g, ĝ) it is (ĝ − g)₊ alone, which is small, and the gap is larger by at
+most ‖g − ĝ‖_e ‖v_t‖_e, which is 0 where v sticks. In steps of time u_t and v_t are less the last slip.
+
+For facets of weights ρ_e, C of `body` and t_T of `korn`, a_T the largest eigenvalue of 𝔸,
+
+    Σ ρ_e ‖w‖_e² = Σ ρ_e (‖Π₁w‖_e² + ‖w − Π₁w‖_e²) ≤ (C² + max_T a_T Σ_e⊂T ρ_e t_T²) |w|²,
+
+so the load adds at most the root of this factor times (Σ ‖g − g̃‖_e²/ρ_e)^½. Good weights are like the load.
 """
 
 from __future__ import annotations
@@ -35,9 +43,9 @@ from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
-from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, length_of_facets
+from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, constant_of_facets, length_of_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
@@ -54,8 +62,10 @@ SHARE = 0.03
 """Enclosures stop where what may be missed is about this share of the bound."""
 ALONG = 1e-10
 """A direction with less than this left is one in which u is given."""
-FRICTION = 2.0
-"""The length beside bounds of friction is so many times |Ω|^(1/d)."""
+AGAINST_LOADS = (0.0, 1 / 16, 1 / 4, 1.0, 4.0, 16.0, 1e9)
+"""max(g, ĝ) is in the gap of a facet if so many times what this adds is at most the load squared; the best counts."""
+LEAST_WEIGHT = 0.01
+"""What is added to weights of facets, whose largest is 1."""
 SMALLEST = 1e-100
 """Tolerances are at least this."""
 
@@ -289,45 +299,118 @@ def _of_traction(
     return _Missed(datum.name, *(np.bincount(facets.cells, each, len(spaces.order)) for each in columns))
 
 
-def friction_missed(resolution: Resolution, compliance: Array) -> tuple[Array, float]:
-    """What texts for g of friction add to the oscillation of the owned cells, and to the bound (collective).
+def friction_missed(
+    resolution: Resolution, compliance: Array, slips: Array, squares: Array, oscillation: Array
+) -> tuple[Array, Array]:
+    """Twice the gap and the oscillation per owned cell with what texts for g of friction add (collective).
 
-    It is infinite if nothing is known of it. Where g may be negative it is recorded that g is not resolved.
+    The oscillation is infinite if nothing is known. Where g may be negative it is recorded that g is not resolved.
 
     Args:
         resolution: Of the data.
         compliance: As in `missed`.
+        slips: ‖v_t‖ less the last slip on the facets with friction.
+        squares: Twice the gap without this.
+        oscillation: The oscillation without this.
     """
-    spaces, data, length = resolution.spaces, resolution.data, FRICTION * resolution.spaces.length
-    sides = [(spaces.rough, np.arange(len(spaces.rough.facets)))]
-    across = np.flatnonzero(np.isin(spaces.inner.rows, spaces.rough_rows))
-    sides.append((spaces.across.take(across), np.searchsorted(spaces.rough_rows, spaces.inner.rows[across])))
-    off = np.zeros(len(spaces.rough.facets))
+    spaces, data = resolution.spaces, resolution.data
+    off, above = np.zeros((2, len(spaces.rough.facets)))
     for name, datum, rows in data.friction.texts:
-        resolution.note(name, _maybe_negative(spaces, datum, spaces.rough.take(rows), data.friction.bound[rows]))
-        off[rows] += off_linear(spaces, datum, spaces.rough.take(rows), data.friction.bound[rows])
-    beyond, linear = np.zeros((2, len(spaces.order)))
-    loaded = np.zeros((len(spaces.order), spaces.dim + 1), dtype=bool)
-    for facets, rows in sides:
-        loaded[facets.cells, facets.local] = off[rows] > 0
-        constants = trace_constants(Cells(spaces.vertices[facets.cells]).derivative, facets.measure)
-        beyond += np.bincount(facets.cells, constants * off[rows], len(beyond))
-        linear += np.bincount(facets.cells, off[rows] ** 2, len(linear))
-    beyond *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
-    of_body = constant_of_body(spaces, compliance, loaded, length)
-    return beyond, of_body * math.sqrt(spaces.mesh.comm.allreduce(float(linear.sum())) / length)
+        facets, bound = spaces.rough.take(rows), data.friction.bound[rows]
+        resolution.note(name, _maybe_negative(spaces, datum, facets, bound))
+        off[rows] = off_linear(spaces, datum, facets, bound)
+        above[rows] = np.minimum(off[rows], _above(spaces, datum, facets, bound, off[rows]))
+    comm, least, best = spaces.mesh.comm, math.inf, (squares, np.full_like(oscillation, np.inf))
+    known = comm.allreduce(bool(np.isfinite(off).all()), MPI.LAND)
+    for loads in (_RubbingLoads.of(spaces, compliance, like) for like in (off, above) if known):
+        for times in AGAINST_LOADS if math.isfinite(loads.constant) else ():
+            in_gap = 2 * off * slips * times <= loads.sizes(off)
+            of_gap = squares + np.bincount(spaces.rough.cells, np.where(in_gap, 2 * off * slips, 0.0), len(squares))
+            of_loads = loads.added(np.where(in_gap, above, off), oscillation)
+            sums = comm.allreduce(np.array([of_gap.sum(), (of_loads**2).sum()]))
+            found = float(np.sqrt(np.maximum(sums, 0.0)).sum())
+            if found < least:
+                least, best = found, (of_gap, of_loads)
+    return best
+
+
+@dataclass(frozen=True)
+class _RubbingLoads:
+    """Loads |r| ≤ d on the facets with friction, where two bodies touch on both sides.
+
+    Attributes:
+        spaces: The spaces.
+        constant: Bound of (Σ ρ‖w‖_e²)^½ beside |w|.
+        weights: ρ, for each facet with friction.
+        cells: The cell of each facet, then those on the other sides.
+        rows: Which facets with friction these are.
+    """
+
+    spaces: ElasticSpaces
+    constant: float
+    weights: Array
+    cells: Indices
+    rows: Indices
+
+    @classmethod
+    def of(cls, spaces: ElasticSpaces, compliance: Array, like: Array) -> _RubbingLoads:
+        """Those that are like these ‖d‖, of which the root mean squares on facets are the weights (collective)."""
+        comm, weights = spaces.mesh.comm, like / np.sqrt(spaces.rough.measure)
+        most = comm.allreduce(weights.max(initial=0.0), MPI.MAX)
+        weights = weights / max(most, SMALLEST) + LEAST_WEIGHT
+        touching = np.flatnonzero(np.isin(spaces.inner.rows, spaces.rough_rows))
+        across = spaces.across.take(touching)
+        there = np.searchsorted(spaces.rough_rows, spaces.inner.rows[touching])
+        cells = np.append(spaces.rough.cells, across.cells).astype(np.int64)
+        rows = np.append(np.arange(len(weights)), there)
+        of_facets = np.zeros((len(spaces.order), spaces.dim + 1))
+        of_facets[cells, np.append(spaces.rough.local, across.local)] = weights[rows]
+        constants = trace_constants(Cells(spaces.vertices[cells]).derivative, spaces.rough.measure[rows])
+        rest = np.bincount(cells, weights[rows] * constants**2, len(compliance)) * np.linalg.eigvalsh(compliance)[:, -1]
+        most = comm.allreduce(rest.max(initial=0.0), MPI.MAX)
+        of_body = constant_of_facets(spaces, compliance, of_facets)
+        return cls(spaces, math.hypot(of_body, math.sqrt(most)), weights, cells, rows)
+
+    def sizes(self, load: Array) -> Array:
+        """The square of what each adds alone, from ‖d‖."""
+        return np.asarray((self.constant * load) ** 2 / self.weights)
+
+    def added(self, load: Array, oscillation: Array) -> Array:
+        """The oscillation of the owned cells with these ‖d‖ (collective)."""
+        of_loads = np.bincount(self.cells, self.sizes(load)[self.rows], len(oscillation))
+        sums = np.sqrt(self.spaces.mesh.comm.allreduce(np.array([(oscillation**2).sum(), of_loads.sum()])))
+        return np.asarray(np.sqrt(oscillation**2 + of_loads * (1 + 2 * sums[0] / max(sums[1], SMALLEST))))
+
+
+def _above(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array, off: Array) -> Array:
+    """‖(ĝ − g)₊‖ on facets, as narrowly as is needed beside `off`, which is ‖g − ĝ‖ (collective)."""
+    excess, slopes = np.zeros(len(bound)), barycentric_gradients(facets.vertices)
+    flat = np.zeros((len(bound), spaces.dim, spaces.dim))
+    linear = Quadratic(bound.mean(axis=1), np.einsum("na,nai->ni", bound, slopes), flat)
+    low = -np.maximum(SHARE * off / np.sqrt(facets.measure), _rounding(spaces, bound))
+    for tree, inside in datum.pieces or ():
+        assert isinstance(tree, TREES)
+        rows = np.arange(len(bound)) if inside is None else np.flatnonzero(inside[facets.cells])
+        least = ranges(tree, facets.vertices[rows], linear.of(rows), spaces.frame, low[rows], np.inf).lo
+        excess[rows] = np.maximum(-least, 0.0)
+    return excess * np.sqrt(facets.measure)
 
 
 def _maybe_negative(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Mask:
     """The owned cells on whose facets a text is not proved to be ≥ 0, but for rounding (collective)."""
     found = np.zeros(len(spaces.order), dtype=bool)
-    low = -ROUNDING * spaces.mesh.comm.allreduce(float(bound.max(initial=0.0)), MPI.MAX)
+    low = -_rounding(spaces, bound)
     for tree, inside in datum.pieces or ():
         assert isinstance(tree, TREES)
         rows = np.arange(len(bound)) if inside is None else np.flatnonzero(inside[facets.cells])
         least = ranges(tree, facets.vertices[rows], None, spaces.frame, low, np.inf).lo
         found[facets.cells[rows[~(least >= low)]]] = True
     return found
+
+
+def _rounding(spaces: ElasticSpaces, bound: Array) -> float:
+    """What is rounding in a bound of friction (collective)."""
+    return ROUNDING * spaces.mesh.comm.allreduce(float(bound.max(initial=0.0)), MPI.MAX)
 
 
 def off_linear(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Array:

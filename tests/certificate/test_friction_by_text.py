@@ -1,0 +1,33 @@
+"""The bound for an elastic body is near the error where Tresca's bound of friction is a text that is not linear."""
+
+import pytest
+from elastic import box
+from mpi4py import MPI
+from random_elastic_bounds import energy_difference
+
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+
+
+@pytest.mark.parametrize(
+    ("g", "u_D", "sharp"),
+    [
+        ("0.1*sin(9*x)^2", ["0.05", "-0.1"], 3.0),  # was 28
+        ("0.1*sin(9*x)^2", ["0.1", "-0.02 + 0.2*(x - 0.5)"], 1.9),
+        ("0.1 if x < 0.45 else 0.01", ["0.05", "-0.1"], 2.9),  # was 24
+        ("0.1*exp(-30*(x - 0.5)^2)", ["0.3*x", "-0.1"], 1.4),  # was 14
+        ("0.3*x^6", ["0.3*x", "-0.1"], 1.25),  # was 9
+    ],
+    ids=["waves", "tilted", "jump", "bell", "power"],
+)
+def test_near_the_error(g: str, u_D: list[str], sharp: float):
+    """It is above the distance to a solution on a mesh 4 times as fine; where the body slips and where it sticks."""
+    given = ElasticBoundary(["y0"], neumann=["x0", "x1"]), ElasticProblem(1.0, 0.3, u_D=u_D, laws=[Friction(["y0"], g)])
+    coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), given) for n in (5, 20))
+    certificate, error = certify(coarse), energy_difference(coarse, fine)
+    assert certificate.guaranteed
+    assert error < certificate.sigma_bound < sharp * error
