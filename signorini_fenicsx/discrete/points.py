@@ -184,6 +184,36 @@ class CellPoints(Points):
 
 
 @dataclass(frozen=True)
+class PartPoints(Points):
+    """Points in parts of owned cells; data in UFL have no values there.
+
+    Attributes:
+        ends: Vertices of each part, shape (parts, dim + 1, dim).
+    """
+
+    ends: Array
+
+    @property
+    def vertices(self) -> Array:
+        """Vertices of each part, shape (parts, dim + 1, dim)."""
+        return self.ends
+
+    @cached_property
+    def barycentric(self) -> Array:
+        """Barycentric coordinates of the points in the cells of their parts, shape (parts, points, dim + 1)."""
+        arms = self.x - self.corners.mean(axis=1)[:, None]
+        return np.asarray(1 / self.corners.shape[1] + arms @ self.slopes.transpose(0, 2, 1))
+
+    def among(self, cells: Mask) -> Self:
+        """The points in parts of some of the cells; `cells` is a mask."""
+        chosen = cells[self.cells]
+        return replace(self, cells=self.cells[chosen], ends=self.ends[chosen])
+
+    def _of_ufl(self, value: Expr) -> Array:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
 class FacetPoints(Points):
     """Points of the reference facet, used in some boundary facets of this rank, which lie in owned cells.
 

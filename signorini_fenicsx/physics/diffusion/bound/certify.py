@@ -203,7 +203,8 @@ def gap_parts(
     contact, load, pressure = gap_on_gamma_s(of_v, of_y, goal, area)
     gap_inside, of_laws = inside.gap(trace, metric, resolution, area)
     contact = contact + gap_inside
-    reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution)
+    terms = () if memory is None else memory.terms
+    reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution, terms)
     oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, inside.takes_f)
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:

@@ -66,6 +66,21 @@ class Projection:
         short, long = sorted((self.coefficients, other.coefficients), key=lambda each: each.shape[1])
         return Projection(long + np.pad(short, ((0, 0), (0, long.shape[1] - short.shape[1]))), rest)
 
+    def of(self, rows: Mask) -> Projection:
+        """Those of a selection of the cells."""
+        return Projection(self.coefficients[rows], self.rest[rows])
+
+    def without(self, rows: Mask) -> Projection:
+        """0 in a selection of the cells."""
+        return Projection(np.where(rows[:, None], 0.0, self.coefficients), np.where(rows, 0.0, self.rest))
+
+    def with_rows(self, rows: npt.NDArray[np.intp], other: Projection) -> Projection:
+        """With others, of the same degree or a higher one, in these rows."""
+        more = other.coefficients.shape[1] - self.coefficients.shape[1]
+        changed = Projection(np.pad(self.coefficients, ((0, 0), (0, more))), self.rest.copy())
+        changed.coefficients[rows], changed.rest[rows] = other.coefficients, other.rest
+        return changed
+
     def norms(self, scale: Array) -> Array:
         """L² norm per cell or facet; `scale` is its measure, divided by that of the reference one."""
         return np.sqrt(scale * ((self.coefficients**2).sum(axis=1) + self.rest))

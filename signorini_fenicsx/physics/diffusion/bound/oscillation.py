@@ -30,6 +30,7 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_FLUX,
@@ -63,12 +64,14 @@ class Memory:
         missed: What it may have beside these values: a bound of its size per owned cell; None for nothing.
         initial: The content at the start, where it is a part of this load.
         factor: By what this part is more than that.
+        terms: The terms of which it is the sum; empty if these are not known.
     """
 
     values: Callable[[CellPoints], Array]
     missed: Array | None = None
     initial: Datum | None = None
     factor: float = 0.0
+    terms: tuple[Term, ...] = ()
 
 
 def load_oscillation(
@@ -108,7 +111,8 @@ def load_oscillation(
     if of_laws is not None:
         load = of_laws if load is None else load.plus(of_laws)
     if memory is not None and data.memory is not None:
-        remembered = _remembered(spaces, owned_values(data.memory), metric, memory, resolution)
+        taken = np.zeros(len(metric.volume), dtype=bool) if reaction is None else reaction.takes
+        remembered = _remembered(spaces, owned_values(data.memory), metric, memory, resolution, taken)
         load = remembered if load is None else load.plus(remembered)
     if reaction is None:
         return load_norms(cell, metric, load, facet_loads)
@@ -151,9 +155,9 @@ def _moments(values: Array, weights: Array) -> tuple[Array, Array]:
 
 
 def _remembered(
-    spaces: Spaces, load_h: Array, metric: CellMetric, memory: Memory, resolution: Resolution
+    spaces: Spaces, load_h: Array, metric: CellMetric, memory: Memory, resolution: Resolution, taken: Mask
 ) -> Projection:
-    """What a step takes from those before, without its means (collective)."""
+    """What a step takes from those before, without its means; 0 in cells where it is taken already (collective)."""
     u, cell, number = memory.initial, spaces.mesh.basix_cell(), len(load_h)
     degree = OF_MEMORY if memory.missed is None else OF_MEMORY + 2 * DEGREE
     volume = 1 / math.factorial(metric.jacobian.shape[1])
@@ -163,13 +167,14 @@ def _remembered(
 
     def recorded(load: Projection, means: Array, name: str, missed: Array) -> Projection:
         """A load with means that are more than rounding and with what may be missed of it; both are recorded."""
+        load, means, missed = load.without(taken), np.where(taken, 0.0, means), np.where(taken, 0.0, missed)
         resolution.add_means(name, np.where(np.abs(means) > ROUNDING * np.abs(load_h), means, 0.0), metric)
         resolution.add_load(name, Interval(-missed, missed), missed, metric)
         return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
 
     if u is None:
         load, means = _projected(spaces, less, degree)
-        return load if memory.missed is None else recorded(load, means, "capacity", memory.missed)
+        return load.without(taken) if memory.missed is None else recorded(load, means, "capacity", memory.missed)
     degree = max(degree, quadrature_degree(u, power=2))
     missed = np.zeros(number) if memory.missed is None else memory.missed
     if not resolution.encloses("initial", u):
@@ -185,9 +190,9 @@ def _remembered(
         return less(points) - memory.factor * rest
 
     load, means = _projected(spaces, values, degree)
-    load = recorded(load, means, "initial", missed)
-    seen, factor = Seen(p, norm, mean), np.full(number, memory.factor)
-    rest = resolution.on_cells("initial", u, seen, metric, owned_cells(spaces.mesh), factor)
+    load, others = recorded(load, means, "initial", missed), np.flatnonzero(~taken)
+    seen, factor, rest = Seen(p, norm, mean).of(others), np.full(len(others), memory.factor), np.zeros(number)
+    rest[others] = resolution.on_cells("initial", u, seen, metric, others, factor)
     return replace(load, rest=(np.sqrt(load.rest) + rest * np.sqrt(volume)) ** 2)
 
 
@@ -217,7 +222,7 @@ def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution
     enclosed = resolution.encloses("f", data.f)
     of_load = OF_LOAD if enclosed else HIGH[spaces.mesh.topology.dim]
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree, of_load)
-    load.coefficients[takes_f], load.rest[takes_f] = 0.0, 0.0
+    load = load.without(takes_f)
     cells = owned_cells(spaces.mesh)[~takes_f]
     if not enclosed:
         return load

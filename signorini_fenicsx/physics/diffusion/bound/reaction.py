@@ -10,19 +10,23 @@ times too large. r − g is a load like f − f_h, for which
 For c a quadratic p stands, with mean p_T, S is at least the root mean square of c − p, and μ its mean: r is f − f_h +
 (p_T u* − pv), δ = ∫p(u* − v)/∫p, and there are two more loads: (c_h − p_T − μ)u*, a number on each cell, and (p − c +
 μ)u* + (p − c)(v + δ − u*). With D ≥ |v + δ − u*| the mean of the second one is at most SD, and its root mean square at
-most S(|u*| + D). So where c jumps within cells its mean counts, and not its size. Where p_T ≤ 0, δ is 0.
+most S(|u*| + D). Where p_T ≤ 0, δ is 0.
+
+Where S is not small, r − f + f_h is integrated part by part, see `cut_loads`, with the δ that makes its mean 0. In a
+step in time what it takes from those before is a part of it, as both nearly cancel.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -32,6 +36,7 @@ from signorini_fenicsx.expressions.enclosures import ranges
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, constant, interpolated
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
+from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term, cut_loads
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST, Resolution
@@ -42,6 +47,8 @@ SQUARE = 8
 """Degree of (pv)² for two quadratics."""
 
 
+SAME = 1e-12
+"""v is the quadratic beside Γ_D and Γ_S, too, if it differs by no more than this share."""
 ROUNDING = 1e-9
 """A c < 0 of this size, relative to the largest c, counts as rounding."""
 
@@ -54,11 +61,13 @@ class ReactionTerms:
         gap: ‖c^-½ g‖².
         load: r − g without f − f_h.
         least: Lower bound of c.
+        takes: Mask of the cells where what a step in time takes from those before is a part of `load`.
     """
 
     gap: Array
     load: Projection
     least: Array
+    takes: Mask
 
 
 @dataclass(frozen=True)
@@ -79,21 +88,77 @@ class _Coefficient:
 
 
 def reaction_terms(
-    spaces: Spaces, data: Data, metric: CellMetric, trace: Trace, u: fem.Function, resolution: Resolution
+    spaces: Spaces,
+    data: Data,
+    metric: CellMetric,
+    trace: Trace,
+    u: fem.Function,
+    resolution: Resolution,
+    memory: Sequence[Term],
 ) -> ReactionTerms | None:
-    """The terms for the admissible function of a trace and u* in P0; None where c = 0 (collective)."""
+    """The terms for the admissible function of a trace and u* in P0; None where c = 0 (collective).
+
+    `memory` has the terms of what a step in time takes from those before, if they are known.
+    """
     if data.c.number == 0:
         return None
-    mesh, number = spaces.mesh, len(metric.volume)
-    cell, dim = mesh.basix_cell(), mesh.topology.dim
-    level = owned_values(u)
+    level, fine = owned_values(u), _fine(metric, resolution)
     nodes = np.abs(trace.v.x.array[cell_dofs(trace.v.function_space)] - level[:, None]).max(axis=1)
-    coefficient = _coefficient(data, metric, resolution, np.abs(level) + nodes)
+    farthest = np.abs(level) + nodes
+    coefficient = _coefficient(data, metric, resolution, farthest)
     if coefficient is None:
         return None
-    delta, mean, missed = np.zeros(number), np.zeros(number), np.zeros(number)
-    load = Projection(np.zeros((number, dim)), np.zeros(number))
     squares = SQUARE if "c" not in resolution.by_quadrature else max(SQUARE, quadrature_degree(data.c, power=2))
+    near = _near(trace, coefficient, level, nodes, squares)
+    c_h, load = np.zeros_like(level) if data.c_h is None else owned_values(data.c_h), near.load
+    of_level = (Interval(c_h - near.mean, c_h - near.mean) - coefficient.mean) * level
+    size = near.missed + coefficient.deviation * np.abs(level)
+    of_mean = Interval(of_level.lo - near.missed, of_level.hi + near.missed)
+    gap = near.delta**2 * (np.maximum(near.mean, 0.0) + coefficient.deviation) * metric.volume
+    load.rest[:] = (np.sqrt(load.rest) + size / np.sqrt(math.factorial(spaces.mesh.topology.dim))) ** 2
+    rough, takes = coefficient.deviation * farthest > fine, np.zeros(len(level), dtype=bool)
+    if memory and "c" not in resolution.by_quadrature:
+        bent = metric.diameter / np.pi * np.sqrt(math.factorial(spaces.mesh.topology.dim) * load.rest)
+        rough |= bent * np.sqrt(metric.kappa_min) > resolution.flux(metric)
+    rows = np.flatnonzero(rough & ~near.apart)
+    if spaces.mesh.comm.allreduce(len(rows)):
+        of_u = Term("c", data.c, lambda points: -points.quadratic(trace.v)[:, :, 0], farthest)
+        numbers = c_h * level - (owned_values(data.memory) if memory and data.memory is not None else 0.0)
+        cut = cut_loads([of_u, *memory], numbers, resolution, rows, fine, metric)
+        known = np.isfinite(cut.unsure + cut.load.rest + cut.delta)
+        rows, cut = rows[known], cut.of(known)
+        takes[rows], load = bool(memory), load.with_rows(rows, cut.load)
+        gap[rows], size[rows] = cut.delta**2 * cut.of_first * metric.volume[rows], cut.unsure
+        of_mean.lo[rows], of_mean.hi[rows] = cut.mean - cut.unsure, cut.mean + cut.unsure
+    resolution.add_load("c", of_mean, size, metric)
+    return ReactionTerms(gap, load, coefficient.least, takes)
+
+
+@dataclass(frozen=True)
+class _Near:
+    """What p leaves on the owned cells.
+
+    Attributes:
+        mean: p_T.
+        delta: δ.
+        missed: SD, and the mean where p_T ≤ 0.
+        load: p_T u* − p(v + δ) without its mean.
+        apart: Mask of the cells where the admissible function is not the quadratic v.
+    """
+
+    mean: Array
+    delta: Array
+    missed: Array
+    load: Projection
+    apart: Mask
+
+
+def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, squares: int) -> _Near:
+    """What p leaves; `squares` is the degree of (pv)², `nodes` has bounds of |v − u*| far from Γ_S (collective)."""
+    mesh, number = trace.v.function_space.mesh, len(level)
+    cell, dim = mesh.basix_cell(), mesh.topology.dim
+    delta, mean, missed = np.zeros(number), np.zeros(number), np.zeros(number)
+    load, apart = Projection(np.zeros((number, dim)), np.zeros(number)), np.zeros(number, dtype=bool)
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     for near, cells, degree in ((False, far, squares), (True, trace.cells, max(trace.degree, squares))):
         points, weights = positive_quadrature(cell, degree)
@@ -112,13 +177,16 @@ def reaction_terms(
             missed[own] += coefficient.deviation[own] * farthest
             part = projected(values - some.means(values)[:, None], cell, OF_LOAD, points, weights)
             load.coefficients[own], load.rest[own] = part.coefficients, part.rest
-    c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
-    of_level = (Interval(c_h - mean, c_h - mean) - coefficient.mean) * level
-    size = missed + coefficient.deviation * np.abs(level)
-    resolution.add_load("c", Interval(of_level.lo - missed, of_level.hi + missed), size, metric)
-    load.rest[:] = (np.sqrt(load.rest) + size * np.sqrt(weights.sum())) ** 2
-    gap = delta**2 * (np.maximum(mean, 0.0) + coefficient.deviation) * metric.volume
-    return ReactionTerms(gap, load, coefficient.least)
+            if near:
+                between = np.abs(v - some.quadratic(trace.v)[:, :, 0]).max(axis=1, initial=0.0)
+                apart[own] = between > SAME * (np.abs(level) + nodes)[own]
+    return _Near(mean, delta, missed, load, apart)
+
+
+def _fine(metric: CellMetric, resolution: Resolution) -> Array:
+    """A load size per owned cell that makes only a small share of the error."""
+    fine: Array = resolution.flux(metric) / resolution.volume ** (1 / metric.jacobian.shape[1])
+    return fine
 
 
 def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: Array) -> _Coefficient | None:
@@ -152,7 +220,7 @@ def near_quadratics(
     """
     number, dim = len(metric.volume), metric.jacobian.shape[1]
     vertices, p, (deviation, *mean) = resolution.vertices, constant(np.zeros(number), dim), np.zeros((3, number))
-    tolerance = resolution.flux(metric) / (resolution.volume ** (1 / dim) * np.maximum(size, SMALLEST))
+    tolerance = _fine(metric, resolution) / np.maximum(size, SMALLEST)
     for tree, cells in resolution.pieces(name, datum):
         assert isinstance(tree, TREES)
         q = interpolated(tree, vertices[cells])

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -23,9 +23,10 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature
+from signorini_fenicsx.discrete.points import CellPoints, Points, cell_quadrature
 from signorini_fenicsx.expressions.quadratics import constant
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
+from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection
 from signorini_fenicsx.physics.diffusion.bound.local_fields import at_points as of_projection
@@ -68,7 +69,7 @@ class Continuous:
         corners = self.v.function_space.mesh.topology.dim + 1
         return np.asarray(np.abs(nodes).max(axis=1) + np.abs(self.bubble) / corners**corners)
 
-    def __call__(self, points: CellPoints) -> Array:
+    def __call__(self, points: Points) -> Array:
         """Values of the datum in points."""
         product = points.barycentric.prod(axis=2)
         values: Array = points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
@@ -82,10 +83,12 @@ class _Content:
     Attributes:
         values: It in points of cells, with a P2 function in the place of C.
         missed: What this leaves of it, per owned cell; None if that is nothing.
+        term: It as one term; None where it is not known as one.
     """
 
     values: InPoints
     missed: Array | None = None
+    term: Term | None = None
 
 
 class StepBounds:
@@ -101,7 +104,7 @@ class StepBounds:
         steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
         if instant.step == 1:
             self._start = steps.start_given()
-            self._before = [_Content(_at_start(steps, self._start))]
+            self._before = [_Content(_at_start(steps, self._start), term=_start_term(self._start, len(steps.capacity)))]
         weights = steps.weights(instant.step)
         memory = None
         if len(self._before) >= len(weights):
@@ -123,7 +126,19 @@ class StepBounds:
 
         missed = [abs(weight) * content.missed for weight, content in terms if content.missed is not None]
         left = np.asarray(sum(missed)) if missed else None
-        return Memory(values, left, self._start or initial, weights[-1]) if from_start else Memory(values, left)
+        known = [_times(weight, content.term) for weight, content in terms if content.term is not None]
+        memory = Memory(values, left, terms=tuple(known) if len(known) == len(terms) else ())
+        return replace(memory, initial=self._start or initial, factor=weights[-1]) if from_start else memory
+
+
+def _times(weight: float, term: Term) -> Term:
+    """A multiple of a term."""
+    return replace(term, q=lambda points: weight * term.q(points), size=abs(weight) * term.size)
+
+
+def _start_term(given: Datum | None, number: int) -> Term | None:
+    """The content at the start as a term; None where it is not known as a text."""
+    return None if given is None else Term("initial", given, lambda points: np.ones(points.shape), np.ones(number))
 
 
 def _at_start(steps: DiffusionSteps, given: Datum | None) -> InPoints:
@@ -153,9 +168,8 @@ def _content(instant: Instant, u: Continuous, load: Projection | None, own: Admi
     stores = np.zeros(len(theta), dtype=bool)
     for part, _ in steps.storage:
         stores[part.rows] = True
-    capacity, missed = constant(steps.capacity, own.metric.jacobian.shape[1]), None
+    capacity, missed, largest = constant(steps.capacity, own.metric.jacobian.shape[1]), None, u.largest()
     if steps.given.polynomial != 0:
-        largest = u.largest()
         capacity, rest, _ = near_quadratics("capacity", steps.given, own.metric, own.resolution, largest)
         missed = rest * largest
 
@@ -167,4 +181,4 @@ def _content(instant: Instant, u: Continuous, load: Projection | None, own: Admi
             stored -= of_projection(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
         return stored
 
-    return _Content(content, missed)
+    return _Content(content, missed, None if steps.storage else Term("capacity", steps.given, u, largest))

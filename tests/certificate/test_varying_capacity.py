@@ -1,0 +1,86 @@
+"""The bound of a step is near its error where a capacity jumps, oscillates or bends within cells."""
+
+import dolfinx
+import numpy as np
+import pytest
+from mpi4py import MPI
+from random_bounds import difference
+
+from signorini_fenicsx import Diffusion, Evolution, Signorini, StepBounds, evolve
+from signorini_fenicsx.base.owned import function_of
+from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.points import PartPoints
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+CONTACT = [Signorini("bottom", psi=-1)]
+
+
+def finer(domain: Domain) -> Domain:
+    for _ in range(2):
+        domain = refine(domain, np.arange(domain.mesh.topology.index_map(2).size_local, dtype=np.int32))
+    return domain
+
+
+@pytest.mark.parametrize(
+    ("capacity", "u_0", "sharp"),
+    [
+        ("1 if x < 0.37 else 10", "sin(3*x)", 1.6),  # was 6.4
+        ("1 if x < 0.37 else 100", "sin(3*x)", 3),  # was 30
+        ("1 if x < 0.37 else 100", 0, 3),  # was 18
+        ("100 if x + y < 0.77 else 1", "sin(3*x)", 1.5),  # was 167
+        ("100*sin(20*x)^2", "sin(3*x)", 3),  # was 139
+        ("1 + 99*x^2", "sin(3*x)", 2),  # was 2.2
+    ],
+)
+def test_first_step(capacity: str, u_0: float | str, sharp: float):
+    """Against a finer solution of the same step, which starts from u_0 as given, too."""
+    coarse = build_domain(COMM, "square", 0.25, mesh="structured")
+    evolution, problem = Evolution(0.05, 1, u_0, capacity), Diffusion(f=10, conditions=CONTACT)
+    one, other = (next(iter(evolve(domain, problem, evolution))) for domain in (coarse, finer(coarse)))
+    certificate, error = StepBounds().certify(one), difference(one.solution, other.solution)
+    assert certificate.proved
+    assert error < certificate.sigma_bound < sharp * error
+
+
+def test_second_step():
+    """Against a finer solution with the content of the first step: the capacity times its continuous function."""
+    capacity, bounds = "1 if x < 0.375 else 100", StepBounds()  # the finer mesh has the jump
+    coarse = build_domain(COMM, "square", 0.25, mesh="structured")
+    fine = finer(coarse)
+    first, second = evolve(coarse, Diffusion(f=10, conditions=CONTACT), Evolution(0.1, 2, 0, capacity))
+    v = bounds.certify(first).v
+    certificate, vertices = bounds.certify(second), corners(fine.mesh)
+    middles = np.column_stack([vertices.mean(axis=1), np.zeros(len(vertices))])
+    tree = dolfinx.geometry.bb_tree(coarse.mesh, 2)
+    inside = dolfinx.geometry.compute_collisions_points(tree, middles)
+    links = dolfinx.geometry.compute_colliding_cells(coarse.mesh, inside, middles)
+    cells = np.array([links.links(row)[0] for row in range(len(middles))], dtype=np.int32)
+    points = PartPoints(coarse.mesh, cells, *positive_quadrature(coarse.mesh.basix_cell(), 4), vertices)
+    means, area = points.means(points.quadratic(v)[:, :, 0]), points.scale
+    u_h, of_cells = first.solution.u.x.array, np.bincount(cells, area)
+    bubbles = 60 * (u_h - np.bincount(cells, area * means) / of_cells)  # 60 is one over the mean of λ_1 λ_2 λ_3
+    content = means + bubbles[cells] * points.means(points.barycentric.prod(axis=2))
+    content *= np.where(middles[:, 0] < 0.375, 1, 100)
+    f = 10 + 20 * function_of(dolfinx.fem.functionspace(fine.mesh, ("DG", 0)), content, "content")
+    error = difference(second.solution, solve(fine, (Boundary(["bottom"]), Problem(f, c=f"20*({capacity})", psi=-1))))
+    assert certificate.proved
+    assert error < certificate.sigma_bound < 2.5 * error
+
+
+@pytest.mark.parallel(3)
+def test_ranks_do_not_matter():
+    """The same bounds of two steps on several ranks."""
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        domain, bounds = build_domain(comm, "square", 0.3, mesh="structured"), StepBounds()
+        evolution = Evolution(0.1, 2, "sin(3*x)", "1 if x + y < 0.77 else 100", "bdf2")
+        steps = evolve(domain, Diffusion(f=10, conditions=CONTACT), evolution)
+        found.append([bounds.certify(instant).numbers() for instant in steps])
+    for together, alone in zip(*found, strict=True):
+        assert together == pytest.approx(alone, rel=1e-10, abs=1e-12)
