@@ -117,7 +117,7 @@ def reaction_terms(
     gap = near.delta**2 * (np.maximum(near.mean, 0.0) + coefficient.deviation) * metric.volume
     load.rest[:] = (np.sqrt(load.rest) + size / np.sqrt(math.factorial(spaces.mesh.topology.dim))) ** 2
     rough, takes = coefficient.deviation * farthest > fine, np.zeros(len(level), dtype=bool)
-    if memory and "c" not in resolution.by_quadrature:
+    if memory and data.c.number is None and "c" not in resolution.by_quadrature:
         bent = metric.diameter / np.pi * np.sqrt(math.factorial(spaces.mesh.topology.dim) * load.rest)
         rough |= bent * np.sqrt(metric.kappa_min) > resolution.flux(metric)
     rows = np.flatnonzero(rough & ~near.apart)
