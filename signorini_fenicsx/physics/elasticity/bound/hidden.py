@@ -45,6 +45,7 @@ from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
+from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, constant_of_facets, length_of_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
@@ -66,6 +67,8 @@ AGAINST_LOADS = (0.0, 1 / 16, 1 / 4, 1.0, 4.0, 16.0, 1e9)
 """max(g, ĝ) is in the gap of a facet if so many times what this adds is at most the load squared; the best counts."""
 LEAST_WEIGHT = 0.01
 """What is added to weights of facets, whose largest is 1."""
+HALVINGS = 5
+"""Parts of facets on which ĝ − g may be large are halved so often."""
 SMALLEST = 1e-100
 """Tolerances are at least this."""
 
@@ -384,16 +387,24 @@ class _RubbingLoads:
 
 def _above(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array, off: Array) -> Array:
     """‖(ĝ − g)₊‖ on facets, as narrowly as is needed beside `off`, which is ‖g − ĝ‖ (collective)."""
-    excess, slopes = np.zeros(len(bound)), barycentric_gradients(facets.vertices)
-    flat = np.zeros((len(bound), spaces.dim, spaces.dim))
-    linear = Quadratic(bound.mean(axis=1), np.einsum("na,nai->ni", bound, slopes), flat)
-    low = -np.maximum(SHARE * off / np.sqrt(facets.measure), _rounding(spaces, bound))
-    for tree, inside in datum.pieces or ():
-        assert isinstance(tree, TREES)
-        rows = np.arange(len(bound)) if inside is None else np.flatnonzero(inside[facets.cells])
-        least = ranges(tree, facets.vertices[rows], linear.of(rows), spaces.frame, low[rows], np.inf).lo
-        excess[rows] = np.maximum(-least, 0.0)
-    return excess * np.sqrt(facets.measure)
+    gradient = np.einsum("na,nai->ni", bound, barycentric_gradients(facets.vertices))
+    enough = np.maximum(SHARE * off / np.sqrt(facets.measure), _rounding(spaces, bound))
+    parts, squares = Parts(facets.vertices, np.arange(len(bound)), np.ones(len(bound))), np.zeros(len(bound))
+    for level in range(HALVINGS + 1):
+        arms = parts.vertices.mean(axis=1) - facets.vertices.mean(axis=1)[parts.own]
+        middle = bound.mean(axis=1)[parts.own] + np.einsum("ni,ni->n", gradient[parts.own], arms)
+        linear = Quadratic(middle, gradient[parts.own], np.zeros((len(middle), spaces.dim, spaces.dim)))
+        excess, cells = np.zeros(len(middle)), facets.cells[parts.own]
+        for tree, inside in datum.pieces or ():
+            assert isinstance(tree, TREES)
+            rows = np.arange(len(middle)) if inside is None else np.flatnonzero(inside[cells])
+            some = parts.own[rows]
+            least = ranges(tree, parts.vertices[rows], linear.of(rows), spaces.frame, -enough[some], np.inf).lo
+            excess[rows] = np.maximum(-least, 0.0)
+        done = (excess <= enough[parts.own]) | (level == HALVINGS)
+        squares += np.bincount(parts.own[done], (parts.share * excess**2)[done], len(bound))
+        parts = parts.take(~done).halves()
+    return np.sqrt(facets.measure * squares)
 
 
 def _maybe_negative(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: Array) -> Mask:
