@@ -25,8 +25,8 @@ Solving it:
 `signorini_fenicsx.extend` has what your own algorithms, discretisations and laws need.
 
 Impossible input raises `InputError`; a run without a solution raises `NumericalFailure`, and one whose solution is kept
-`LaterFailure`, if something failed that came after. For examples see `help(signorini_fenicsx.api)`; the command line is
-`signorini`.
+`extend.LaterFailure`, which is one too, if something failed that came after. For examples see
+`help(signorini_fenicsx.api)`; the command line is `signorini`.
 """
 
 import importlib

@@ -64,7 +64,7 @@ pressed onto it:
 (1, 2, 2)
 """
 
-from signorini_fenicsx.base.errors import InputError, LaterFailure, NumericalFailure
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
@@ -115,7 +115,6 @@ __all__ = [
     "Evolution",
     "Friction",
     "InputError",
-    "LaterFailure",
     "Neumann",
     "NumericalFailure",
     "Obstacle",

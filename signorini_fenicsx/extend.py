@@ -21,9 +21,10 @@ solves one linear problem under given conditions on its sites. With `FacetBacken
 `Options(algorithm=…, backend=…)`.
 
 `Instant` is what `evolve` yields, and `write_solution` writes a solution file by file; a program that only solves needs
-neither name.
+neither name. `LaterFailure` is the `NumericalFailure` of a run whose solution is kept.
 """
 
+from signorini_fenicsx.base.errors import LaterFailure
 from signorini_fenicsx.contact.backend import Backend, Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import Outcome, Step
@@ -46,6 +47,7 @@ __all__ = [
     "Graph",
     "Instant",
     "Iterate",
+    "LaterFailure",
     "Law",
     "Method",
     "Outcome",

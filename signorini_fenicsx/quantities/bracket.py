@@ -39,7 +39,7 @@ from dataclasses import dataclass, field, replace
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 
-MOST = 20
+MOST = 24
 """Largest number of τ that are tried: the best one falls like h^{4/3}, far below the first one on fine meshes."""
 SMALLER, AGAIN = 16.0, 3
 """If the problems beside that of a solution have none, τ is made smaller by this factor, so often at most."""

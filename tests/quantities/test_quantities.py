@@ -131,7 +131,7 @@ def test_known_fluxes(parts: str | list[str], known: float):
         assert found.lower <= known + 1e-9
         assert found.upper >= known - 1e-9
         widths.append(found.width)
-    assert widths[1] < widths[0] / 2**1.8 + 1e-9
+    assert widths[1] < widths[0] / 2**1.8 + 1e-7  # through both it is known but for rounding
 
 
 def test_flux_through_one_of_two_levels():

@@ -223,7 +223,7 @@ class DiffusionRun:
         """The solution (collective)."""
         spaces, trace = self.task.spaces, outcome.iterate.p + self.data.psi_h
         if self.trace is not None:
-            trace = self.trace + self.data.psi_h - self.task.data.psi_h  # the latter is u − constant
+            trace = self.trace + (self.data.psi_h - self.task.data.psi_h)  # the difference is the constant
         self.system.solved = ref(outcome), self.task.data
         return Solution(
             boundary=self.boundary,
