@@ -10,7 +10,8 @@ this ratio is below 1, the bound of the finer mesh decides whether σ_f is not a
 With `--pulses` f is a text with narrow pulses. Of many draws it is the one that the quadrature of the coarse mesh sees
 least; on the finer mesh f has its means in the cells, by a far better quadrature, whose osc(f) is taken into account.
 Then only guaranteed bounds count. With `--small` the problems are those of `exact_strips.py`, whose κ is nearly 0 in
-vertices or in cells, and whose fluxes are known.
+vertices or in cells, and whose fluxes are known. With `--starts` they are first steps in time from values that vary
+within cells, with laws of storage and capacities that vary; there the bound is that of the step.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -32,6 +33,7 @@ from mpi4py import MPI
 from random_problems import distort, random_case
 from ufl.core.expr import Expr
 
+from signorini_fenicsx import Diffusion, Evolution, Neumann, Signorini, StepBounds, evolve
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.parallel import collect_garbage
@@ -235,6 +237,34 @@ def examine_small(seed: int, comm: MPI.Comm) -> Row:
     return Row(words, error, certificate.sigma_bound, certificate.guaranteed and low < 1 - 1e-6)
 
 
+def examine_start(seed: int, comm: MPI.Comm) -> Row:
+    """Bound the first step of a problem in time and compare it with that on the finer mesh (collective)."""
+    rng = np.random.default_rng(seed)
+    k, a, at, tau = rng.uniform(1, 40), rng.uniform(0, 6), rng.uniform(0.2, 0.8), 10 ** rng.uniform(-2, 0)
+    starts = f"sin({k}*x + {a})", f"1 if x < {at} else -1", f"abs(y - {at}) - 0.2", f"x*{k}*exp(-{k}*(x - {at})^2)"
+    graphs = (
+        {"corners": [[0, 0]], "before": float(rng.uniform(0.1, 3)), "beyond": float(rng.uniform(0.1, 3))},
+        {"corners": [[-0.5, -0.2], [0, 0], [0.1, 1]], "before": 0.5, "beyond": 2},
+        {"corners": [[0, 0], [0, 1]], "before": 1, "beyond": 1},
+        *("0.1 + x", f"1 if x < {at} else {k}", f"1 + {k}*sin(9*y)^2"),
+    )
+    u_0, capacity = starts[rng.integers(len(starts))], graphs[rng.integers(len(graphs))]
+    coarse = build_domain(comm, "square", math.sqrt(2) / rng.integers(2, 7), mesh="structured")
+    fine = coarse
+    for _ in range(2):
+        fine = refine(fine, owned_cells(fine.mesh))
+    law = Signorini("bottom", psi=-0.1) if rng.random() < 0.5 else Neumann("bottom", 0.3)
+    problem = Diffusion(f=float(rng.uniform(-5, 5)), conditions=[Neumann("top"), law])
+    first = [next(iter(evolve(domain, problem, Evolution(tau, 1, u_0, capacity)))) for domain in (coarse, fine)]
+    (certificate, finer), distance = (
+        (StepBounds().certify(one) for one in first),
+        difference(*(one.solution for one in first)),
+    )
+    words = f"{'proved' if certificate.proved else certificate.reservation}, tau {tau:.3g}, u_0 {u_0}, C {capacity}"
+    wrong = certificate.proved and certificate.sigma_bound < (1 - 1e-9) * (distance - finer.sigma_bound)
+    return Row(words, distance, certificate.sigma_bound, wrong)
+
+
 def difference(coarse: Solution, fine: Solution) -> float:
     """‖σ_h − σ_f‖ on the finer mesh, in the energy norm (collective)."""
     (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain)
@@ -253,16 +283,20 @@ def main() -> int:
     kinds = arguments.add_mutually_exclusive_group()
     kinds.add_argument("--pulses", action="store_true")
     kinds.add_argument("--small", action="store_true")
+    kinds.add_argument("--starts", action="store_true")
     options = arguments.parse_args()
     comm, began = MPI.COMM_WORLD, time.monotonic()
+    of_kind: dict[str, Callable[[int, MPI.Comm], Row]] = {
+        **{"pulses": examine_pulses, "small κ": examine_small, "starts": examine_start},
+        f"κ jumps: {options.jumps}": lambda seed, comm: examine(seed, options.jumps, comm),
+    }
+    chosen = [options.pulses, options.small, options.starts, True].index(True)
+    kind = list(of_kind)[chosen]
     say = print if comm.rank == 0 else lambda *words, **options: None
     ratios, wrong, failed = [], 0, 0
     for seed in range(options.first, options.first + options.seeds):
         try:
-            if options.pulses or options.small:
-                row = (examine_pulses if options.pulses else examine_small)(seed, comm)
-            else:
-                row = examine(seed, options.jumps, comm)
+            row = of_kind[kind](seed, comm)
         except (InputError, NumericalFailure) as error:
             failed += 1
             say(f"{seed:4d} {error}")
@@ -272,7 +306,6 @@ def main() -> int:
         ratios.append(row.ratio)
         wrong += row.wrong
         say(f"{seed:4d} error {row.difference:.3e} ratio {row.ratio:.3f} {row.problem}", flush=True)
-    kind = "pulses" if options.pulses else "small κ" if options.small else f"κ jumps: {options.jumps}"
     say(
         f"{len(ratios)} problems ({failed} not solved), {kind}; ratio: median "
         f"{np.median(ratios):.3f}, largest {np.max(ratios):.3f}, infinite {np.isinf(ratios).sum()}, "
