@@ -237,7 +237,8 @@ import gc
 import signorini_fenicsx
 import dolfinx.mesh
 from mpi4py import MPI
-from signorini_fenicsx import Diffusion, LaterFailure, domain_of, solve
+from signorini_fenicsx import Diffusion, domain_of, solve
+from signorini_fenicsx.extend import LaterFailure
 from signorini_fenicsx.output.xdmf import Xdmf
 def failing(*arguments):
     raise ValueError("it is broken")

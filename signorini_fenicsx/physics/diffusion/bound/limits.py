@@ -35,6 +35,8 @@ BESIDE = 1e-4, 1e-8
 first; r^α would be 10^-4α times as far."""
 ROUNDING = 1e-12
 """Relative size of what is no jump."""
+BLUR = 16 * np.finfo(np.float64).eps
+"""Rounding of coordinates, as a share of their size."""
 SHARP = 0.1
 """sup b is known up to this share of what b varies by between nodes."""
 QUADRATIC = 2
@@ -53,7 +55,13 @@ def jumps_in_nodes(tree: Tree, vertices: Array, nodes: Array | None = None) -> M
     if nodes is not None:
         at = np.where(np.isnan(nodes), nearer, nodes)
     far, close = np.abs(near - at), np.abs(nearer - at)
-    return np.asarray((close > far / 2) & (close > ROUNDING * np.abs(at).max(initial=0.0)))
+    return np.asarray((close > far / 2) & (close > _rounding(vertices, at)[:, None]))
+
+
+def _rounding(vertices: Array, at: Array) -> Array:
+    """What rounding of values and of coordinates makes of values in the nodes of each simplex, at most."""
+    blur = BLUR * np.abs(vertices).max(axis=(1, 2), initial=0.0) / np.ptp(vertices, axis=1).max(axis=1, initial=0.0)
+    return np.asarray(ROUNDING * np.abs(at).max(initial=0.0) + blur * np.ptp(at, axis=1))
 
 
 @dataclass(frozen=True)
@@ -96,7 +104,7 @@ class Simplices:
                 in_node[rows] = jumps_in_nodes(tree, x)
                 some = rows[~np.isfinite(sum(slopes(tree, x, frame, np.full(len(rows), np.inf))))]
                 sizes = jumps_inside(tree, self.vertices[some])[0].max(axis=1, initial=0.0)
-                torn[some] = sizes > ROUNDING * np.abs(wanted[some]).max(initial=0.0)
+                torn[some] = sizes > _rounding(self.vertices[some], wanted[some])
         around = extreme_around(space, self.nodes, 1.0 * in_node, largest=True)
         rough, clear = torn | (around[self.nodes] > 0).any(axis=1), np.zeros(number, dtype=bool)
         for below, rows in pieces:
