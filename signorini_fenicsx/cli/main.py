@@ -25,6 +25,7 @@ from signorini_fenicsx.base.errors import (
     InputError,
     LaterFailure,
     NumericalFailure,
+    in_words,
 )
 from signorini_fenicsx.base.parallel import (
     FORWARDING,
@@ -55,7 +56,7 @@ def _run(command: Callable[[], object]) -> int:
         return EXIT_LATER if isinstance(failure, LaterFailure) else EXIT_FAILED
     except OSError as error:  # a full disk, a folder that is gone; an impossible path
         is_input = error.errno == errno.ENAMETOOLONG
-        _complain("error" if is_input else "failed", f"{error.filename or 'file system'}: {error.strerror or error}")
+        _complain("error" if is_input else "failed", in_words(error))
         return EXIT_BAD_INPUT if is_input else EXIT_FAILED
     except RuntimeError as error:
         from signorini_fenicsx.linear.petsc import refuse_options
