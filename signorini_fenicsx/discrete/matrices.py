@@ -45,17 +45,18 @@ def identity_with(
     return matrix
 
 
-def of_cells(numbers: common.IndexMap, block: int, *parts: OfCells) -> PETSc.Mat:
+def of_cells(comm: MPI.Intracomm, numbers: common.IndexMap, block: int, *parts: OfCells) -> PETSc.Mat:
     """The sum of matrices of cells (collective).
 
     Its entries are counted by blocks, and PETSc adds up the values: sorted one by one, they take four times as long.
 
     Args:
+        comm: The mesh's communicator. That of `numbers` is another one, which nobody asks PETSc to clean up.
         numbers: The nodes.
         block: Number of unknowns of each.
         parts: The cells, each of them by one rank.
     """
-    comm, own = numbers.comm, numbers.size_local
+    own = numbers.size_local
     count, sizes = own + numbers.num_ghosts, (block * own, block * numbers.size_global)
     keys = [(nodes[:, :, None].astype(np.int64) * count + nodes[:, None]).ravel() for nodes, _ in parts]
     ascending = np.sort(np.concatenate(keys))

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 from ufl import Form
 from ufl.core.expr import Expr
@@ -96,7 +95,7 @@ class FacetSystem:
         self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
         self.matrix = self.operator.matrix
         self._imposed: SiteConditions | None = None
-        self.x, self.b = create_vector(self.space), create_vector(self.space)
+        self.x, self.b = self.matrix.createVecs()
         self.x.set(0.0)
         self._rows: PETSc.Mat | None = None
         self._take(data)

@@ -4,7 +4,6 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem.petsc import create_vector
 from petsc4py import PETSc
 from ufl import Form
 from ufl.core.expr import Expr
@@ -69,7 +68,7 @@ class MixedBackend(FacetBackend):
         self._given = np.concatenate([spaces.neumann_dofs, across])  # these fluxes are never unknown
         self._load = self._right_side()
         self.before = fem.Function(Q)
-        self._b, self._x, self._residual = (create_vector(W) for _ in range(3))
+        self._b, self._x, self._residual = (self._system.matrix.createVecRight() for _ in range(3))
         self._solver = direct_solver(self._system.matrix, "lu", "mixed_")
         self._imposed: SiteConditions | None = None
 
@@ -186,7 +185,7 @@ class MixedBackend(FacetBackend):
     def _right_side(self) -> Array:
         """Right side for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""
         spaces, data, size = self.spaces, self.data, self._flux_size
-        lift, right = (create_vector([spaces.V, spaces.Q]) for _ in range(2))
+        lift, right = self._system.natural.createVecs()
         lift.set(0.0)
         lift.array_w[:size] = data.sigma_lift.x.array[:size]
         self._system.natural.mult(lift, right)

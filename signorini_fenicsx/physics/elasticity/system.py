@@ -202,7 +202,7 @@ class ElasticSystem:
     def _assembled(self) -> PETSc.Mat:
         dofs, dofmap = self.spaces.dofs, self.spaces.traces.dofmap
         parts = ((dofs[block.cells], block.matrix) for block in self._blocks)
-        return of_cells(dofmap.index_map, dofmap.index_map_bs, *parts)
+        return of_cells(self.spaces.mesh.comm, dofmap.index_map, dofmap.index_map_bs, *parts)
 
     def recover(
         self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None

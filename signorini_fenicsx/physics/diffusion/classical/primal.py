@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem.petsc import assemble_matrix, create_vector
+from dolfinx.fem.petsc import assemble_matrix
 from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
@@ -74,7 +74,7 @@ class P1System:
         self.matrix = self._system.matrix.duplicate(copy=True)
         self.diagonal = self.matrix.getDiagonal().array_r.copy()
 
-        self._x, self._b = create_vector(self.space), create_vector(self.space)
+        self._x, self._b = self.matrix.createVecs()
         nodes = self.space.element.interpolation_points
         u_D, psi = (datum.at_nodes(self.space, nodes).x.array[: self._size] for datum in (data.u_D, data.psi))
         self._data, self._psi = data, self.at_signorini(psi[self.signorini])

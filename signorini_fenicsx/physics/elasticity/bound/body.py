@@ -154,7 +154,7 @@ def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, the
         parts.append((spaces.dofs[numbers], matrices))
     if not comm.allreduce(inside, MPI.LAND):
         return False
-    matrix, jumps = of_cells(index_map, size, *parts), jumps_to_sides(spaces)
+    matrix, jumps = of_cells(comm, index_map, size, *parts), jumps_to_sides(spaces)
     matrix = matrix if jumps is None else matrix.ptap(jumps)
     fixed = np.concatenate([spaces.unknowns(facets, k).ravel() for facets, k, _ in spaces.fixed])
     matrix.zeroRowsColumns(fixed + size * index_map.local_range[0])

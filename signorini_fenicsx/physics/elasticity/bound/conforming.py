@@ -221,14 +221,15 @@ class BestDisplacement:
         forces = np.einsum("nij,ni->nj", self._given.frames, self._pull.array.reshape(-1, dim))
         inside = self._condensed = condensed(self.split, self.space, left, material, self._given.frames, forces)
         coupling = self._nodes, np.zeros((len(self._nodes), 2 * dim, 2 * dim))
-        self._natural = of_cells(self._numbers, dim, (inside.around, inside.matrices), *self._springs(), coupling)
+        parts = ((inside.around, inside.matrices), *self._springs(), coupling)
+        self._natural = of_cells(self.comm, self._numbers, dim, *parts)
         own = left.of_space[:size]
         self._lift, load = self._given.values[own].ravel(), inside.load
         image = self.times(self._lift)
         energy = fem.assemble_scalar(fenicsx.form(square(material.stiffness, self._without_v, 1.0, material.dx)))
         constants = energy / 2 + self._apart + inside.energy
-        parts = self.comm.allreduce(np.array([constants, self._lift @ (image / 2 - load)]))
-        self.constant, self.scale = float(parts.sum()), float(np.abs(parts).sum())
+        sums = self.comm.allreduce(np.array([constants, self._lift @ (image / 2 - load)]))
+        self.constant, self.scale = float(sums.sum()), float(np.abs(sums).sum())
         essential = np.flatnonzero(self._given.given[own]).astype(np.int32)
         self.load = load - image
         self.load[essential] = 0.0
