@@ -32,7 +32,17 @@ class NumericalFailure(InOneSentence):
 
 
 class LaterFailure(NumericalFailure):
-    """The problem is solved and its solution is kept; something that came after it failed: exit status 3."""
+    """The problem is solved and its solution is kept; something that came after it failed: exit status 3.
+
+    Attributes:
+        solution: The solution.
+        certificate: Its error bound; None if that is not known.
+        state: The last state of what failed, such as the solve on the next mesh of `adapt`; None if it left none.
+    """
+
+    def __init__(self, reason: str, solution: Any = None, certificate: Any = None, state: Any = None):
+        super().__init__(reason, solution)
+        self.certificate, self.state = certificate, state
 
 
 class WriteFailure(Exception):

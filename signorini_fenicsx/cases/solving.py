@@ -171,7 +171,8 @@ def adapt_case(
 
     Raises:
         InputError: If the first mesh cannot be made or has too many cells.
-        NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
+        LaterFailure: If something fails after the problem has been solved on a mesh, see there.
+        NumericalFailure: If the problem on the first mesh cannot be solved.
     """
 
     def solve_on(domain: Domain, start: Solved | None) -> Any:

@@ -1,7 +1,8 @@
 """Adaptive refinement: solve, certify, mark, refine, until the certified error is small or there are too many cells."""
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -10,9 +11,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError, LaterFailure, NumericalFailure, in_words
+from signorini_fenicsx.base.errors import InputError, LaterFailure, in_words
 from signorini_fenicsx.base.owned import owned_values
-from signorini_fenicsx.base.parallel import collect_garbage, collector_off
+from signorini_fenicsx.base.parallel import collect_garbage, collector_off, end_all, first_words
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
@@ -134,8 +135,9 @@ def adapt[S: Solved](
 
     Raises:
         InputError: If the first mesh has too many cells.
-        LaterFailure: If the bound or the quantity cannot be found; its `solution` is that of the mesh.
-        NumericalFailure: If the problem on a mesh cannot be solved, or the mesh not be refined.
+        LaterFailure: If the bound or the quantity cannot be found, the mesh not be refined, or the problem not be
+            solved on a mesh after the first; it has the last `solution`, its `certificate` and the failed `state`.
+        NumericalFailure: If the problem on the first mesh cannot be solved.
     """
     check_kind("domain", domain, Domain)
     check_kind("max_cells", max_cells, int)
@@ -146,17 +148,13 @@ def adapt[S: Solved](
         cells = f"{domain.cells} cells, more than the {max_cells} allowed"
         raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells}")
     solve_on = problem if callable(problem) else lambda mesh, start: solve(mesh, problem, start=start)
-    start: S | None = None
-    mesh = 0
+    solution, start, mesh = solve_on(domain, None), None, 0
     while True:
-        solution = solve_on(domain, start)
         check_kind("what `problem` returns", solution, Solved)
         start = solution if solution.method.starts_from_sets else None
-        try:
+        with _after(solution):
             certificate = certify(solution)
             interval = None if measure is None else measure(solution)
-        except Exception as error:
-            raise LaterFailure(in_words(error), solution) from error
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         row = _row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds)
         on_row(row if interval is None else MeasuredRow(**vars(row), lower=interval.lower, upper=interval.upper))
@@ -164,16 +162,31 @@ def adapt[S: Solved](
         if narrow or (target is not None and certificate.relative <= target):
             return solution, certificate
         shares = None if interval is None else interval.shares
-        with doing("refining the mesh"):
+        with doing("refining the mesh"), _after(solution, certificate, "cannot refine further: "):
             marked = dorfler(owned_values(certificate.indicator) if shares is None else np.sqrt(shares), theta, comm)
-            try:
-                domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
-            except (InputError, NumericalFailure) as error:  # cells too small for their coordinates, or flat
-                raise NumericalFailure(f"cannot refine further: {error}", solution) from None
+            domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
         if domain.cells > max_cells:
             return solution, certificate
         mesh += 1
         collect_garbage(comm)
+        with _after(solution, certificate, f"on the next mesh, with {domain.cells} cells: "):
+            solution = solve_on(domain, start)
+
+
+@contextlib.contextmanager
+def _after(solution: Solved, certificate: Certificate | None = None, where: str = "") -> Iterator[None]:
+    """Do something for whose failure, on any rank, a solution and its bound may not be lost (collective).
+
+    Raises:
+        LaterFailure: On all ranks, if it fails on one.
+    """
+    comm, error, words = solution.spaces.mesh.comm, None, ""
+    try:
+        yield
+    except Exception as failure:
+        error, words = failure, in_words(failure) or type(failure).__name__
+    if words := first_words(comm, words, lambda words: end_all(comm, f"failed: {where}{words}\n")):
+        raise LaterFailure(where + words, solution, certificate, getattr(error, "solution", None)) from error
 
 
 def _row(refinement: str, mesh: int, solution: Solved, certificate: Certificate, seconds: float) -> AdaptRow:

@@ -3,11 +3,12 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import InputError, LaterFailure, NumericalFailure
+from signorini_fenicsx.base.exchange import failed_place
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.cli.options import overrides
@@ -82,3 +83,24 @@ def failure_kept(folder: ResultsFolder, **wanted: bool) -> Iterator[None]:
             if not state.converged:
                 failure.args = (f"{failure}; {folder.last_state()}",)
         raise
+
+
+def keep_beside(folder: ResultsFolder, later: LaterFailure) -> NoReturn:
+    """End a run whose solution is published by what failed after it, whose last state is kept beside it (collective).
+
+    Raises:
+        LaterFailure: What failed, with the place of the state if there is one.
+    """
+    from signorini_fenicsx.output.writing import Found, SolutionFiles
+
+    place = failed_place(folder.target)
+
+    def write() -> None:
+        with ResultsFolder(folder.comm, place) as beside:
+            SolutionFiles(later.state).publish(beside).publish_others(beside, Found())
+
+    if later.state is not None:
+        folder.attempt("last state", write)
+        if "last state" not in folder.failures:
+            later.args = (f"{later}; its last state is in {place}",)
+    raise later

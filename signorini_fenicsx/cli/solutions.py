@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from mpi4py import MPI
 
-from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.errors import InputError, LaterFailure, NumericalFailure
 from signorini_fenicsx.base.exchange import complete
 from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.cli import options as option
-from signorini_fenicsx.cli.common import any_case, failure_kept, refuse_idle, results_place
+from signorini_fenicsx.cli.common import any_case, failure_kept, keep_beside, refuse_idle, results_place
 
 if TYPE_CHECKING:
     from typing import TypeGuard
@@ -182,41 +182,45 @@ def adapt(
       signorini adapt my-case.toml --quantity discharge --width 0.01
     """
     from signorini_fenicsx.cases.solving import adapt_case
-    from signorini_fenicsx.certificate.adaptive import AdaptRow
     from signorini_fenicsx.cli.adapt_report import AdaptReport
     from signorini_fenicsx.output.writing import Found, SolutionFiles, draw_adapt, write_adapt
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
     wanted, part, narrow, most = _checked(target, max_cells, theta, quantity, width)
     options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
-    values = option.overrides(settings, **options)
-    problem = on_root(comm, lambda: _on_first_mesh(case, values, options))
+    problem = on_root(comm, lambda: _on_first_mesh(case, settings, options))
     _refuse_lacking(problem, {"--html": html})
-    rows, (measured, measure) = list[AdaptRow](), _measuring(problem, quantity)
-
-    def on_row(row: AdaptRow) -> None:
-        rows.append(row)
-        report.mesh(row)
-
+    measured, measure = _measuring(problem, quantity)
     end: Any = {"target": wanted, "max_cells": most, "width": narrow, "on_step": lambda _: end_if_told(comm)}
-    refined = partial(adapt_case, problem, comm, **end, measure=measure, on_row=on_row)
+    refined = partial(adapt_case, problem, comm, **end, measure=measure, on_row=report.mesh)
     with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
         report.heading(problem, comm)
         report.columns(wanted, most, {} if quantity is None else {quantity: narrow})
         with failure_kept(folder, plot=plot, html=html):
-            solution, certificate = refined(theta=part)
-        quantities = dict(measured)
-        missed, table = _missed(certificate, wanted, quantities, narrow), partial(write_adapt, rows, comm)
+            solution, certificate, later = _so_far(partial(refined, theta=part))
+        quantities = {} if certificate is None else dict(measured)
+        missed = "" if later else _missed(certificate, wanted, quantities, narrow)
+        table = partial(write_adapt, report.rows, comm)
         files = SolutionFiles(solution).publish(folder, failed=bool(missed), others={"adapt.csv": table})
-        if uniform:
+        if uniform and later is None:
             folder.attempt("uniform refinement", lambda: refined(theta=1.0))
             folder.attempt("adapt.csv", partial(table, folder.path))
         files.publish_others(folder, Found(certificate=certificate, quantities=quantities), plot=plot, html=html)
-        folder.attempt("pictures of the refinement", partial(draw_adapt, solution, rows, folder.path))
+        folder.attempt("pictures of the refinement", partial(draw_adapt, solution, report.rows, folder.path))
         if missed:
             raise NumericalFailure(f"{missed}, with the largest mesh of at most {most} cells; {folder.last_state()}")
-        report.adapted(rows, solution.best_rate, certificate, quantities)
+        if later is not None:
+            keep_beside(folder, later)
+        report.adapted(solution.best_rate, certificate, quantities)
         report.published(folder.target)
+
+
+def _so_far(refined: "Callable[[], tuple[Solved, Certificate]]") -> tuple[Any, Any, LaterFailure | None]:
+    """The last solution of an adaptive run, its bound or None, and what failed after it or None (collective)."""
+    try:
+        return *refined(), None
+    except LaterFailure as failure:
+        return failure.solution, failure.certificate, failure
 
 
 def _missed(
@@ -274,8 +278,8 @@ def _checked(
     return wanted, part, narrow, max_cells or DEFAULT_MAX_CELLS
 
 
-def _on_first_mesh(name: str, values: dict[str, object], options: Mapping[str, object]) -> "CaseFile":
-    """A case with these values; on a named shape without a value of h, with h of the first mesh (rank 0).
+def _on_first_mesh(name: str, settings: list[str] | None, options: Mapping[str, object]) -> "CaseFile":
+    """A case with its new values; on a named shape without a value of h, with h of the first mesh (rank 0).
 
     Raises:
         InputError: If it is not valid, or its method does not have one of these options.
@@ -284,7 +288,7 @@ def _on_first_mesh(name: str, values: dict[str, object], options: Mapping[str, o
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
     from signorini_fenicsx.meshes.shapes import shape_of
 
-    case = load_case(name)
+    case, values = load_case(name), option.overrides(settings, **options)
     shape = case.with_values(values).geometry.shape
     first = {} if shape is None else {"solve.h": shape_of(shape).diameter / FIRST_MESH}
     problem = case.with_values(first | values)

@@ -323,12 +323,15 @@ def publish_convergence(
 
 
 def write_adapt(rows: list[AdaptRow], comm: MPI.Comm, folder: Path) -> None:
-    """Write `adapt.csv` of an adaptive run (collective)."""
-    on_root(comm, lambda: write_table(folder / "adapt.csv", type(rows[0]), rows))
+    """Write `adapt.csv` of an adaptive run, if there is a row (collective)."""
+    if rows:
+        on_root(comm, lambda: write_table(folder / "adapt.csv", type(rows[0]), rows))
 
 
 def draw_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
-    """Draw `adapt.png` and `mesh.png` of an adaptive run that ended with this solution (collective)."""
+    """Draw `adapt.png` and `mesh.png` of an adaptive run with rows that ended with this solution (collective)."""
+    if not rows:
+        return
     from signorini_fenicsx.output import pictures  # takes a second to import
 
     scene = pictures.gathered_scene(solution)

@@ -11,10 +11,14 @@ from typing import Any
 import meshio
 import pytest
 from commands import Ended, read_rows, run, signorini
+from mpi4py import MPI
 
+from signorini_fenicsx import Diffusion, Dirichlet, Domain, InputError, Signorini, adapt, solve
 from signorini_fenicsx.cases import solving
 from signorini_fenicsx.certificate import adaptive, of_field
 from signorini_fenicsx.certificate.step_bounds import StepBounds
+from signorini_fenicsx.extend import LaterFailure
+from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output import evolution, pictures, writing
 from signorini_fenicsx.physics.diffusion.bound import certify as bound
 from signorini_fenicsx.studies import picture
@@ -111,9 +115,51 @@ def test_adapt(breaking: Breaking, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with monkeypatch.context() as during:
         during.setattr(adaptive, "dorfler", adaptive_only)
         done = signorini(tmp_path, *adapt, "--uniform", "--plot")
-    assert told(done).startswith("uniform refinement: AssertionError: it is broken")
+    assert told(done).startswith("uniform refinement: cannot refine further: AssertionError: it is broken")
     assert {row["refinement"] for row in read_rows(tmp_path / "x" / "adapt.csv")} == {"adaptive", "uniform"}
     assert names(tmp_path / "x") >= {"adapt.png", "mesh.png", "overview.png"}
+
+
+@pytest.mark.parametrize("case", [pytest.param("example1", marks=pytest.mark.parallel([2])), "hertz"])
+def test_adapt_whose_next_mesh_is_not_solved(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The solution before, its bound, quantity and rows are kept, and beside it the last state of the failed solve."""
+    whole, place = solving.solve_case, MPI.COMM_WORLD.bcast(tmp_path)
+
+    def in_time(case: Any, *, domain: Any, start: Any, **options: Any) -> Any:
+        short = {"solve.max_iterations": 1, "solve.predict": False}
+        case, start = (case, start) if domain.cells < 20 else (case.with_values(short), None)
+        return whole(case, domain=domain, start=start, **options)
+
+    monkeypatch.setattr(solving, "solve_case", in_time)
+    table = ("--set", 'quantity=[{name="q", kind="energy"}]', "--quantity", "q", "--width", "1e-9")
+    done = signorini(place, "adapt", case, "--h", "1", *table, "--output", "x", "-q")
+    words = told(done)
+    assert words.startswith("on the next mesh, with ")
+    assert words.endswith(f"solve.max_iterations allows more; its last state is in {place / 'x.failed'}")
+    rows, summary = read_rows(place / "x" / "adapt.csv"), json.loads((place / "x" / "summary.json").read_text())
+    assert summary["converged"]
+    assert summary["cells"] == int(rows[-1]["cells"]) < 20
+    assert summary["certificate"]["bound"] == float(rows[-1]["bound"])
+    assert summary["quantities"]["q"]["upper"] == float(rows[-1]["upper"])
+    failed = json.loads((place / "x.failed" / "summary.json").read_text())
+    assert (failed["converged"], failed["cells"] > 20) == (False, True)
+    assert names(place) == {"x", "x.failed"}
+
+
+@pytest.mark.parametrize("error", [InputError, ValueError])
+def test_adapt_in_python_keeps_what_it_has(error: type[Exception]):
+    """Whatever fails on a mesh after the first, the exception has the solution before and its bound."""
+
+    def solve_on(domain: Domain, start: Any) -> Any:
+        if domain.cells > 18:
+            raise error("it is broken")
+        return solve(domain, Diffusion(f=-1, conditions=[Dirichlet("top"), Signorini("bottom", psi=-0.1)]))
+
+    with pytest.raises(LaterFailure, match="on the next mesh, with .* cells: .*it is broken") as failure:
+        adapt(build_domain(MPI.COMM_SELF, "square", 0.5, mesh="structured"), solve_on)
+    assert failure.value.solution.converged
+    assert failure.value.certificate.v.function_space.mesh is failure.value.solution.spaces.mesh
+    assert failure.value.state is None
 
 
 def test_times(breaking: Breaking, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
