@@ -155,7 +155,7 @@ def test_adapt_in_python_keeps_what_it_has(error: type[Exception]):
             raise error("it is broken")
         return solve(domain, Diffusion(f=-1, conditions=[Dirichlet("top"), Signorini("bottom", psi=-0.1)]))
 
-    with pytest.raises(LaterFailure, match="on the next mesh, with .* cells: .*it is broken") as failure:
+    with pytest.raises(LaterFailure, match=r"on the next mesh, with .* cells: .*it is broken") as failure:
         adapt(build_domain(MPI.COMM_SELF, "square", 0.5, mesh="structured"), solve_on)
     assert failure.value.solution.converged
     assert failure.value.certificate.v.function_space.mesh is failure.value.solution.spaces.mesh
