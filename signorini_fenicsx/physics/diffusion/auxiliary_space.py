@@ -12,7 +12,6 @@ from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.two_level import TwoLevel, choose_smoother, facet_vertices
 from signorini_fenicsx.physics.diffusion.coarser_levels import use_coarser_meshes
 from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
-from signorini_fenicsx.physics.diffusion.jumps import jumps_of_facets
 from signorini_fenicsx.physics.diffusion.nodes import Jumps
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -44,7 +43,7 @@ class AuxiliarySpace:
         self._space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
         self._jumps = Jumps.of(self._space, spaces)
         self._interpolation = facet_means(self._space, system.space)
-        to_jumps = jumps_of_facets(spaces, back=True)
+        to_jumps = system.sides.matrix(system.space, back=True)
         if self._jumps.basis is not None and to_jumps is not None:
             self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis[0]))
         self._operator = ConstrainedMatrix(self._galerkin(), PETSc.Mat.Option.SPD)

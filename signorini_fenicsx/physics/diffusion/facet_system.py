@@ -16,11 +16,11 @@ from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values, s
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.hybrid_system import Sides
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.jumps import jumps_of_facets
 from signorini_fenicsx.physics.diffusion.sources import sources
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -54,7 +54,7 @@ class FacetSystem:
 
     A ZERO_TRACE facet, like one of Γ_D, is an essential condition on its degree of freedom, a NO_FLUX facet a natural
     one, and a ROBIN facet adds β|e| p̄ q̄, on facet means, to the diagonal. v|e| is a load on either of the last two.
-    Inside the domain the unknown of a facet of Γ_S is the jump of u, see `jumps`.
+    Inside the domain the unknown of a facet of Γ_S is the jump of u, see `Sides`.
 
     With laws in Ω the conditions of the cells follow those of the facets. They change the sources, and so the matrix
     and the load.
@@ -68,6 +68,7 @@ class FacetSystem:
         x: Its solution, u_CR minus the lift of u_D and ψ; the start of the next iterative solve.
         trace_dofs: The unknown of each Γ_S facet.
         dirichlet_dofs: Those of Γ_D.
+        sides: The unknowns of facets inside the domain.
         dofs: Unknowns over all ranks.
         large: Whether an iterative solver is the default at this size.
         sources: Those of the cells under the conditions last applied.
@@ -88,11 +89,11 @@ class FacetSystem:
         self.dirichlet_dofs = cells_and_dofs(self.space, spaces.dirichlet_facets)[1]
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = tuning.is_large(self.dofs, DIRECT_UP_TO)
-        self._named = self.trace_dofs[spaces.inner.rows]
-        self._across = cells_and_dofs(self.space, spaces.inner.facets)[1]
+        across = cells_and_dofs(self.space, spaces.inner.facets)[1]
+        self.sides = Sides(self.trace_dofs[spaces.inner.rows], across, spaces.inner.present)
         self._facets = slice(len(spaces.facets))
         self.sources = sources(spaces, data)
-        self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, jumps_of_facets(spaces))
+        self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, self.sides.matrix(self.space))
         self.matrix = self.operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = self.matrix.createVecs()
@@ -131,8 +132,7 @@ class FacetSystem:
         data, spaces = self._data, self.spaces
         y, dofs = owned_values(self.sources.b), cell_dofs(self.space)
         per_facet = (y * spaces.cell_measures / dofs.shape[1])[:, None]
-        owned = sums_at(self.space.dofmap.index_map, dofs, per_facet)[: self.b.getLocalSize()]
-        owned[self._across] += owned[self._named]  # the jump is on the named side alone
+        owned = self.sides.forces(sums_at(self.space.dofmap.index_map, dofs, per_facet)[: self.b.getLocalSize()])
         owned[self.trace_dofs] += data.q_Sh * spaces.facet_measure
         owned[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
         lift, image = self.matrix.createVecs()
@@ -266,16 +266,14 @@ class FacetSystem:
         """
         owned, jumps = len(loads.forces), loads.jumps
         through, _ = self._through(jumps, loads)
-        sums = sums_at(self.space.dofmap.index_map, cell_dofs(self.space), -through)
-        sums[self._across] += sums[self._named]
+        sums = self.sides.forces(sums_at(self.space.dofmap.index_map, cell_dofs(self.space), -through))
         b, x = (vector.duplicate() for vector in (self.b, self.x))
         b.array_w[:] = sums[:owned] + loads.forces
         b.array_w[self._fixed(conditions.take(self._facets))] = 0.0
         x.set(0.0)
         solve(b, x)
         trace, u_cr = x.array_r.copy(), fem.Function(self.space)
-        u_cr.x.array[:owned] = trace
-        u_cr.x.array[self._named] += trace[self._across]
+        u_cr.x.array[:owned] = self.sides.values(trace)
         u_cr.x.scatter_forward()
         through, of_cells = self._through(jumps + u_cr.x.array[cell_dofs(self.space)], loads)
         sigma, u = fem.Function(self.spaces.V, name="sigma"), function_of(self.spaces.Q, of_cells, "u")
@@ -331,10 +329,9 @@ class FacetSystem:
 
     def _with_lift(self, x: PETSc.Vec) -> fem.Function:
         """u_CR (collective)."""
-        owned: Array = x.array_r
+        owned = self.sides.values(x.array_r)
         u_cr = fem.Function(self.space)
         u_cr.x.array[: len(owned)] = owned
-        u_cr.x.array[self._named] += owned[self._across]
         u_cr.x.scatter_forward()
         u_cr.x.array[:] += self._data.u_lift.x.array
         return u_cr

@@ -159,7 +159,7 @@ class Linearised:
             settled_change(tangent, start, number)
             return backend.system.everywhere(tangent.x)
 
-        stresses, u, _ = backend.system.respond(*self._by_changes(changes), solve)
+        stresses, u, _ = backend.system.respond(*self._by_changes(changes), solve=solve)
         return {"sigma": spaces.split.stress(stresses), "u": spaces.displacement(u), "p": None}
 
     def _by_changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:
@@ -215,7 +215,7 @@ class Linearised:
                 x.axpy(1.0, self._of_pressure(w))
             return backend.system.everywhere(x.array_r)
 
-        adjoint, of_u, x = backend.system.respond(stresses, moments, solve)
+        adjoint, of_u, x = backend.system.respond(stresses, moments, solve=solve)
         forces = backend.system.forces(adjoint)
         sites, held = spaces.sites, self._held[: len(spaces.sites)]
         pull = spaces.site_measure * x[sites]

@@ -18,7 +18,6 @@ from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
 from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, node_ranks
-from signorini_fenicsx.physics.elasticity.system import jumps_to_sides
 
 OF_ALL = {
     "mg_coarse_pc_mg_cycle_type": "w",
@@ -210,7 +209,7 @@ def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace,
         csr=(begins, indices, values[used]),
         comm=mesh.comm,
     )
-    to_jumps = jumps_to_sides(spaces, back=True)
+    to_jumps = spaces.sides.matrix(spaces.traces, back=True)
     return of_sides if to_jumps is None else to_jumps.matMult(of_sides)
 
 

@@ -16,6 +16,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.discrete.hybrid_system import Sides
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
@@ -170,12 +171,11 @@ class ElasticSpaces(MeshSpaces):
         return self.boundary_facets(self.inner.facets)
 
     @cached_property
-    def sides(self) -> tuple[Indices, Indices]:
-        """The unknowns of the facets inside the domain: those of the named sides, and of the other ones."""
-        blocks = self.contact.blocks[self.inner.rows], self.across.blocks
-        size = self.dim**2
+    def sides(self) -> Sides:
+        """The unknowns of the facets inside the domain."""
+        blocks, size = (self.contact.blocks[self.inner.rows], self.across.blocks), self.dim**2
         named, across = ((each[:, None].astype(np.int64) * size + np.arange(size)).ravel() for each in blocks)
-        return named, across
+        return Sides(named, across, self.inner.present)
 
     @cached_property
     def frames(self) -> list[tuple[BoundaryFacets, Array]]:

@@ -53,7 +53,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import (
 from signorini_fenicsx.physics.elasticity.rigid_motions import Bodies
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.supports import Supports
-from signorini_fenicsx.physics.elasticity.system import jumps_to_sides, transform
+from signorini_fenicsx.physics.elasticity.system import transform
 
 ON_FACETS = 1 / 8
 """l is this share of |Ω|^(1/d)."""
@@ -154,7 +154,7 @@ def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, the
         parts.append((spaces.dofs[numbers], matrices))
     if not comm.allreduce(inside, MPI.LAND):
         return False
-    matrix, jumps = of_cells(comm, index_map, size, *parts), jumps_to_sides(spaces)
+    matrix, jumps = of_cells(comm, index_map, size, *parts), spaces.sides.matrix(spaces.traces)
     matrix = matrix if jumps is None else matrix.ptap(jumps)
     fixed = np.concatenate([spaces.unknowns(facets, k).ravel() for facets, k, _ in spaces.fixed])
     matrix.zeroRowsColumns(fixed + size * index_map.local_range[0])

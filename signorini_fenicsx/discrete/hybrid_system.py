@@ -1,0 +1,221 @@
+"""A hybrid system of any element: all but the traces is eliminated on the cells, and recovered from them.
+
+On a cell (κ⁻¹σ, τ) + (u, ∇·τ) = ⟨û, τn⟩ and −(∇·σ, v) = (f, v) for the fluxes and the u of the element; of a body σ is
+the stress and κ⁻¹ the compliance. The basis of the fluxes begins with those of divergence 0. Each of the others has one
+moment of −∇· against the functions of u, which is 1, so that f gives its coefficient. What is left is a problem for û
+alone that is symmetric and positive semidefinite.
+
+`HybridSystem` has three verbs: it *eliminates*, it *recovers* σ and u from û, and it *responds* to any right side. A
+physics says what its cells are (`eliminated`) and what coefficients stand for (`fields`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.matrices import identity_with, of_cells
+
+
+@dataclass(frozen=True)
+class Sides:
+    """The owned unknowns of facets inside the domain, across each of which the mesh is cut.
+
+    The unknowns û⁺ and û⁻, on the named side and on the other one, become the jump û⁺ − û⁻ and û⁻. The equation of the
+    jump is then that of û⁺ before, which says what σn is, and the equation of û⁻ says that both sides have the same σn.
+    So a law between the jump and σn is imposed like one between û and σn on the boundary, and the matrix stays positive
+    definite.
+
+    Attributes:
+        named: The unknowns of the named sides.
+        across: Those of the other sides.
+        present: Whether there are any on some rank.
+    """
+
+    named: npt.NDArray[np.integer]
+    across: npt.NDArray[np.integer]
+    present: bool
+
+    def values(self, x: Array) -> Array:
+        """Traces on both sides, from the jumps and those of the other side."""
+        on_sides = x.copy()
+        on_sides[self.named] += x[self.across]
+        return on_sides
+
+    def forces(self, forces: Array) -> Array:
+        """The forces on the jumps and on the traces of the other side, from those on both sides."""
+        of_jumps = forces.copy()
+        of_jumps[self.across] += forces[self.named]
+        return of_jumps
+
+    def matrix(self, traces: fem.FunctionSpace, *, back: bool = False) -> PETSc.Mat | None:
+        """The matrix that is `values`, or its inverse; None without such facets (collective)."""
+        if not self.present:
+            return None
+        numbers, size = traces.dofmap.index_map, traces.dofmap.index_map_bs
+        named, across = (size * numbers.local_range[0] + each for each in (self.named, self.across))
+        values = np.full(len(named), -1.0 if back else 1.0)
+        return identity_with(traces.mesh.comm, size * numbers.size_local, named, across, values, block=size)
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Some cells after elimination. x are the unknowns of a cell's facets, and the way back is affine in them.
+
+    Attributes:
+        cells: Which cells.
+        geometry: Their shapes, as `HybridSystem.fields` needs them.
+        matrix: Shape (cells, n, n).
+        load: What f adds to the right side, shape (cells, n).
+        flux: Coefficients of σ for each unknown, shape (cells, basis, n).
+        flux_of_f: Those without x, shape (cells, basis).
+        u: Coefficients of u for each unknown, one for each flux that is not of divergence 0, shape (cells, m, n).
+        u_of_f: Those without x, shape (cells, m).
+    """
+
+    cells: npt.NDArray[np.int32]
+    geometry: Any
+    matrix: Array
+    load: Array
+    flux: Array
+    flux_of_f: Array
+    u: Array
+    u_of_f: Array
+
+
+def eliminate(
+    cells: npt.NDArray[np.int32],
+    geometry: Any,
+    tractions: Array,
+    product: Array,
+    balance: Array,
+    functional: Array | float = 0.0,
+) -> Eliminated:
+    """Eliminate all but the traces.
+
+    Args:
+        cells: The numbers of the cells.
+        geometry: Their shapes.
+        tractions: ⟨q, τn⟩ of each flux of the basis for each unknown q of the traces, shape (cells, n, basis).
+        product: (κ⁻¹τ, τ'), shape (cells, basis, basis).
+        balance: The coefficients that f gives, those of the last fluxes of the basis, shape (cells, m).
+        functional: A right side of the first equation: its values at the fluxes of the basis, shape (cells, basis).
+    """
+    functional = np.broadcast_to(functional, product.shape[:2])
+    count, rest = balance.shape
+    free = product.shape[1] - rest
+    of_free, of_rest = tractions[:, :, :free], tractions[:, :, free:]
+    coupled = product[:, free:, :free]
+    reduced = functional[:, :free] - np.einsum("nmf,nm->nf", coupled, balance)
+    right = np.concatenate([of_free.transpose(0, 2, 1), reduced[:, :, None]], axis=2)
+    solved = np.linalg.solve(product[:, :free, :free], right)
+    flux, flux_of_f = solved[:, :, :-1], solved[:, :, -1]
+    matrix = of_free @ flux
+    u_of_f = functional[:, free:] - np.einsum("nmf,nf->nm", coupled, flux_of_f)
+    u_of_f -= np.einsum("nml,nl->nm", product[:, free:, free:], balance)
+    return Eliminated(
+        cells=cells,
+        geometry=geometry,
+        matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
+        load=-np.einsum("nib,nb->ni", of_free, flux_of_f) - np.einsum("nib,nb->ni", of_rest, balance),
+        flux=np.concatenate([flux, np.zeros((count, rest, flux.shape[2]))], axis=1),
+        flux_of_f=np.concatenate([flux_of_f, balance], axis=1),
+        u=of_rest.transpose(0, 2, 1) - coupled @ flux,
+        u_of_f=u_of_f,
+    )
+
+
+class HybridSystem(ABC):
+    """A system for the traces, assembled once. On facets inside the domain its unknowns are jumps, see `Sides`.
+
+    Attributes:
+        matrix: Without conditions.
+    """
+
+    def __init__(self, traces: fem.FunctionSpace, dofs: npt.NDArray[np.int32], sides: Sides):
+        """Eliminate and assemble (collective).
+
+        Args:
+            traces: A block of unknowns per facet.
+            dofs: The blocks of each owned cell, shape (cells, d + 1).
+            sides: Its unknowns on facets inside the domain.
+        """
+        self._traces, self._dofs, self._sides = traces, dofs, sides
+        self._numbers, self._size = traces.dofmap.index_map, traces.dofmap.index_map_bs
+        self._blocks = list(self.eliminated())
+        parts = ((dofs[block.cells], block.matrix) for block in self._blocks)
+        matrix = of_cells(traces.mesh.comm, self._numbers, self._size, *parts)
+        jumps = sides.matrix(traces)
+        self.matrix: PETSc.Mat = matrix if jumps is None else matrix.ptap(jumps)
+
+    @abstractmethod
+    def eliminated(self, *loads: Any) -> Iterator[Eliminated]:
+        """The cells after elimination, with the data or other right sides, see `respond` (collective)."""
+
+    @abstractmethod
+    def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
+        """σ and u of all cells from their coefficients, block by block."""
+
+    def load_of(self, blocks: Sequence[Eliminated], lift: Array) -> Array:
+        """The right side for x − lift, without given fluxes: owned entries (collective)."""
+        load, lift = la.vector(self._numbers, self._size), self._sides.values(lift)
+        for block in blocks:
+            unknowns = self._unknowns(block.cells)
+            of_cell = block.load - np.einsum("nij,nj->ni", block.matrix, lift[unknowns])
+            load.array[:] += np.bincount(unknowns.ravel(), of_cell.ravel(), len(load.array))
+        load.scatter_reverse(la.InsertMode.add)
+        return self._sides.forces(load.array[: self._size * self._numbers.size_local])
+
+    def recover(
+        self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None
+    ) -> tuple[Array, Array]:
+        """σ and u as `fields` gives them, from all unknowns of this rank.
+
+        Args:
+            x: The unknowns, ghosts too.
+            with_f: Whether σ balances f; without it x is a correction.
+            blocks: Cells after elimination with another right side; None for that of the data.
+        """
+        x = self._sides.values(x)
+
+        def parts() -> Iterator[tuple[Eliminated, Array, Array]]:
+            for block in self._blocks if blocks is None else blocks:
+                own = x[self._unknowns(block.cells)]
+                flux = np.einsum("nbi,ni->nb", block.flux, own) + with_f * block.flux_of_f
+                yield block, flux, np.einsum("nmi,ni->nm", block.u, own) + with_f * block.u_of_f
+
+        return self.fields(parts())
+
+    def respond(self, *loads: Any, solve: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
+        """Solve with any right side (collective).
+
+        Args:
+            loads: The right sides as `eliminated` takes them.
+            solve: Gives x, ghosts too, from the right side for the owned unknowns, without given fluxes.
+
+        Returns:
+            σ and u as `recover` gives them, and x.
+        """
+        blocks = list(self.eliminated(*loads))
+        x = solve(self.load_of(blocks, np.zeros(self._size * (self._numbers.size_local + self._numbers.num_ghosts))))
+        return *self.recover(x, blocks=blocks), x
+
+    def everywhere(self, owned: Array) -> Array:
+        """Unknowns of this rank, ghosts too, from the owned ones (collective)."""
+        x = la.vector(self._numbers, self._size)
+        x.array[: len(owned)] = owned
+        x.scatter_forward()
+        return np.asarray(x.array)
+
+    def _unknowns(self, cells: npt.NDArray[np.int32]) -> Indices:
+        """Unknowns of the facets of cells, shape (cells, n)."""
+        blocks = self._dofs[cells].astype(np.int64)
+        return (blocks[:, :, None] * self._size + np.arange(self._size)).reshape(len(cells), -1)
