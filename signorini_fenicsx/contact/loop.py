@@ -176,15 +176,22 @@ def _clipped[I: Pairs](backend: Backend[I], iterate: I, where: Mask) -> tuple[I,
     return (backend.without_flux(iterate, where) if number > 0 else iterate), number
 
 
-def settled_change[I: Pairs](backend: Backend[I], start: SiteConditions, biactive: int) -> I:
+def settled_change[I: Pairs](backend: Backend[I], start: SiteConditions, biactive: int, given: int | None) -> I:
     """The change of a solution: one solve, or where biactive sites choose between two rays Algorithm 1 (collective).
+
+    Args:
+        backend: Solves for the change.
+        start: The first rays.
+        biactive: The number of biactive sites over all ranks; their sets may change by one site in an iteration.
+        given: Iterations that the user allows, or None.
 
     Raises:
         NumericalFailure: If the sets of biactive sites do not settle.
     """
     if biactive == 0:
         return backend.solve(start)
-    outcome = iterate_sets(backend, ALGORITHM_1, Parameters(), start=start)
+    parameters = Parameters(max_iterations=max(Parameters.max_iterations, biactive, given or 0))
+    outcome = iterate_sets(backend, ALGORITHM_1, parameters, start=start)
     if not outcome.converged:
         raise NumericalFailure(f"derivative: {outcome.reason}")
     return cast("I", outcome.iterate)

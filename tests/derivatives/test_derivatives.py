@@ -181,6 +181,23 @@ def test_biactive():
     assert warned[0].filename == __file__
 
 
+def test_biactive_sites_that_change_one_by_one():
+    """In a thin strip at rest a load at its end lifts one facet after the other: 56 steps, as many as in a solve."""
+    mesh = dolfinx.mesh.create_rectangle(MPI.COMM_SELF, [(0, 0), (80, 0.2)], (80, 1))
+    parts = {"bottom": lambda x: np.isclose(x[1], 0), "free": lambda x: np.isclose(x[0], 0) | np.isclose(x[1], 0.2)}
+    load, f = (fem.Function(fem.functionspace(mesh, ("DG", 0))) for _ in range(2))
+    load.interpolate(lambda x: np.where(x[0] < 1, 60.0, -1.0))
+    f.x.array[:] = -1.0
+    domain, problem = domain_of(mesh, parts), Diffusion(f=f, conditions=[Signorini("bottom"), Neumann("free")])
+    pressed = solve(domain, problem)
+    f.x.array[:] = 0.0
+    change = solve(domain, problem, start=pressed).derivative({f: load})
+    f.x.array[:] = load.x.array
+    lifted = solve(domain, problem, Options(predict=False), start=pressed)
+    assert len(lifted.outcome.history) > 55
+    assert change.p.x.array == pytest.approx(lifted.p.x.array, rel=1e-9, abs=1e-8)
+
+
 def test_refusals():
     """What is no control, is in no datum, or solves another problem."""
     given = one_law(COMM)

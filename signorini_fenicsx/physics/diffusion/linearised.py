@@ -145,7 +145,7 @@ class Linearised:
         chains = rays((before, beyond), (one, other))
         backend = Tangent(self._spaces, self._data, self._backend, self._loads(changes), chains)
         start = chains.conditions((self._beside < 0).astype(np.int64))
-        iterate = settled_change(backend, start, number)
+        iterate = settled_change(backend, start, number, self._solution.options.max_iterations)
         p = self._spaces.multiplier(iterate.p[: len(self._spaces.facets)])
         return {"sigma": iterate.sigma, "u": iterate.u, "p": p}
 

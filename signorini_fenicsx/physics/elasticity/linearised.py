@@ -156,7 +156,7 @@ class Linearised:
                 sites = counted(refused, "site")
                 raise InputError(f"derivative: {sites} may begin to turn in space, or leave a spring, so there is none")
             start = tangent.chains.conditions(below.astype(np.int64))
-            settled_change(tangent, start, number)
+            settled_change(tangent, start, number, self._solution.options.max_iterations)
             return backend.system.everywhere(tangent.x)
 
         stresses, u, _ = backend.system.respond(*self._by_changes(changes), solve=solve)
