@@ -165,8 +165,9 @@ class _Reader:
         raise InputError(f"'{ast.unparse(node)}' is not a comparison such as x > 0")
 
 
-def _read(text: str, names: Collection[str]) -> Read:
-    """Read a tree; ^ is replaced by **, because Python's own ^ binds weaker than +."""
+@functools.lru_cache(maxsize=1000)
+def _read(text: str, names: tuple[str, ...]) -> Read:
+    """Read a tree, each text of a run once; ^ is replaced by **, because Python's own ^ binds weaker than +."""
     source = text.strip().replace("^", "**")
     with warnings.catch_warnings(action="ignore"):  # Python warns of texts such as 1if x>0 else 2
         node = ast.parse(source, mode="eval").body
@@ -189,7 +190,7 @@ def read(text: str, names: Collection[str]) -> Tree:
     if len(text) > MAX_LENGTH:
         raise InputError(f"expression of {len(text)} characters; at most {MAX_LENGTH} are read")
     with _complaints(text, names):
-        return _read(text, names)[0]
+        return _read(text, tuple(names))[0]
 
 
 @contextlib.contextmanager
