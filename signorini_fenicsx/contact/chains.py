@@ -262,9 +262,17 @@ class Chains:
         beyond = self.slope[rows, self.count] + other.slope[rows, other.count]
         return Chains.through(inside, flux, before, beyond)
 
-    def take(self, sites: slice | np.ndarray) -> Chains:
+    def __getitem__(self, sites: slice | np.ndarray) -> Chains:
         """The chains of some sites."""
         return replace(self, p=self.p[sites], flux=self.flux[sites], slope=self.slope[sites], value=self.value[sites])
+
+    take = __getitem__
+
+    def followed_by(self, others: Chains) -> Chains:
+        """These chains, and behind them others, of sites of another kind."""
+        number = len(self.p) + len(others.p)
+        own, behind = np.split(np.arange(number), [len(self.p)])
+        return joined([(own, self), (behind, others)], number)
 
 
 def joined(parts: Sequence[tuple[np.ndarray, Chains]], sites: int) -> Chains:

@@ -76,10 +76,12 @@ class SiteConditions:
         """Whether there may be a v that is not 0; the same on all ranks."""
         return isinstance(self.value, np.ndarray)
 
-    def take(self, sites: slice) -> SiteConditions:
+    def __getitem__(self, sites: slice) -> SiteConditions:
         """The conditions of some sites."""
         beta, value = (x[sites] if isinstance(x, np.ndarray) else x for x in (self.beta, self.value))
         return SiteConditions(self.kind[sites], beta, value)
+
+    take = __getitem__
 
     def and_cells(self, cells: SiteConditions | None) -> SiteConditions:
         """The conditions of facets, and behind them those of cells; None without laws in Ω."""

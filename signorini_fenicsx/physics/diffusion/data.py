@@ -14,7 +14,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values, set_owned
-from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.bodies import spread
 from signorini_fenicsx.discrete.data_values import (
     check_finite,
@@ -105,11 +105,7 @@ class Data:
     def chains(self) -> Chains:
         """The law of each site: of each facet of Γ_S and, with laws in Ω, of each owned cell."""
         facets = self.laws.chains
-        if self.inside is None:
-            return facets
-        number, cells = len(self.psi_h), len(self.inside.means)
-        of_cells = np.arange(number, number + cells), self.inside.chains
-        return joined([(np.arange(number), facets), of_cells], number + cells)
+        return facets if self.inside is None else facets.followed_by(self.inside.chains)
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""

@@ -126,7 +126,7 @@ class ElasticData:
             return self
         moves, gap = la.vector(spaces.traces.dofmap.index_map, spaces.dim**2), self.gap
         at_sites = moves_at_sites(spaces, tools) @ np.concatenate([tool.moved for tool in tools])
-        moves.array[np.concatenate([spaces.sites, spaces.slip_sites])] = at_sites
+        moves.array[spaces.site_kinds.unknown] = at_sites
         moves.scatter_forward()
         for tool in tools:
             facets = spaces.part(tool.part)
@@ -243,7 +243,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         friction=friction_bounds(spaces, problem.laws) if before.friction is None else before.friction,
         slipped=slipped,
         tools=tools_of(spaces, problem),
-        moved=np.zeros(len(spaces.sites) + len(spaces.slip_sites)),
+        moved=np.zeros(len(spaces.site_kinds)),
         given=values_in(problem),
     )
     _check_cells(spaces, data)

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.lattices import lattice
 from signorini_fenicsx.discrete.points import from_within, in_facets
@@ -265,11 +265,7 @@ def shortened(vectors: Array, longest: Array) -> Array:
 
 def law_of_sites(spaces: ElasticSpaces, normal: Chains, friction: FrictionBounds) -> Chains:
     """The law of each site of an elastic problem: in the normal direction, then friction by these bounds."""
-    if not friction:
-        return normal
-    number = len(spaces.sites) + len(spaces.slip_sites)
-    rows = np.split(np.arange(number), [len(spaces.sites)])
-    return joined(list(zip(rows, (normal, friction.chains), strict=True)), number)
+    return normal.followed_by(friction.chains) if friction else normal
 
 
 def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> FrictionBounds:

@@ -94,7 +94,7 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
         data = replace(data, friction=replace(data.friction, slipping=slipping))
     chains = law_of_sites(spaces, data.laws.chains, data.friction)
     reactions = data.reactions(spaces, stresses)
-    pressure = reactions[: len(spaces.sites)]
+    pressure = spaces.site_kinds["normal"].of(reactions)
     normal = data.laws.chains.nearest(condition.ravel().astype(np.int8), p.ravel(), pressure)
     conditions = chains.conditions(np.concatenate([normal, segment]).astype(np.int64))
     iterate = Iterate(

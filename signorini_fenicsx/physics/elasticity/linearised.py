@@ -64,10 +64,10 @@ class Linearised:
         self._solution, self._backend = solution, backend
         self._spaces, self._data = spaces, data = solution.spaces, solution.data
         self._conditions = solution.outcome.conditions
-        normal, friction = len(spaces.sites), backend.friction
+        self._normal, self._slip = spaces.site_kinds
         self._held = self._conditions.kind == Condition.ZERO_TRACE
         self._segment = backend.chains.segments(self._conditions, solution.outcome.iterate.p)
-        self._signs: Array = friction.directions(self._segment[normal:])  # of the bound, in σ_t
+        self._signs: Array = backend.friction.directions(self._slip.of(self._segment))  # of the bound, in σ_t
         shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
         weights = np.broadcast_to(data.quadrature.weights, (spaces.dim + 1, len(data.quadrature.weights)))
         self._weights = shares * weights  # of the points of the quadrature, shape (cells, d + 1, points)
@@ -81,8 +81,8 @@ class Linearised:
 
     def _of_laws(self, segment: Indices) -> dict[str, tuple[str, Moments]]:
         """The moments of the data of laws, if sites are on these segments (collective)."""
-        solution, opening = self._solution, self._solution.gap.ravel()
-        moments = of_laws(self._spaces, solution.data.laws, segment[: len(self._spaces.sites)], opening)
+        laws, opening = self._solution.data.laws, self._solution.gap.ravel()
+        moments = of_laws(self._spaces, laws, self._normal.of(segment), opening)
         return {name: (kind, each) for kind, name, each in moments}
 
     def _segments_beside(self, tolerance: float) -> Indices:
@@ -94,14 +94,14 @@ class Linearised:
         sizes = np.array([np.abs(each).max(initial=0.0) for each in (solution.u.x.array, solution.stresses)])
         self._spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
         u, stress = np.where(sizes > 0, sizes, 1.0)
-        p, flux, normal = solution.outcome.iterate.p, solution.outcome.iterate.flux, len(self._spaces.sites)
+        p, flux = solution.outcome.iterate.p, solution.outcome.iterate.flux
         scales = np.full(backend.sites, u), np.full(backend.sites, stress)
         direction = backend.chains.beside(self._segment, p, flux, scales, tolerance)
         if friction.slipping is not None:
-            slip, shear = (np.linalg.norm(each[normal:].reshape(-1, 2), axis=1) for each in (p, flux))
+            slip, shear = (np.linalg.norm(self._slip.of(each).reshape(-1, 2), axis=1) for each in (p, flux))
             bound, sticks = friction.bound.ravel(), friction.sticks.ravel()
             near = np.where(sticks, bound - shear <= tolerance * stress, slip <= tolerance * u)
-            direction[normal:] = np.repeat(near & (bound > 0), 2)
+            self._slip.of(direction)[:] = np.repeat(near & (bound > 0), 2)
         return direction
 
     def _points(self) -> Iterator[tuple[str, Seen]]:
@@ -131,24 +131,24 @@ class Linearised:
             InputError: If vertices may begin or cease to slip in space, or leave the end of a slope.
             NumericalFailure: If the sets of biactive sites do not settle.
         """
-        spaces, backend, normal = self._spaces, self._backend, len(self._spaces.sites)
+        spaces, backend, normal = self._spaces, self._backend, self._normal
         comm, size = spaces.mesh.comm, len(backend.system.load)
         numbers = {kind: np.zeros(size) for kind in ("lift", "load")}
         numbers |= {kind: np.zeros(spaces.dim * len(spaces.rough_rows)) for kind in ("bound", "mu")}
-        numbers |= {kind: np.zeros(normal) for kind in ("law", "beside")}
+        numbers |= {kind: np.zeros(len(normal)) for kind in ("law", "beside")}
         for name, (kind, moments) in self._moments.items():
             moments.add(numbers[kind], changes[name])
         for name, (_, moments) in self._of_laws(self._segment + self._beside).items():
             moments.add(numbers["beside"], changes[name])
         below = self._beside < 0
         pair = self._segment + np.minimum(self._beside, 0), self._segment + np.maximum(self._beside, 0)
-        laws = np.where(below[:normal], numbers["beside"], numbers["law"])
-        of_laws = laws, np.where(below[:normal], numbers["law"], numbers["beside"])
+        laws = np.where(normal.of(below), numbers["beside"], numbers["law"])
+        of_laws = laws, np.where(normal.of(below), numbers["law"], numbers["beside"])
 
         def solve(load: Array) -> Array:
             load = load + numbers["load"]
             tangent = Tangent(backend, self._data, pair, numbers, of_laws, self._pressure, load)
-            turning = self.biactive & (np.arange(backend.sites) >= normal) & (spaces.dim == 3)
+            turning = self.biactive & (np.arange(backend.sites) >= len(normal)) & (spaces.dim == 3)
             number, refused = comm.allreduce(
                 np.array([np.count_nonzero(self.biactive), np.count_nonzero(turning | tangent.sloped)])
             ).tolist()
@@ -180,7 +180,7 @@ class Linearised:
         """Mask of the owned unknowns that are given values of û."""
         is_given = np.zeros(len(self._backend.system.load), dtype=bool)
         is_given[self._data.fixed] = True
-        is_given[np.concatenate([self._spaces.sites, self._spaces.slip_sites])[self._held]] = True
+        is_given[self._spaces.site_kinds.unknown[self._held]] = True
         return is_given
 
     def adjoint(self, J: Form, of_slip: Array | None = None) -> dict[str, Array]:
@@ -194,8 +194,8 @@ class Linearised:
         Returns:
             The derivatives, with "slipped" that by û_t of the step before.
         """
-        spaces, backend, w = self._spaces, self._backend, np.zeros(0)
-        of_slip = np.zeros(len(spaces.slip_sites)) if of_slip is None else of_slip
+        spaces, backend, w, (normal, slip) = self._spaces, self._backend, np.zeros(0), self._spaces.site_kinds
+        of_slip = np.zeros(len(slip)) if of_slip is None else of_slip
         friction = backend.friction
         by_sigma, by_u = (derivative_by(each, J, ()) for each in (self._solution.sigma, self._solution.u))
         stresses, moments = spaces.split.values(by_sigma), -spaces.displacement_values(by_u)
@@ -203,7 +203,7 @@ class Linearised:
         def solve(load: Array) -> Array:
             nonlocal w
             load = load.copy()
-            load[spaces.slip_sites] -= of_slip
+            load[slip.unknown] -= of_slip
             x = backend.solve_homogeneous(self._conditions, load)
             if friction.by_pressure:
                 # w − T'ᵀw = ∂J/∂b
@@ -217,28 +217,20 @@ class Linearised:
 
         adjoint, of_u, x = backend.system.respond(stresses, moments, solve=solve)
         forces = backend.system.forces(adjoint)
-        sites, held = spaces.sites, self._held[: len(spaces.sites)]
-        pull = spaces.site_measure * x[sites]
-        lift = np.where(self._given, forces, 0.0)
-        lift[sites] -= stiffness_times(self._data, self._conditions, pull)
-        of_stick = forces[spaces.slip_sites] + of_slip
+        pull, lift = normal.measure * x[normal.unknown], np.where(self._given, forces, 0.0)
+        lift[normal.unknown] -= stiffness_times(self._data, normal.of(self._conditions), pull)
+        of_stick, slipping = forces[slip.unknown] + of_slip, -slip.measure * friction.resisted(x[slip.unknown])
         by = {
             "lift": lift,
             "load": -x[: len(lift)],
             "bound": self._by_bound(x),
             "mu": w * self._pressure.ravel() if len(w) else np.zeros(spaces.dim * len(spaces.rough_rows)),
-            "law": np.where(held, -forces[sites], pull),
+            "law": np.where(normal.of(self._held), -forces[normal.unknown], pull),
         }
         return (
             self._by_points(adjoint, of_u)
             | {name: moments.sensitivities(by[kind]) for name, (kind, moments) in self._moments.items()}
-            | {
-                "slipped": np.where(
-                    self._held[len(sites) :],
-                    of_stick,
-                    -spaces.slip_measure * backend.friction.resisted(x[spaces.slip_sites]),
-                )
-            }
+            | {"slipped": np.where(slip.of(self._held), of_stick, slipping)}
         )
 
     def _by_points(self, adjoint: Array, of_u: Array) -> dict[str, Array]:
@@ -283,16 +275,15 @@ class Linearised:
 
     def _by_bound(self, x: Array) -> Array:
         """The derivatives by the bounds at the vertices with friction, from λ_û."""
-        spaces = self._spaces
-        shear = self._signs * spaces.slip_measure * x[spaces.slip_sites]
-        return -np.asarray(shear.reshape(-1, spaces.dim - 1).sum(axis=1))
+        shear = self._signs * self._slip.measure * x[self._slip.unknown]
+        return -np.asarray(shear.reshape(-1, self._spaces.dim - 1).sum(axis=1))
 
     def _of_pressure(self, w: Array) -> PETSc.Vec:
         """λ_û for the functional Σ wμP of the pressure (collective)."""
-        spaces, friction = self._spaces, self._backend.friction
+        normal, pressing = self._normal, self._slip.pressing.ravel()
         lift = np.zeros(len(self._backend.system.load))
-        rows = np.arange(len(spaces.sites)).reshape(-1, spaces.dim)[spaces.rough_rows].ravel()
-        lift[spaces.sites[rows]] = -friction.slope(self._pressure).ravel() * w / spaces.site_measure[rows]
+        slope = self._backend.friction.slope(self._pressure).ravel()
+        lift[normal.unknown[pressing]] = -slope * w / normal.measure[pressing]
         return self._backend.solve_homogeneous(self._conditions, np.zeros_like(lift), lift)
 
 
@@ -315,6 +306,5 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
         motions = check_rigid_motions(solution.spaces, solution.data)
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning, motions)
     if backend.friction.slipping is not None:
-        slip = solution.outcome.iterate.p[len(solution.spaces.sites) :].reshape(-1, 3, 2)
-        backend.turn(backend.friction.turned(slip))
+        backend.turn(backend.friction.turned(solution.spaces.site_kinds["slip"].rows_of(solution.outcome.iterate.p)))
     return Linearised(solution, backend, tolerance)

@@ -162,11 +162,9 @@ def add_pulls(spaces: ElasticSpaces, pulls: Sequence[Pull], tractions: Array) ->
 
 def neighbours(spaces: ElasticSpaces) -> tuple[Indices, Indices]:
     """The sites near each site, those of its facet or its vertex, itself once; and the normal site of its vertex."""
-    dim, normal = spaces.dim, np.arange(len(spaces.sites))
-    along = len(normal) + np.arange(len(spaces.slip_sites))
-    facets, vertices = np.repeat(normal.reshape(-1, dim), dim, axis=0), along.reshape(-1, dim - 1)
-    near = np.full((len(normal) + len(along), dim), -1)
-    near[: len(normal)] = facets
-    near[len(normal) :, : dim - 1] = np.repeat(vertices, dim - 1, axis=0)
-    own = normal.reshape(-1, dim)[spaces.rough_rows]
-    return near, np.append(normal, np.repeat(own, dim - 1))
+    dim, (normal, slip) = spaces.dim, spaces.site_kinds
+    number = np.arange(len(spaces.site_kinds))
+    near = np.full((len(number), dim), -1)
+    normal.of(near)[:] = np.repeat(normal.rows_of(number), dim, axis=0)
+    slip.of(near)[:, : dim - 1] = np.repeat(slip.of(number).reshape(-1, dim - 1), dim - 1, axis=0)
+    return near, np.append(normal.of(number), np.repeat(slip.pressing, dim - 1))

@@ -74,15 +74,12 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     if norm == 0:
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[spaces.contact.cells], dim) / length
-    number = len(spaces.sites)
-    flux, shear = np.split(data.reactions(spaces, stresses), [number])
-    low, inward, smaller = data.laws.chains.distances(p[:number], flux, k)
-    squares = np.array([spaces.site_measure @ values**2 for values in (k * low, inward, smaller)])
-    shape = len(spaces.rough.facets), dim, dim - 1
-    unit = np.repeat(stiffness[spaces.rough.cells] / length, dim).reshape(shape[:2])
-    slip, shear = (values.reshape(shape) for values in (p[number:], shear))
-    weights = (spaces.rough.measure / dim)[:, None]
-    squares[1:] += [(weights * each**2).sum() for each in data.friction.residuals(slip, shear, unit)]
+    (normal, slip), flux = spaces.site_kinds, data.reactions(spaces, stresses)
+    low, inward, smaller = data.laws.chains.distances(normal.of(p), normal.of(flux), k)
+    squares = np.array([normal.measure @ values**2 for values in (k * low, inward, smaller)])
+    unit, weights = k[slip.pressing], (spaces.rough.measure / dim)[:, None]
+    off = data.friction.residuals(slip.rows_of(p), slip.rows_of(flux), unit)
+    squares[1:] += [(weights * each**2).sum() for each in off]
     squares = comm.allreduce(squares)
     primal, dual, complementarity = (np.sqrt(length * squares) / norm).tolist()
     return ElasticKKT(primal, dual, complementarity, float(np.sqrt(jumps) / norm), float(np.sqrt(of_loads) / norm))

@@ -108,7 +108,7 @@ def _motions_of_contact(
     bodies = Bodies.of(spaces, data.tools)
     free = bodies.not_given(data.supports)
     if free.shape[1] == 0:
-        return np.zeros((len(spaces.sites) + len(spaces.slip_sites), 0)), None
+        return np.zeros((len(spaces.site_kinds), 0)), None
     work, most = bodies.work(data)
     work = work @ free / most
     moves = normal_and_tangential(spaces, lambda directions: bodies.relative(directions) @ free)
@@ -134,21 +134,21 @@ def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array,
     takes is ∫ λ r_n with the largest pressure λ where the motion closes and with the least one where it opens: as
     friction, their mean with r_n and half their difference with |r_n|.
     """
-    into, along = np.split(moves, [len(spaces.sites)])
-    slips = along.reshape(-1, spaces.dim - 1, moves.shape[1])
+    normal, slip = spaces.site_kinds
+    into, slips = normal.of(moves), slip.of(moves).reshape(-1, spaces.dim - 1, moves.shape[1])
     shears = ((spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most).ravel()
     low, high = (end + data.laws.pressure for end in data.laws.chains.extent()[2:])
     shuts, opens = np.isfinite(high), np.isfinite(low)
     constant = np.where(shuts & opens, np.where(shuts, high, 0.0) + np.where(opens, low, 0.0), 0.0) / 2
-    constant = np.where(shuts & ~opens, high, np.where(opens & ~shuts, low, constant)) * spaces.site_measure / most
+    constant = np.where(shuts & ~opens, high, np.where(opens & ~shuts, low, constant)) * normal.measure / most
     between = shuts & opens
-    half = np.where(between, high - low, 0.0)[between] / 2 * spaces.site_measure[between] / most
+    half = np.where(between, high - low, 0.0)[between] / 2 * normal.measure[between] / most
     work = work - spaces.mesh.comm.allreduce(np.where(shuts | opens, constant, 0.0) @ into)
     rows = np.concatenate([into[~shuts], -into[~opens]])
     rubbing = np.zeros((np.count_nonzero(between), spaces.dim - 1, into.shape[1]))
     rubbing[:, 0] = into[between]
     pressing = np.repeat(data.friction.coulomb, spaces.dim)
-    onto = into.reshape(-1, spaces.dim, into.shape[1])[spaces.rough_rows].reshape(-1, 1, into.shape[1])[pressing]
+    onto = into[slip.pressing].reshape(-1, 1, into.shape[1])[pressing]
     cones = np.concatenate([onto, data.friction.mu.ravel()[pressing][:, None, None] * slips[pressing]], axis=1)
     slips, shears = np.concatenate([slips[: len(shears)], rubbing]), np.append(shears, half)
     return Limits(spaces.mesh.comm, work, rows, slips, shears, cones)

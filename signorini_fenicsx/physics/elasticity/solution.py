@@ -132,15 +132,14 @@ class ElasticSolution(Solved):
 
         Under other laws it is what they allow.
         """
-        laws, iterate, normal = self.data.laws, self.outcome.iterate, len(self.spaces.sites)
-        own, pressure = iterate.p[:normal], self.data.reactions(self.spaces, self.stresses)[:normal]
-        means = laws.means(self.segment, own, pressure) + laws.opening
-        return np.asarray(means).reshape(-1, self.spaces.dim)
+        laws, normal = self.data.laws, self.spaces.site_kinds["normal"]
+        own, pressure = map(normal.of, (self.outcome.iterate.p, self.data.reactions(self.spaces, self.stresses)))
+        return normal.rows_of(laws.means(self.segment, own, pressure) + laws.opening)
 
     @cached_property
     def segment(self) -> Indices:
         """The segment of its law in the normal direction on which each facet vertex is, shape (sites,)."""
-        return self.data.laws.chains.segments(self.outcome.conditions.take(slice(len(self.spaces.sites))))
+        return self.data.laws.chains.segments(self.spaces.site_kinds["normal"].of(self.outcome.conditions))
 
     @property
     def linear_gap(self) -> Array:
@@ -150,8 +149,7 @@ class ElasticSolution(Solved):
     @property
     def touching(self) -> Mask:
         """Mask of the facet vertices in contact, under other laws held or on a spring, shape (facets, d)."""
-        kind = self.outcome.conditions.kind[: len(self.spaces.sites)]
-        return (kind != Condition.NO_FLUX).reshape(-1, self.spaces.dim)
+        return self.spaces.site_kinds["normal"].rows_of(self.outcome.conditions.kind != Condition.NO_FLUX)
 
     @property
     def moved(self) -> list[float]:
@@ -174,7 +172,7 @@ class ElasticSolution(Solved):
     @property
     def _after(self) -> Array:
         """The part of u_t at the sites that is of this step in time, all of it without steps."""
-        return self.outcome.iterate.p[len(self.spaces.sites) :]
+        return self.spaces.site_kinds["slip"].of(self.outcome.iterate.p)
 
     def _scalar(self, values: Array) -> Array:
         """Tangential values at the sites as one number for each vertex: in space the length."""
@@ -202,8 +200,7 @@ class ElasticSolution(Solved):
         """The state of these vertices, an index into `STATES`; without shear by the sign of u_t."""
         if self.data.friction.slipping is not None:
             return np.where(self.data.friction.sticks, STATES.index("stick"), STATES.index("slip"))
-        normal = len(self.spaces.sites)
-        tangential = self.outcome.conditions.take(slice(normal, None))
+        tangential = self.spaces.site_kinds["slip"].of(self.outcome.conditions)
         segments = self.data.friction.chains.segments(tangential).reshape(self.data.friction.bound.shape)
         return np.where(self.data.friction.bound > 0, segments, np.where(self._scalar(self._after) < 0, 0, 2))
 
@@ -396,8 +393,8 @@ class ElasticSolution(Solved):
         return [*notes_of(self.spaces, self.data), *super().notes(), *large_deformation(self)]
 
     def _particular(self) -> dict[str, Any]:
-        gap = self.data.lift[self.spaces.sites] - self.data.moved[: len(self.spaces.sites)]
-        means = gap.reshape(self.touching.shape)  # of g, before tools move
+        normal = self.spaces.site_kinds["normal"]  # of g, before tools move
+        means = normal.rows_of(self.data.lift[normal.unknown] - normal.of(self.data.moved))
         with_laws = np.concatenate([np.empty(0, dtype=np.int64), *(law.rows for law in self.data.laws.of_parts)])
         own = np.delete(means, with_laws, axis=0).min(initial=np.inf)
         least = min(self.spaces.mesh.comm.allgather(float(own)))

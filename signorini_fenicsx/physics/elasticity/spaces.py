@@ -16,6 +16,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.contact.sites import Kind, Sites
 from signorini_fenicsx.discrete.hybrid_system import Sides
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import AXES, Domain
@@ -270,22 +271,27 @@ class ElasticSpaces(MeshSpaces):
             at_vertices.append(values)
         return at_vertices
 
+    @cached_property
+    def site_kinds(self) -> Sites:
+        """The facet vertices of Γ_C in the normal direction, and those with friction once more for each tangent."""
+        number, dim, rows = len(self.facets), self.dim, self.rough_rows
+        pressing = dim * rows[:, None] + np.arange(dim)
+        normal = Kind("normal", number, np.arange(number), self.site_measure, (dim,), self.sites)
+        return Sites(normal, Kind("slip", number, rows, self.slip_measure, (dim, dim - 1), self.slip_sites, pressing))
+
     @property
     def places(self) -> Array:
         """For each site the vertex, the sum of its facet's vertices, and whether it is one of friction."""
-        dim = self.dim
-        contact, rough = self.contact.vertices, self.rough.vertices
-        vertices = np.concatenate([contact, rough])
+        dim, vertices = self.dim, self.contact.vertices
         of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
-        places = np.concatenate([vertices, of_facet], axis=2).reshape(-1, 2 * dim)
-        number, normal = np.ones(len(places), dtype=int), len(self.sites)
-        number[normal:] = dim - 1
-        component = np.append(np.zeros(normal), np.tile(np.arange(1, dim), len(places) - normal))
-        return np.column_stack([np.repeat(places, number, axis=0), component])
+        rows = np.concatenate([vertices, of_facet, np.zeros((*vertices.shape[:2], 1))], axis=2)
+        rough = np.repeat(rows[self.rough_rows, :, None], dim - 1, axis=2)
+        rough[..., -1] = np.arange(1, dim)
+        return np.concatenate([each.reshape(-1, 2 * dim + 1) for each in (rows, rough)])
 
     def pressure_of(self, flux: Array) -> Array:
         """The pressure at the vertices of the facets with friction, of values at all sites, shape (facets, d)."""
-        return flux[: len(self.sites)].reshape(-1, self.dim)[self.rough_rows]
+        return flux[self.site_kinds["slip"].pressing]
 
     def along(self, values: Array) -> Array:
         """Tangential vectors from values at the sites with friction, shape (facets, d, d)."""

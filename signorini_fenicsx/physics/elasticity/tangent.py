@@ -56,7 +56,7 @@ class Tangent(PlainBackend):
         before, beyond = (np.take_along_axis(law.slope, each[:, None], axis=1)[:, 0] for each in segments)
         corner = np.zeros((self.sites, 1))
         self.chains = Chains.through(corner, corner, before, beyond)
-        self._normal = len(backend.spaces.sites)
+        self._normal, self._slip = backend.spaces.site_kinds
 
     @property
     def sloped(self) -> Mask:
@@ -74,20 +74,20 @@ class Tangent(PlainBackend):
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        backend, spaces, data, normal = self._backend, self._backend.spaces, self._data, self._normal
+        backend, spaces, (normal, slip) = self._backend, self._backend.spaces, self._backend.spaces.site_kinds
         upper = self.chains.segments(conditions) == 1
         segment = np.where(upper, *reversed(self._segments))
-        law = np.where(upper[:normal], *reversed(self._laws))
+        law = np.where(normal.of(upper), *reversed(self._laws))
         actual = backend.chains.conditions(segment)
-        held, gap = actual.kind[:normal] == Condition.ZERO_TRACE, self._numbers["lift"][spaces.sites]
+        held, gap = normal.of(actual.kind) == Condition.ZERO_TRACE, self._numbers["lift"][normal.unknown]
         lift, load = self._numbers["lift"].copy(), self._load.copy()
-        lift[spaces.sites] = np.where(held, gap - law, 0.0)
-        pull = np.where(held, 0.0, stiffness_times(data, actual, gap) - law)
-        load[spaces.sites] += spaces.site_measure * pull
+        lift[normal.unknown] = np.where(held, gap - law, 0.0)
+        pull = np.where(held, 0.0, stiffness_times(self._data, normal.of(actual), gap) - law)
+        load[normal.unknown] += normal.measure * pull
         bound, friction = self._numbers["bound"], backend.friction
-        sides = friction.directions(segment[normal:])
-        lift[spaces.slip_sites] *= actual.kind[normal:] == Condition.ZERO_TRACE
-        load[spaces.slip_sites] += self._shear(sides, bound)
+        sides = friction.directions(slip.of(segment))
+        lift[slip.unknown] *= slip.of(actual.kind) == Condition.ZERO_TRACE
+        load[slip.unknown] += self._shear(sides, bound)
         x = backend.solve_homogeneous(actual, load, lift)
         if friction.by_pressure:
             slope = friction.slope(np.where(self._touching, 1.0, self._pressure))
@@ -95,7 +95,7 @@ class Tangent(PlainBackend):
             left = self._numbers["mu"] * self._pressure.ravel() + (slope * moved).ravel()
             more = newton(backend, actual, (sides, slope), left.reshape(slope.shape)).ravel()
             load = np.zeros_like(load)
-            load[spaces.slip_sites] = self._shear(sides, more)
+            load[slip.unknown] = self._shear(sides, more)
             x.axpy(1.0, backend.solve_homogeneous(actual, load))
             bound = bound + more
         self.x = np.array(x.array_r)
@@ -104,24 +104,21 @@ class Tangent(PlainBackend):
     @property
     def _touching(self) -> Mask:
         """The biactive vertices among those with friction, shape (facets, d)."""
-        moving = (self._segments[0] != self._segments[1])[: self._normal]
-        return moving.reshape(-1, self._backend.spaces.dim)[self._backend.spaces.rough_rows]
+        return np.asarray((self._segments[0] != self._segments[1])[self._slip.pressing])
 
     def _shear(self, sides: Array, bound: Array) -> Array:
         """The forces of these bounds of the shear."""
-        spaces = self._backend.spaces
-        return np.asarray(sides * spaces.slip_measure * np.repeat(bound, spaces.dim - 1))
+        return np.asarray(sides * self._slip.measure * np.repeat(bound, self._backend.spaces.dim - 1))
 
     def _pairs(self, conditions: SiteConditions, gap: Array, bound: Array, flux: Array) -> Pairs:
         """The trace p and the flux from the moved corners."""
-        spaces, normal = self._backend.spaces, self._normal
-        p = np.append(gap - self.x[spaces.sites], self.x[spaces.slip_sites] - self._numbers["lift"][spaces.slip_sites])
-        steep = np.isinf(self.chains.slope[:normal, 0])
+        normal, slip, width = self._normal, self._slip, self._backend.spaces.dim - 1
+        steep = np.isinf(normal.of(self.chains.slope)[:, 0])
         opening, pressure = (np.where(steep, *pair) for pair in (self._laws, reversed(self._laws)))
-        p[:normal] -= opening
-        flux = flux.copy()
-        flux[:normal] -= pressure
-        flux[normal:] -= np.repeat(bound, spaces.dim - 1) * np.subtract(1.0, 2 * self._segments[0][normal:])
+        slipped = self.x[slip.unknown] - self._numbers["lift"][slip.unknown]
+        p = np.append(gap - self.x[normal.unknown] - opening, slipped)
+        shear = np.repeat(bound, width) * np.subtract(1.0, 2 * slip.of(self._segments[0]))
+        flux = flux - np.append(pressure, shear)
         p, flux = conditions.clean(p, flux, np.inf)
         return Pairs(p=p, flux=flux, linear_iterations=1)
 
@@ -146,8 +143,8 @@ class Tangent(PlainBackend):
 
 
 def stiffness_times(data: ElasticData, conditions: SiteConditions, p: Array) -> Array:
-    """What springs take from the pressures under these means, 0 at vertices that are on none."""
+    """What springs take from the pressures at facet vertices under conditions and means p; 0 where there are none."""
     if not data.laws.of_parts:
         return np.zeros_like(p)
-    springs = data.laws.springs(conditions.take(slice(len(p))))
+    springs = data.laws.springs(conditions)
     return np.asarray(np.einsum("nij,nj->ni", springs.stiffness, p.reshape(springs.rest.shape)).ravel())

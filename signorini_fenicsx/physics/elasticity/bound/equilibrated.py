@@ -102,10 +102,10 @@ def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -
     sizes = np.array([np.abs(each).max(initial=0.0) for each in (reactions - balancing, stresses)])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
     distance = np.inf if sizes[0] > OTHERS * sizes[1] else distance
-    pressure, shear = np.split(reactions, [len(spaces.sites)])
-    shear = shortened(shear.reshape(-1, spaces.dim, spaces.dim - 1), data.friction.bound)
-    pressure = np.clip(pressure, *data.laws.chains.extent()[2:]).reshape(-1, spaces.dim)
-    segment = solution.segment.reshape(pressure.shape)
+    normal, slip = spaces.site_kinds
+    shear = shortened(slip.rows_of(reactions), data.friction.bound)
+    pressure = normal.rows_of(np.clip(normal.of(reactions), *data.laws.chains.extent()[2:]))
+    segment = normal.rows_of(solution.segment)
     displacement = spaces.displacement_values(solution.u)
     clear = floors(spaces, data, pressure, displacement)
     return AdmissibleStress(stresses, pressure, shear, displacement, segment, clear, distance)
