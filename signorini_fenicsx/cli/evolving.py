@@ -150,6 +150,7 @@ def _go_on(
     """
     from signorini_fenicsx.cases.solving import evolve_case, quantities_of, shared_domain
     from signorini_fenicsx.output.evolution import UNBOUNDED, row_of
+    from signorini_fenicsx.quantities.bracket import NOT_FOUND
 
     assert case.time is not None
     comm = folder.comm
@@ -168,7 +169,8 @@ def _go_on(
                 certificate = folder.attempt("error bounds", partial(bounds.certify, instant))
             if instant.step <= done:
                 continue
-            quantities = folder.attempt("quantities", partial(quantities_of, instant.solution)) or {}
+            found = folder.attempt("quantities", partial(quantities_of, instant.solution))
+            quantities = dict.fromkeys((each.name for each in case.quantity), NOT_FOUND) if found is None else found
             now = time.perf_counter()
             row = row_of(instant, certificate, quantities, now - began)
             row |= UNBOUNDED if certificate is None and bounds is not None else {}

@@ -115,6 +115,10 @@ class Quantity:
         return entries | ({"guaranteed_for": self.of} if self.proved and self.of else {})
 
 
+NOT_FOUND = Quantity(math.nan, -math.inf, math.inf, False, "it could not be found")
+"""What there is of a quantity whose computation fails, beside the reason that the run tells."""
+
+
 @dataclass(frozen=True)
 class Half:
     """A quarter of the squares, and the sups at the sites, for the v and the y' of two solutions.

@@ -30,6 +30,7 @@ from signorini_fenicsx.physics.diffusion.bound.certify import (
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
+from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC
 from signorini_fenicsx.physics.diffusion.bound.near_quadratic import NearQuadratic
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.physics.diffusion.water import share_above_table
@@ -293,7 +294,7 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
         total += half * near.integral(data.c, cells, enough, power=2)
     if data.memory is not None:
         load = data.memory.x.array
-        total[0] -= near.seen(lambda at, jet: load[at.cells, None] * jet[:, :, 0], cells, 0).sum()
+        total[0] -= near.seen(lambda at, jet: load[at.cells, None] * jet[:, :, 0], cells, QUADRATIC).sum()
         total[1] += np.abs(load[cells]) * spaces.cell_measures @ near.off
     for part in () if data.inside is None else data.inside.of_regions:
 

@@ -41,6 +41,10 @@ kind = "mean"
 name = "held"
 kind = "flux"
 parts = "bottom"
+
+[[quantity]]
+name = "energy"
+kind = "energy"
 """
 """u = −t in all of the square, until it reaches the bound of the bottom."""
 SLIDING = """
@@ -97,15 +101,16 @@ def test_each_step(folder: Path):
     assert ended.returncode == 0, ended.stderr
     assert "at the end" in ended.stdout
     rows = rows_in(folder / "found")
-    for row, known in zip(rows[:2], (-0.1, -0.2), strict=True):
-        lower, upper = ends(row, "mean")
-        assert lower - 1e-9 <= known <= upper + 1e-9
-        assert upper - lower < 1e-6
+    for name, known in (("mean", (-0.1, -0.2)), ("energy", (-0.05, -0.2))):  # of 5u² + u − 10u₀u
+        for row, value in zip(rows[:2], known, strict=True):
+            lower, upper = ends(row, name)
+            assert lower - 1e-9 <= value <= upper + 1e-9
+            assert upper - lower < 1e-6
     assert ends(rows[0], "held") == pytest.approx((0.0, 0.0), abs=1e-8)
     lower, upper = ends(rows[3], "held")
     assert 0 < lower < upper < 2
     found = json.loads((folder / "found" / "summary.json").read_text(encoding="utf-8"))["quantities"]
-    assert list(found) == ["mean", "held"]
+    assert list(found) == ["mean", "held", "energy"]
     assert (found["held"]["lower"], found["held"]["upper"]) == (lower, upper)
     assert found["held"]["guaranteed"] is False
     assert found["held"]["guaranteed_for"] == rows[3]["quantities.held.guaranteed_for"] != ""
