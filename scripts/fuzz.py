@@ -24,7 +24,8 @@ from fuzzing.runner import Runner, begin_again, import_everything, numbered
 
 KINDS = (
     *("case", "law", "elastic", "option", "expression", "mesh", "geo", "checkpoint", "study"),
-    *("forged", "config", "far", "pulse", "early", "unjoined", "drawn"),
+    *("forged", "config", "far", "pulse", "early", "unjoined", "drawn", "opened"),
+    "quantity",
 )
 
 

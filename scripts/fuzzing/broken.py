@@ -3,7 +3,7 @@
 import random
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 OUTPUT = "out"
@@ -69,6 +69,9 @@ class Broken:
         flux: ‖σ‖ of the exact solution in L², where κ ≤ 1; None if it is not known.
         at_least: Whether `flux` is a lower bound.
         contact: The measure of contact; None if it is not known.
+        values: Exact values of some quantities, by name.
+        shown: Names of quantities whose values are in the tables: `flux` and `p` over the part in the table of the
+            facets, `resultant` along x on the part `right`.
         forged: Beginnings of the names of what is no file of the user, although it was there before.
         homeless: Whether HOME is not set.
     """
@@ -82,6 +85,8 @@ class Broken:
     flux: float | None = None
     at_least: bool = False
     contact: float | None = None
+    values: dict[str, float] = field(default_factory=dict)
+    shown: list[str] = field(default_factory=list)
     forged: tuple[str, ...] = ()
     homeless: bool = False
 
@@ -93,11 +98,13 @@ class Valid:
     Attributes:
         shape: Results folder of a named shape.
         file: Results folder of a mesh file with names for its parts.
+        opened: Results folder of an elastic body on a named shape, without contact.
         pencil: A folder for files that generators make only once.
     """
 
     shape: Path
     file: Path
+    opened: Path
     pencil: Path
 
 

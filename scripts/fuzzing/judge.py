@@ -1,13 +1,16 @@
 """Judges a run: how it ended, what it printed, and which files it left, changed or lost."""
 
+import csv
 import hashlib
 import json
 import math
 import os
 import re
 import signal
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from fuzzing.broken import OUTPUT, Broken
 from signorini_fenicsx.base.errors import EXIT_LATER
@@ -22,6 +25,8 @@ PLAIN = ("uzawa", "psor", "primal-pdas", "primal-penalty", "slimane")
 TOLERANCE = 1e-6
 ROUGHLY = 1e-5
 """Relative error of what a generator knows of the exact solution."""
+SUMS = 1e-12
+"""Relative error of sums by rounding."""
 LOOSE = 30.0
 """A guaranteed bound above so many times ‖σ_h‖ is of no use on any mesh."""
 MEMORY = 1.5e9
@@ -206,10 +211,10 @@ def _has_solved(out: Path) -> bool:
 
 def _untruths(broken: Broken, out: Path) -> list[str]:
     """What a summary says that is not true of an exact solution, as far as this is known."""
-    if broken.flux is None and broken.contact is None and not broken.bounded:
+    if broken.flux is None and broken.contact is None and not (broken.bounded or broken.values or broken.shown):
         return []
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    about, norms, untruths = summary.get("certificate", {}), summary["norms"], []
+    about, norms, untruths = summary.get("certificate", {}), summary["norms"], [*_of_quantities(broken, summary, out)]
     if about.get("guaranteed"):
         if broken.bounded and about["relative"] > LOOSE and norms["energy"] >= TOLERANCE:
             untruths.append("a guaranteed bound far above the solution")
@@ -221,3 +226,22 @@ def _untruths(broken: Broken, out: Path) -> list[str]:
     if broken.contact is not None and abs(summary["contact_measure"] / broken.contact - 1) > TOLERANCE:
         untruths.append(f"contact of measure {summary['contact_measure']:.9g} and not {broken.contact:.9g}")
     return untruths
+
+
+def _of_quantities(broken: Broken, summary: dict[str, Any], out: Path) -> Iterator[str]:
+    """Intervals without the exact value, and values that are not those of the tables."""
+    for name, known in broken.values.items():
+        found, rounding = summary["quantities"][name], SUMS * (1 + abs(known))
+        if found["guaranteed"] and not found["lower"] - rounding <= known <= found["upper"] + rounding:
+            yield f"{name}: {known!r} is not in the guaranteed [{found['lower']!r}, {found['upper']!r}]"
+    for name in broken.shown:
+        if name == "resultant":
+            known = summary["resultants"]["right"][0]
+        else:
+            with (out / "facets.csv").open(encoding="utf-8") as table:
+                rows = list(csv.DictReader(table))
+            last = [row for row in rows if row.get("t") == rows[-1].get("t")]
+            known = math.fsum(float(row["measure"]) * float(row[name]) for row in last)
+        value = summary["quantities"][name]["value"]
+        if value is None or abs(value - known) > 1e3 * SUMS * (1 + abs(known)):
+            yield f"{name}: the value {value!r} is not that of the tables, {known!r}"

@@ -14,10 +14,12 @@ from fuzzing.geometries import geometry
 from fuzzing.judge import Ending
 from fuzzing.laws import law_file
 from fuzzing.meshes import CASE, mesh_file
+from fuzzing.opened import LIFTED, opened
 from fuzzing.options import ends_early, option
 from fuzzing.others import configuration, forged
 from fuzzing.places import far_place
 from fuzzing.pulses import pulses
+from fuzzing.quantities import quantities
 from fuzzing.runner import Runner
 from fuzzing.studies import study
 from fuzzing.unjoined import unjoined
@@ -39,11 +41,13 @@ GENERATORS: dict[str, Generator] = {
     "early": ends_early,
     "unjoined": unjoined,
     "drawn": drawn,
+    "opened": opened,
+    "quantity": quantities,
 }
 
 
 def make_valid(pencil: Path, runner: Runner) -> Valid:
-    """Make two results with the program itself.
+    """Make some results with the program itself.
 
     Raises:
         RuntimeError: If it fails.
@@ -55,12 +59,14 @@ def make_valid(pencil: Path, runner: Runner) -> Valid:
     (work / "square.msh").write_text(msh_text(*square_msh(3)), encoding="utf-8")
     text = CASE.format(file="square.msh").replace('["1"]', '["bottom"]')
     (work / "mesh.toml").write_text(text, encoding="utf-8")
+    (work / "lifted.toml").write_text(LIFTED, encoding="utf-8")
 
     def check(ending: Ending) -> None:
         if ending.status != 0:
             raise RuntimeError(f"a valid case is not solved: {ending.said}")
 
-    for words in (["example1", "--h", "1/4", "--output", "shape"], ["mesh.toml", "--output", "file"]):
-        runner.start(["solve", *words], root, check)
+    cases = {"shape": ["example1", "--h", "1/4"], "file": ["mesh.toml"], "opened": ["lifted.toml"]}
+    for output, words in cases.items():
+        runner.start(["solve", *words, "--output", output], root, check)
     runner.finish()
-    return Valid(work / "shape", work / "file", pencil)
+    return Valid(*(work / output for output in cases), pencil)

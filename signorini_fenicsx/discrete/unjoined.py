@@ -102,8 +102,7 @@ def check_joined(spaces: MeshSpaces, named: Mapping[str, Sequence[str]]) -> None
     listed = {part for parts in named.values() for part in parts} | set(others.values())
     names = ["", *sorted(spaces.domain.parts, key=lambda part: part in listed)]
     faces = Faces.of(spaces, names)
-    if np.any(faces.bodies > 0):
-        _check_apart(spaces, faces)
+    _check_apart(spaces, faces)
     pairs, same = seams(faces.corners, faces.apexes, faces.rows)
     is_cut = np.zeros((len(names), len(names)), dtype=bool)
     for part, other in others.items():
@@ -133,25 +132,29 @@ def _lie(one: str, other: str) -> str:
 
 
 def _check_apart(spaces: MeshSpaces, faces: Faces) -> None:
-    """Refuse bodies that overlap (collective).
+    """Refuse bodies that overlap one another, or themselves at their boundaries (collective).
+
+    Where a body is twice in a place, the boundary of one part of it crosses that of another, or is within it.
 
     Raises:
-        InputError: If two do.
+        InputError: If one does.
     """
     comm, x = spaces.mesh.comm, corners(spaces.mesh) - faces.origin
     low, high, near = x.min(axis=1), x.max(axis=1), np.zeros(len(x), dtype=bool)
+    near[cells_of_facets(spaces.mesh, dolfinx.mesh.exterior_facet_indices(spaces.mesh.topology))[0]] = True
     for body in np.unique(faces.bodies):
         ends = faces.corners[faces.bodies == body]
         meets = (low <= ends.max(axis=(0, 1))) & (high >= ends.min(axis=(0, 1)))
         near |= meets.all(axis=1) & (spaces.bodies != body)
     cells = np.concatenate([faces.corners, faces.apexes[:, None]], axis=1)
     found = overlaps(x[near], spaces.bodies[near], cells, faces.bodies)
-    depths, places = (np.concatenate(comm.allgather(each)) for each in found)
+    depths, places, of_one = (np.concatenate(comm.allgather(each)) for each in found)
     if len(depths) > 0:
         place = _in_words(_first(places[depths >= (1 - SAME) * depths.max()]) + faces.origin)
+        what, they = ("a body overlaps itself", "its sides") if of_one.all() else ("two bodies overlap", "them")
         raise InputError(
-            f"two bodies overlap, by {depths.max():.3g} around {place}; each point must be in one cell only. Make them "
-            f"only touch; then {SHARE}"
+            f"{what}, by {depths.max():.3g} around {place}; each point must be in one cell only. Make {they} only "
+            f"touch; then {SHARE}"
         )
 
 

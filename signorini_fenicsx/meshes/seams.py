@@ -57,8 +57,8 @@ def seams(corners: Array, apexes: Array, rows: Indices) -> tuple[Indices, Mask]:
     return np.concatenate(pairs), np.concatenate(same)
 
 
-def overlaps(cells: Array, bodies: Indices, others: Array, of_others: Indices) -> tuple[Array, Array]:
-    """Find cells that overlap cells of other bodies.
+def overlaps(cells: Array, bodies: Indices, others: Array, of_others: Indices) -> tuple[Array, Array, Mask]:
+    """Find cells that overlap cells of other bodies, or cells of their body with which they have no vertex in common.
 
     Args:
         cells: Vertices of some cells, shape (cells, dim + 1, dim).
@@ -67,21 +67,26 @@ def overlaps(cells: Array, bodies: Indices, others: Array, of_others: Indices) -
         of_others: Their bodies.
 
     Returns:
-        How deep each two are in one another, shape (pairs,), and the middle of the place, shape (pairs, dim).
+        How deep each two are in one another, shape (pairs,), the middle of the place, shape (pairs, dim), and a mask of
+        those that are of one body.
     """
-    depths, places = [np.empty(0)], [np.empty((0, cells.shape[2]))]
+    depths, places, of_one = [np.empty(0)], [np.empty((0, cells.shape[2]))], [np.empty(0, dtype=bool)]
     (low, high), (other_low, other_high) = ((each.min(axis=1), each.max(axis=1)) for each in (cells, others))
     for one, other in meeting(cells, others):
         boxes = ((low[one] < other_high[other]) & (other_low[other] < high[one])).all(axis=1)
-        tried = boxes & (bodies[one] != of_others[other])
-        first, second, depth = cells[one[tried]], others[other[tried]], np.full(np.count_nonzero(tried), np.inf)
+        first, second, same = cells[one[boxes]], others[other[boxes]], (bodies[one] == of_others[other])[boxes]
+        joined = np.zeros(len(same), dtype=bool)
+        joined[same] = (first[same][:, :, None] == second[same][:, None]).all(axis=3).any(axis=(1, 2))
+        first, second, same = first[~joined], second[~joined], same[~joined]
+        depth = np.full(len(same), np.inf)
         for axes_of in (_across_facets, _across_edges)[: cells.shape[2] - 1]:
             depth = np.minimum(depth, _depths(first, second, axes_of(first, second)))
-            first, second, depth = first[depth > 0], second[depth > 0], depth[depth > 0]
+            first, second, same, depth = (each[depth > 0] for each in (first, second, same, depth))
         depths.append(depth)
+        of_one.append(same)
         ends = np.maximum(first.min(axis=1), second.min(axis=1)), np.minimum(first.max(axis=1), second.max(axis=1))
-        places.append(sum(ends) / 2)
-    return np.concatenate(depths), np.concatenate(places)
+        places.append((ends[0] + ends[1]) / 2)
+    return np.concatenate(depths), np.concatenate(places), np.concatenate(of_one)
 
 
 def unit_normals(edges: Array) -> Array:

@@ -125,6 +125,20 @@ def test_bodies_that_overlap(name: str) -> None:
     assert float(str(caught.value).split()[4]) == pytest.approx(depth, rel=2e-2)
 
 
+@pytest.mark.parametrize(("pitch", "depth"), [(0.2, 0.12), (0.5, 0.0)])
+def test_a_body_that_overlaps_itself(pitch: float, depth: float) -> None:
+    """A spiral whose second turn is in its first one, and one with more room."""
+    points, cells = strip(12, 0)
+    angle, radius = 7.2 * points[:, 1], 1 + points @ [0.3, pitch]
+    mesh = together((np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1), cells))
+    if depth == 0:
+        assert checked(mesh, signorini=list(mesh.parts)) == []
+        return
+    with pytest.raises(InputError, match="a body overlaps itself, by ") as caught:
+        checked(mesh, neumann=list(mesh.parts))
+    assert float(str(caught.value).split()[5]) == pytest.approx(depth, rel=0.5)
+
+
 @pytest.mark.parametrize("name", LYING)
 @pytest.mark.parametrize("scale", [1.0, 1e-9])
 def test_bodies_on_one_another(name: str, scale: float) -> None:

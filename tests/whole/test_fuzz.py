@@ -76,7 +76,7 @@ def test_verdicts_on_files(tmp_path: Path):
 
 
 def test_verdicts_on_what_is_known(tmp_path: Path):
-    """A guaranteed bound below the error, another measure of contact, and a run that should have been solved."""
+    """Bounds below the error, other contact or quantities than known, and a run that should have been solved."""
     out = tmp_path / "work" / "out"
     (out / "checkpoint").mkdir(parents=True)
     (out / "checkpoint" / "about.json").touch()
@@ -86,6 +86,9 @@ def test_verdicts_on_what_is_known(tmp_path: Path):
         about = {"bound": 0.1, "relative": 0.1, "guaranteed": True} | certificate
         summary = {"algorithm": "alg1", "converged": True, "kkt": {"dual": 0.0}, "certificate": about}
         summary |= {"norms": {"sigma_L2": 1.0, "energy": 1.0}, "contact_measure": 2.0}
+        found = {"value": 1.5, "lower": 1.0, "upper": 2.0, "guaranteed": True}
+        summary |= {"quantities": {"flux": found, "p": found | {"value": 1.4}}}
+        (out / "facets.csv").write_text("t,measure,flux,p\n1,0.5,9,9\n2,0.5,1,1\n2,1,1,1\n", encoding="utf-8")
         (out / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
         said = "failed: no" if status else ""
         return judged(broken, ended(status << 8, said), {}, {}, tmp_path).bad - {"outside"}
@@ -95,5 +98,9 @@ def test_verdicts_on_what_is_known(tmp_path: Path):
     assert bad(Broken(words, "", flux=1.2), guaranteed=False) == set()
     assert bad(Broken(words, "", contact=2.0)) == set()
     assert bad(Broken(words, "", contact=2.1)) == {"untrue"}
+    for known, wrong in ((1.0, False), (2.1, True)):
+        assert bad(Broken(words, "", values={"flux": known})) == ({"untrue"} if wrong else set())
+    assert bad(Broken(words, "", shown=["flux"])) == set()
+    assert bad(Broken(words, "", shown=["p"])) == {"untrue"}
     assert bad(Broken(words, "", bounded=True), relative=40.0) == {"untrue"}
     assert bad(Broken(words, "", solved=True), status=1) == {"untrue"}
