@@ -16,7 +16,6 @@ from PIL import Image
 
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
@@ -24,6 +23,7 @@ from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.elasticity.case import ElasticCase
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}

@@ -11,12 +11,12 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import measure, sampled, squares_degree
 from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 

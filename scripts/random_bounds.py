@@ -37,7 +37,6 @@ from signorini_fenicsx import Diffusion, Evolution, Neumann, Signorini, StepBoun
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.parallel import collect_garbage
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.certificate.certify import certify
@@ -50,6 +49,7 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.meshes.sampling import of_unit_size, sampled
 from signorini_fenicsx.meshes.shapes import shape_of
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -22,11 +22,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import solve
 

@@ -18,8 +18,9 @@ import numpy as np
 import typer
 from petsc4py import PETSc
 
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.physics.diffusion.case import Case
 
 SOLVER = ("assembly", "prediction", "solve")
 """Its phases."""

@@ -31,13 +31,13 @@ Impossible input raises `InputError`; a run without a solution raises `Numerical
 
 import importlib
 
+from signorini_fenicsx import registry as registry
 from signorini_fenicsx.base.mpi_first import keep_order
+from signorini_fenicsx.base.version import __version__ as __version__
 
 TYPE_CHECKING = False  # type checkers take it as True; importing it from typing would take longer than this module
 if TYPE_CHECKING:
     from signorini_fenicsx.api import *  # noqa: F403 - what is exported is listed there
-
-__version__ = "0.4.0"
 
 keep_order()
 

@@ -93,10 +93,10 @@ from signorini_fenicsx.old_names import taking_old_calls
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Pressure, Support, Tresca
+from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.evolving import evolve as evolve_problem
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import Solved as Solution
 from signorini_fenicsx.solving.solver import Solver
 from signorini_fenicsx.solving.solver import solve as solve_problem
 

@@ -7,9 +7,9 @@ import pytest
 from mpi4py import MPI
 
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.physics.diffusion.case import Case
 
 COMM = MPI.COMM_WORLD
 

@@ -9,9 +9,9 @@ import pytest
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.output.steps import StepFolder
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.solving.evolving import Instant
 
 COMM = MPI.COMM_WORLD

@@ -7,8 +7,9 @@ import numpy as np
 from capabilities import CASES
 from mpi4py import MPI
 
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD

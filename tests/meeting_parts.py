@@ -7,9 +7,10 @@ import meshio
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.meshes.checks import faces
 from signorini_fenicsx.meshes.grids import Share, tetrahedron_grid, triangle_grid
+from signorini_fenicsx.physics.diffusion.case import Case
 
 type Lines = dict[str, tuple[int, float, float]]
 

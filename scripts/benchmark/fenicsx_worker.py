@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.parallel import Stopwatch, abort_all_on_exception, peak_memory
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.contact.backend import Iterate
@@ -23,6 +23,7 @@ from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.meshes.domain import Domain, distribute
 from signorini_fenicsx.meshes.meshing import label_parts
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend

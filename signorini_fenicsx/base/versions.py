@@ -7,7 +7,7 @@ import dolfinx
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx import __version__
+from signorini_fenicsx.base.version import __version__
 
 
 def versions() -> dict[str, str]:

@@ -2,49 +2,32 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import ufl
-from pydantic import (
-    Field,
-    SerializerFunctionWrapHandler,
-    ValidationError,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, ValidationError, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
-from signorini_fenicsx.cases.costs import COSTS, Cost
-from signorini_fenicsx.cases.dam import Dam, with_dam, without_sections
+from signorini_fenicsx.cases.costs import Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection
 from signorini_fenicsx.cases.geometry import Geometry
-from signorini_fenicsx.cases.laws import LawTexts
-from signorini_fenicsx.cases.parts import Boundary, Parts, PartsInside, PartsWithLaws, Section
-from signorini_fenicsx.cases.plot import Plot
+from signorini_fenicsx.cases.parts import Parts, PartsInside, Section
 from signorini_fenicsx.cases.quantities import QuantityTexts
-from signorini_fenicsx.cases.texts import Exact, ProblemTexts, Time, Times
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Positive, Whole, choice, within
 from signorini_fenicsx.expressions import parse_expression
-from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.cut import Side
-from signorini_fenicsx.meshes.domain import Boundary as Posed
 from signorini_fenicsx.meshes.domain import coordinate_element
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
-from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
-from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
+from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import BACKENDS
-
-MODELS = {"elasticity": "signorini_fenicsx.cases.elasticity.ElasticCase"}
-"""The cases of other physics than diffusion, by what a file has for `physics`."""
+from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 
 
 class Solve(Section):
@@ -62,6 +45,18 @@ class Solve(Section):
     predict: bool = True
 
 
+class Times(DataSection):
+    """`[time]`: the steps of an `Evolution`. With it t is known to all expressions but those of this section."""
+
+    words = ("end", "steps", "scheme")
+    end: Annotated[Positive, within(1e-90, 1e90)]
+    steps: Annotated[Whole, within(1, 10**6)]
+
+    def evolution(self) -> Evolution:
+        """The times for `evolve`."""
+        return Evolution(**dict(self))
+
+
 class CaseFile(Section):
     """What all case files have.
 
@@ -70,7 +65,8 @@ class CaseFile(Section):
     """
 
     WORD: ClassVar[str] = "Case"
-    PHYSICS: ClassVar[str] = "diffusion"
+    PHYSICS: ClassVar[str]
+    """The name of the physics."""
     name: str = Field(default="case", exclude=True)
     title: str = ""
     geometry: Geometry
@@ -81,7 +77,7 @@ class CaseFile(Section):
     law: Annotated[Sequence[KindSection], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: DataSection
     exact: DataSection
-    costs: ClassVar[Mapping[int, Cost]] = COSTS
+    costs: ClassVar[Mapping[int, Cost]]
     """What it costs to solve it, by dimension."""
     lacks: ClassVar[Sequence[str]] = ()
     """Options of commands that there are not for it."""
@@ -89,6 +85,8 @@ class CaseFile(Section):
     """What holds on Γ_D, in words."""
     is_vector: ClassVar[bool] = False
     """Whether u is a vector."""
+    first_words: ClassVar[Sequence[str]]
+    """What may hold on a part of a first case, in a word, besides a given u or flux."""
 
     @property
     def states(self) -> tuple[str, str]:
@@ -106,6 +104,11 @@ class CaseFile(Section):
         Raises:
             InputError: If an expression cannot be read.
         """
+        raise NotImplementedError
+
+    @classmethod
+    def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
+        """The texts of the sections of a first case, with words for the parts of the boundary and for those inside."""
         raise NotImplementedError
 
     def problem_at(self, dim: int, step: int | None) -> Any:
@@ -244,102 +247,6 @@ class CaseFile(Section):
         return validated(type(self), tree, self.name, "case " + self.name)
 
 
-class Case(CaseFile):
-    """One Signorini problem, its discretisation and its algorithm."""
-
-    boundary: Boundary = Boundary()
-    law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
-    problem: ProblemTexts
-    exact: Exact = Exact()
-    time: Time | None = None
-    dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
-    plot: Annotated[Plot | None, Field(default=None, exclude_if=lambda plot: plot is None)]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_dam(cls, tree: dict[str, Any]) -> dict[str, Any]:
-        """Add the sections that [dam] stands for."""
-        return with_dam(tree)
-
-    @model_serializer(mode="wrap")
-    def _without_what_dam_makes(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        tree: dict[str, Any] = dump(self)
-        return tree if self.dam is None else without_sections(self.dam, tree)
-
-    @model_validator(mode="after")
-    def _has_gamma_s(self) -> Self:
-        self.parts.refuse_repetition()
-        law = "a [[law]] between the jump of u and σ·n"
-        self.boundary.check_inner(self.law_parts, self.geometry.file, law)
-        for i, texts in enumerate(self.law):
-            if texts.kind == "storage" and self.time is None:
-                raise ValueError(f"law.{i}: the law 'storage' needs [time]")
-        return self
-
-    @property
-    def _stores(self) -> bool:
-        return self.time is not None and self.time.is_storage
-
-    @property
-    def scheme(self) -> str:
-        """The scheme in time, in words."""
-        return "" if self.time is None else f" of {self.time.scheme}"
-
-    @property
-    def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
-        """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
-        if self.problem.obstacle is None or self._stores or any(law.region for law in self.law):
-            return super().columns_of_step
-        return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")} | super().columns_of_step
-
-    @property
-    def unproved(self) -> str:
-        """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
-        if self.law:
-            return "the proof is for the law of Signorini alone, without [[law]]"
-        if self.problem.c != "0":
-            return "the proof is for c = 0 alone; leave out [problem] c"
-        no_obstacle = self.problem.obstacle is None
-        return "" if no_obstacle else "the proof is for the law of Signorini alone, without an obstacle"
-
-    @property
-    def law_parts(self) -> list[str]:
-        """The parts that have a `[[law]]`."""
-        return [part for law in self.law for part in law.parts]
-
-    def condition_of(self, part: str) -> str:
-        """The condition on a part, in a word: of a law its kind."""
-        return next((law.kind for law in self.law if part in law.parts), self.boundary.condition_of(part))
-
-    @property
-    def parts(self) -> PartsWithLaws:
-        """The section `[boundary]`, and the parts with a `[[law]]`."""
-        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law) if law.parts}
-        return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
-
-    def posed(self, dim: int) -> tuple[Posed, Problem]:
-        """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""
-        parts = self.boundary
-        return Posed([*parts.signorini, *self.law_parts], parts.neumann, parts.inner), self.data(dim)
-
-    def problem_at(self, dim: int, step: int | None) -> Problem:
-        """The problem of a step in time, see `CaseFile.problem_at`."""
-        problem = self.data(dim)
-        if step is None or self.time is None:
-            return problem
-        return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
-
-    def data(self, dim: int) -> Problem:
-        """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
-
-        Raises:
-            InputError: If an expression cannot be read.
-        """
-        names = "xyz"[:dim] + ("" if self.time is None else "t")
-        exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
-        return replace(self.problem.read(names), exact=exact, laws=[law.made() for law in self.law])
-
-
 def _below(branch: Any, section: str, key: str) -> Any:
     """A section of a part of a case, new if there is none; of a list, such as that of [[law]], by its number."""
     if isinstance(branch, list):
@@ -378,33 +285,35 @@ def case_of(tree: dict[str, Any], path: Path) -> Any:
     """
     if "physics" not in tree:
         try:
-            return validated(Case, tree, path.stem, str(path))
+            return validated(model_of(DIFFUSION), tree, path.stem, str(path))
         except InputError as error:
             raise InputError(f"{error}{_of_other_physics(tree)}") from None
-    if not isinstance(tree["physics"], str) or tree["physics"] not in MODELS:
-        names = " or ".join(f'"{name}"' for name in MODELS)
+    if not isinstance(tree["physics"], str) or tree["physics"] not in _others():
+        names = " or ".join(f'"{name}"' for name in _others())
         raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {names}, or leave it out")
     model = model_of(tree["physics"])
     for key in tree:
-        if key in Case.model_fields and key not in model.model_fields:
+        if key not in model.model_fields and key in model_of(DIFFUSION).model_fields:
             raise InputError(f"{path}: [{key}] is of problems without physics; {tree['physics']} has none")
     return validated(model, tree, path.stem, str(path))
 
 
 def model_of(physics: str) -> type[CaseFile]:
     """The case files of a physics."""
-    if physics not in MODELS:
-        return Case
-    module, _, name = MODELS[physics].rpartition(".")
-    model: type[CaseFile] = getattr(import_module(module), name)
+    model: type[CaseFile] = PHYSICS[physics].case
     return model
+
+
+def _others() -> list[str]:
+    """The physics with case files, but for diffusion."""
+    return [name for name, physics in PHYSICS.items() if name != DIFFUSION and physics.case is not None]
 
 
 def _of_other_physics(tree: dict[str, Any]) -> str:
     """What to say of a key in a file without `physics` that only the cases of another one have; "" if there is none."""
-    for physics in MODELS:
+    for physics in _others():
         for section in ("problem", "boundary"):
-            models = [model.model_fields[section].annotation for model in (model_of(physics), Case)]
+            models = [model_of(name).model_fields[section].annotation for name in (physics, DIFFUSION)]
             theirs, ours = (set(getattr(model, "model_fields", {})) for model in models)
             keys = tree.get(section)
             if isinstance(keys, dict) and (foreign := [key for key in keys if key in theirs - ours]):

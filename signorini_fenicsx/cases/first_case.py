@@ -15,26 +15,19 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.base.text import did_you_mean
-from signorini_fenicsx.cases.case import MODELS
-from signorini_fenicsx.cases.elasticity import NORMAL, WITH_CONTACT
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.contact.law import names_of_data
 from signorini_fenicsx.contact.laws import LAWS
 from signorini_fenicsx.meshes.checks import faces, rows_of
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.shapes import full_name, shape_of
+from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 
-DIFFUSION = "diffusion"
-PHYSICS = (DIFFUSION, *MODELS)
 VALUES: Mapping[str, Any] = {
     **{"g": 1, "psi_upper": 1, "beta": 1, "k": 1, "g_low": -1, "g_high": 1, "r": 1, "bed": -1},
     "corners": [[-1, 1], [1, -1]],
 }
 """Data of laws; for others their defaults are written, or 0."""
-ELASTIC = {
-    "contact": ("Contact without friction.", []),
-    "friction": ("Contact with Coulomb's friction, |σ_t| ≤ mu · pressure.", ["mu = 0.3"]),
-}
 HELD, GIVEN, SYMMETRIC = "dirichlet", "neumann", "symmetry"
 
 
@@ -74,7 +67,7 @@ class Place:
 
 def words(physics: str) -> tuple[str, ...]:
     """What may hold on a part, in a word."""
-    return HELD, GIVEN, *(LAWS if physics == DIFFUSION else (SYMMETRIC, *WITH_CONTACT, *NORMAL))
+    return HELD, GIVEN, *PHYSICS[physics].case.first_words
 
 
 def first_law(physics: str) -> str:
@@ -118,73 +111,51 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
     for part, word in inner.items():
         if word in (HELD, GIVEN, SYMMETRIC):
             raise InputError(f"part '{part}' is inside the domain, where '{word}' cannot hold; give it a law")
-    write = _scalar if physics == DIFFUSION else _elastic
     head = [f"title = {json.dumps(title, ensure_ascii=False)}"]
     if physics != DIFFUSION:
         head.append(f'physics = "{physics}"')
-    sections = ["\n".join(head), f"[geometry]\n{place.geometry}", *write(outer, inner, place.dim)]
+    sections = [
+        "\n".join(head),
+        f"[geometry]\n{place.geometry}",
+        *PHYSICS[physics].case.first_sections(outer, inner, place.dim),
+    ]
     if place.geometry.startswith("shape") and place.dim == 3:
         sections.append('[solve]\nh = "1/8"')
     return "\n\n".join(sections) + "\n"
 
 
-def _scalar(outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
-    unilateral = _with(outer, "signorini")
-    boundary = [*_lists(outer, "signorini", GIVEN), *_rest(outer, inner)]
-    laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, "signorini")} | {**inner}
-    data = [("f = -1", "the source: −∇·(κ∇u) = f"), ("kappa = 1", "κ, the conductivity")]
-    if _with(outer, HELD):
-        data.append(("u_D = 0", "u on the rest"))
-    if _with(outer, GIVEN):
-        data.append(("g_N = 0", "κ∇u·n on the parts in neumann, with the outer normal n"))
-    if unilateral:
-        data += [("psi = -0.1", "u ≥ psi on the parts in signorini"), ("q_S = 0", "κ∇u·n ≥ q_S there")]
-    return ["\n".join(["[boundary]", *boundary]), *_laws(laws), _section("problem", data)]
-
-
-def _elastic(outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
-    touching = [part for part, word in outer.items() if word in WITH_CONTACT]
-    fixed = ", ".join(f'{json.dumps(part)} = "n"' for part in _with(outer, SYMMETRIC))
-    boundary = [f"contact = {json.dumps(touching)}", *_lists(outer, GIVEN), *_rest(outer, inner)]
-    if fixed:
-        boundary.append(f"fixed = {{{fixed}}}  # u·n is given there; also letters of xyz")
-    laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, SYMMETRIC, "contact")} | {**inner}
-    down, zero = (json.dumps([0] * (dim - 1) + [last]) for last in (-0.01, 0))
-    data = [("young = 1", "Young's modulus"), ("poisson = 0.3", "Poisson's ratio"), (f"f = {down}", "the load")]
-    if _with(outer, HELD):
-        data.append((f"u_D = {zero}", "the displacement on the rest"))
-    if _with(outer, GIVEN):
-        data.append((f"g_N = {zero}", "the traction σn on the parts in neumann; also by part: {top = […]}"))
-    data.append(("gap = 0", "to what the body touches, along the outer normal"))
-    return ["\n".join(["[boundary]", *boundary]), *_laws(laws, ELASTIC), _section("problem", data)]
-
-
-def _with(conditions: Mapping[str, str], *names: str) -> list[str]:
+def parts_with(conditions: Mapping[str, str], *names: str) -> list[str]:
+    """The parts that have one of these words."""
     return [part for part, word in conditions.items() if word in names]
 
 
-def _lists(conditions: Mapping[str, str], *names: str) -> list[str]:
-    return [f"{name} = {json.dumps(_with(conditions, name), ensure_ascii=False)}" for name in names]
+def lists_of(conditions: Mapping[str, str], *names: str) -> list[str]:
+    """The lines of `[boundary]` that list the parts with these words."""
+    return [f"{name} = {json.dumps(parts_with(conditions, name), ensure_ascii=False)}" for name in names]
 
 
-def _rest(outer: Mapping[str, str], inner: Mapping[str, str]) -> list[str]:
-    held = ", ".join(_with(outer, HELD)) or "nothing"
+def rest_of(outer: Mapping[str, str], inner: Mapping[str, str]) -> list[str]:
+    """The lines of `[boundary]` about the parts inside and about those where u is given."""
+    held = ", ".join(parts_with(outer, HELD)) or "nothing"
     lines = [f"# u is given on the rest: {held}"]
     return [f"inner = {json.dumps(list(inner), ensure_ascii=False)}", *lines] if inner else lines
 
 
-def _section(name: str, data: Sequence[tuple[str, str]]) -> str:
+def section_of(name: str, data: Sequence[tuple[str, str]]) -> str:
+    """A section with its data, each with what it is about."""
     width = max(len(line) for line, _ in data)
     return "\n".join([f"[{name}]", *(f"{line:<{width}}  # {about}" for line, about in data)])
 
 
-def _laws(laws: Mapping[str, str], elastic: Mapping[str, tuple[str, list[str]]] = MappingProxyType({})) -> list[str]:
+def law_sections(
+    given: Mapping[str, str], special: Mapping[str, tuple[str, list[str]]] = MappingProxyType({})
+) -> list[str]:
     """A [[law]] for each kind, with what it says and all its data."""
     texts = []
-    for kind in dict.fromkeys(laws.values()):
-        parts = json.dumps(_with(laws, kind), ensure_ascii=False)
-        about, data = elastic[kind] if kind in elastic else _about(kind)
-        about = f"{about} Here u is the opening, κ∇u·n the pressure." if elastic and kind not in elastic else about
+    for kind in dict.fromkeys(given.values()):
+        parts = json.dumps(parts_with(given, kind), ensure_ascii=False)
+        about, data = special[kind] if kind in special else _about(kind)
+        about = f"{about} Here u is the opening, κ∇u·n the pressure." if special and kind not in special else about
         texts.append("\n".join([f"# {about}", "[[law]]", f"parts = {parts}", f'kind = "{kind}"', *data]))
     return texts
 

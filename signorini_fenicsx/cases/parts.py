@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from signorini_fenicsx.cases.complaints import keys_of
 from signorini_fenicsx.meshes.checks import key_of
@@ -116,26 +116,3 @@ class PartsInside(Parts):
         for part in self.sides:
             if part not in self.inner or file is None:
                 raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")
-
-
-class Boundary(PartsInside):
-    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
-
-    Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
-    """
-
-    signorini: list[str] = []
-    neumann: list[str] = []
-    dirichlet: list[str] | None = None
-
-
-class PartsWithLaws(Boundary):
-    """`[boundary]` with the parts of each `[[law]]`."""
-
-    laws: dict[str, list[str]] = Field(exclude=True)
-
-    @property
-    def named(self) -> dict[str, list[str]]:
-        """The lists that are given, by their keys."""
-        lists = {key: parts for key, parts in super().named.items() if key != "laws"}
-        return lists | self.laws

@@ -20,6 +20,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.quantities.of_solution import check_quantities
+from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
@@ -93,7 +94,7 @@ def check_quantities_of(case: CaseFile, domain: Domain) -> None:
 
 
 @collector_off()
-def quantities_of(solution: Solved) -> dict[str, Quantity]:
+def quantities_of(solution: Solution) -> dict[str, Quantity]:
     """The intervals for the quantities of the case of a solution, by their names (collective)."""
     found = {}
     for each in solution.source.quantity if isinstance(solution.source, CaseFile) else []:

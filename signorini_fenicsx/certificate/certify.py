@@ -11,13 +11,14 @@ from dolfinx import fem
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import holding
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
+from signorini_fenicsx.certificate.bounds import Bounds
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound, bound_field
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import solve
-from signorini_fenicsx.solving.system import bound_of
 
 
 @overload
@@ -59,20 +60,20 @@ def certify(
         solved = cast(Solved, solution)
     if v is not None:
         return bound_field(solved, v)
-    return certified(solved, "certify", lambda bound: bound.certificate_of(solved, for_signorini=for_signorini))
+    return certified(solved, lambda bounds: bounds.of_solution(solved, for_signorini=for_signorini))
 
 
-def certified(solution: Solved, module: str, certify: Callable[[Any], Certificate]) -> Certificate:
-    """The certificate that a module of the physics gives, with its seconds; no bound if there is none (collective).
+def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Certificate:
+    """The certificate that the bounds of the physics give, with its seconds; no bound if there is none (collective).
 
     Raises:
         NumericalFailure: If a linear solver fails; it holds the solution.
     """
-    of_physics, watch = bound_of(solution.physics, module), Stopwatch()
-    if of_physics is None:
+    bounds, watch = PHYSICS[solution.physics].bound, Stopwatch()
+    if bounds is None:
         return _none(solution)
     with watch.phase("certificate"), holding(solution):
-        certificate = certify(of_physics)
+        certificate = certify(bounds)
         names = lost_digits(solution) if certificate.proved else ()
     if names:
         about = {key: value for key, value in certificate.about.items() if key != "guaranteed_for"}

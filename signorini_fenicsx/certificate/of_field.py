@@ -31,8 +31,8 @@ from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
+from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.system import bound_of
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,12 @@ def bound_field(solution: Solved, v: fem.Function) -> FieldBound:
         InputError: If it is another function, or the problem has no such bound.
         NumericalFailure: If a linear solver fails; it holds the solution.
     """
-    of_physics = bound_of(solution.physics, "of_field")
-    if of_physics is None:
+    bounds = PHYSICS[solution.physics].bound
+    if bounds is None:
         raise InputError(f"{solution.physics}: no bound of functions is known")
     _check(solution, v)
     with holding(solution):
-        bound: FieldBound = of_physics.field_bound(solution, v)
+        bound: FieldBound = bounds.of_field(solution, v)
     if bound.guaranteed and (names := lost_digits(solution)):
         return replace(bound, guaranteed=False, reason=f"{', '.join(names)} {LOST}")
     return bound

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.certificate.bounds import Bounds, OfSteps
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certified
 from signorini_fenicsx.solving.evolving import Instant
@@ -15,15 +14,14 @@ class StepBounds:
 
     def __init__(self) -> None:
         """Begin; then the first step is to be bounded."""
-        self._of: Any = None
+        self._of: OfSteps | None = None
 
     @collector_off()
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it (collective)."""
 
-        def of_step(bound: Any) -> Certificate:
-            self._of = self._of or bound.StepBounds()
-            certificate: Certificate = self._of.certify(instant)
-            return certificate
+        def of_step(bounds: Bounds) -> Certificate:
+            self._of = self._of or bounds.of_steps()
+            return self._of.certify(instant)
 
-        return certified(instant.solution, "steps", of_step)
+        return certified(instant.solution, of_step)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from signorini_fenicsx import __version__
+from signorini_fenicsx.base.version import __version__
 from signorini_fenicsx.cli.about import cases, check, info, methods, version
 from signorini_fenicsx.cli.comparisons import compare, convergence
 from signorini_fenicsx.cli.fields import certify

@@ -44,7 +44,8 @@ def init(
     conditions = _conditions(on or [])
 
     def text() -> str:
-        from signorini_fenicsx.cases.first_case import DIFFUSION, Place, case_text
+        from signorini_fenicsx.cases.first_case import Place, case_text
+        from signorini_fenicsx.solving.physics import DIFFUSION
 
         if case.suffix != ".toml":
             raise InputError(f"init: {case} must end in .toml")
@@ -87,10 +88,8 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
         InputError: If the answers end too early, or the mesh cannot be used.
     """
     from signorini_fenicsx.cases.first_case import (
-        DIFFUSION,
         GIVEN,
         HELD,
-        PHYSICS,
         SYMMETRIC,
         Place,
         case_text,
@@ -98,11 +97,12 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
         words,
     )
     from signorini_fenicsx.meshes.shapes import SHAPES
+    from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 
     try:
         where = where or typer.prompt(f"Shape ({', '.join(SHAPES)}, '[-2, 2] x [0, 1]') or mesh file", "square")
         place = Place.of(where, case.parent)
-        physics = physics or _choice("Physics", PHYSICS, DIFFUSION)
+        physics = physics or _choice("Physics", tuple(PHYSICS), DIFFUSION)
         typer.echo(f"Conditions: {', '.join(words(physics))}")
         conditions: dict[str, str] = {}
         for left, part in enumerate(place.parts, start=1 - len(place.parts)):  # one part has a law, at last the last

@@ -12,13 +12,12 @@ from mpi4py import MPI
 from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.contact.history import OnStep, Step
-from signorini_fenicsx.physics.diffusion.water import PASSES
 from signorini_fenicsx.quantities import Quantity
+from signorini_fenicsx.quantities.bracket import PASSES
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
@@ -69,14 +68,13 @@ class SolutionReport(CaseReport):
 
     def solution(self, result: Solved, found: Found) -> None:
         """Print the summary of a finished run, and what is known of its solution (collective)."""
-        summary, water, certificate = result.summary(), seepage(result), found.certificate
+        summary, certificate = result.summary(), found.certificate
         rough = f", {summary['rough_steps']} of them rough" if summary["rough_steps"] else ""
         lines = {
             "converged": f"{summary['reason']} after {counted(summary['iterations'], 'iteration')}{rough}",
             "mesh": mesh(result, summary),
             "system": f"{summary['backend']}, {summary['dofs']} unknowns, {summary['linear_solver']}",
             **result.lines(summary),
-            **({} if water is None else {"seepage": water.in_words()}),
             "norms": named(summary["norms"], ".6g"),
             "KKT": named(summary["kkt"], ".1e"),
         }

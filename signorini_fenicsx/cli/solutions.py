@@ -21,10 +21,12 @@ from signorini_fenicsx.cli.common import any_case, failure_kept, keep_beside, re
 if TYPE_CHECKING:
     from typing import TypeGuard
 
-    from signorini_fenicsx.cases.case import Case, CaseFile
+    from signorini_fenicsx.cases.case import CaseFile
     from signorini_fenicsx.certificate.certificate import Certificate
+    from signorini_fenicsx.physics.diffusion.case import Case
     from signorini_fenicsx.quantities import Quantity
     from signorini_fenicsx.rigorous.proof import Proof
+    from signorini_fenicsx.solution import Solution
     from signorini_fenicsx.solving.solved import Solved
 
 MIN_THETA = 1e-3
@@ -234,7 +236,9 @@ def _missed(
     return ", ".join(f"{what} ≤ {value:.3g}, not {limit:g}" for what, value, limit in reached)
 
 
-def _measuring(case: "CaseFile", name: str | None) -> "tuple[dict[str, Quantity], Callable[[Solved], Quantity] | None]":
+def _measuring(
+    case: "CaseFile", name: str | None
+) -> "tuple[dict[str, Quantity], Callable[[Solution], Quantity] | None]":
     """Where the last interval of a quantity of a case is put, by its name, and what finds it; None without a name.
 
     Raises:
@@ -247,7 +251,7 @@ def _measuring(case: "CaseFile", name: str | None) -> "tuple[dict[str, Quantity]
     if name not in kinds:
         raise InputError(f"--quantity {name}: {case.name} has {', '.join(kinds) or 'no [[quantity]]'}")
 
-    def measure(solution: "Solved") -> "Quantity":
+    def measure(solution: "Solution") -> "Quantity":
         measured[name] = solution.quantity(kinds[name])
         return measured[name]
 

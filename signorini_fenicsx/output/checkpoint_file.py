@@ -25,7 +25,7 @@ from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout
-from signorini_fenicsx.solving.system import DIFFUSION, PHYSICS, keeping_of
+from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 
 FOLDER, TEXT = "checkpoint", "about.json"
 """The folder of a checkpoint in a results folder; its file that is written last, when all arrays are there."""
@@ -143,7 +143,8 @@ class Checkpoint:
     @property
     def keeping(self) -> Keeping:
         """How its physics keeps solutions."""
-        return keeping_of(self.about.physics)
+        keeping: Keeping = PHYSICS[self.about.physics].keeping
+        return keeping
 
     @property
     def boundary(self) -> Any:

@@ -24,9 +24,9 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.meshes.domain import facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, GivenInPython
 from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
-from signorini_fenicsx.solving.kept import Arrays
+from signorini_fenicsx.solving.kept import Arrays, Keeping
+from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.system import DIFFUSION, keeping_of
 
 OUTCOME = ("reason", "converged", "backend", "dofs", "linear_solver", "own_residual", "details")
 """Stored attributes of a solution's outcome, apart from fields and history."""
@@ -95,7 +95,7 @@ def _about(solution: Solved) -> dict[str, Any]:
         **{key: getattr(solution.outcome, key) for key in OUTCOME},
         **{key: getattr(solution, key) for key in COSTS},
         **({} if physics == DIFFUSION else {"physics": physics}),
-        **{name: list(getattr(solution, name)) for name in keeping_of(physics).own},
+        **{name: list(getattr(solution, name)) for name in PHYSICS[physics].keeping.own},
         **({"step": solution.step} if in_time else {}),
     }
 
@@ -106,7 +106,7 @@ def _arrays(solution: Solved) -> Arrays:
     comm, geometry, dim = mesh.comm, mesh.geometry, mesh.geometry.dim
     points = Order(comm, geometry.input_global_indices[: geometry.index_map().size_local])
     places = points.places(geometry.input_global_indices)
-    keeping = keeping_of(solution.physics)
+    keeping: Keeping = PHYSICS[solution.physics].keeping
     order = Order(comm, original_cells(mesh))
 
     def renumbered(vertices: Indices) -> Indices:
@@ -133,7 +133,7 @@ def _problem(solution: Solved) -> dict[str, Any]:
     if isinstance(solution.source, CaseFile):
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
-    laws, laws_of_files = getattr(solution.problem, "laws", ()), keeping_of(boundary.physics).laws
+    laws, laws_of_files = getattr(solution.problem, "laws", ()), PHYSICS[boundary.physics].keeping.laws
     problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]

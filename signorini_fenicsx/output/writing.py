@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Self
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
@@ -23,7 +22,6 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import json_text, write_rows, write_table
 from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound
@@ -131,10 +129,7 @@ class SolutionFiles:
         """Write the tables of sites, of iterations, and others that the physics has."""
         with self._watch.phase("output"):
             write_sites(folder, self._solution)
-            others = self._solution.other_tables()
-            if self._line is not None:
-                others |= {"phreatic_line": dict(zip(("x", "y"), self._line.T, strict=True))}
-            for name, columns in others.items():
+            for name, columns in self._solution.other_tables().items():
                 on_root(self._comm, partial(write_columns, folder / f"{name}.csv", [columns]))
             history = self._solution.outcome.history
             on_root(self._comm, lambda: write_table(folder / "history.csv", Step, history))
@@ -166,7 +161,7 @@ class SolutionFiles:
             write_fields(folder, self._solution.spaces, [(None, of_files)], 1)
 
     def _draw(self, drawn: Callable[[Any, Any], None]) -> None:
-        """Draw the scene of the solution, perhaps with a phreatic line, on rank 0."""
+        """Draw the scene of the solution on rank 0."""
         from signorini_fenicsx.output import pictures  # takes a second to import
 
         with self._watch.phase("output"), doing("drawing"):
@@ -175,26 +170,25 @@ class SolutionFiles:
 
     @cached_property
     def _scene(self) -> Any:
-        """The scene of the solution, perhaps with a phreatic line, on rank 0; None elsewhere."""
+        """The scene of the solution on rank 0; None elsewhere."""
         from signorini_fenicsx.output import pictures
 
-        return pictures.gathered_scene(self._solution, self.found.certificate, self._line)
-
-    @cached_property
-    def _water(self) -> Any:
-        """The water in Baiocchi's dam, or None."""
-        return seepage(self._solution)
-
-    @property
-    def _line(self) -> Array | None:
-        """The phreatic line, or None."""
-        return None if self._water is None else self._water.phreatic_line
+        return pictures.gathered_scene(self._solution, self.found.certificate)
 
     @cached_property
     def _about(self) -> dict[str, Any]:
         """The summary of the solution itself."""
-        summary = self._solution.summary()
-        return summary if self._water is None else summary | {"seepage": self._water.summary()}
+        return self._solution.summary()
+
+
+@collector_off()
+def publish_solution(
+    solution: Solved, folder: Path | str, *, certificate: Certificate | None, plot: bool, html: bool
+) -> None:
+    """Write the files of a solution into a results folder, see `Solution.write` (collective)."""
+    with ResultsFolder(solution.spaces.mesh.comm, folder) as place:
+        files = SolutionFiles(solution).publish(place)
+        files.publish_others(place, Found(certificate=certificate), plot=plot, html=html)
 
 
 @collector_off()

@@ -48,6 +48,8 @@ ENOUGH = 0.98
 NEAR, AHEAD = 1.5, 2
 """In each direction the search ends with an interval that is so many times as long as the best, or after so many that
 gain nothing: where sets of contact change between two τ, one of them may be longer than its neighbours."""
+PASSES = "passes where the pressure is negative, in soil that is taken for saturated"
+"""What is said of that share."""
 QUANTITY, VALUE = "quantities.", ".value"
 """What the keys of a quantity in tables begin with, before its name, and that of its value ends with."""
 UNBOUNDED = "this flux is unbounded on the energy space"

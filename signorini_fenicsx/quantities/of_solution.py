@@ -10,15 +10,15 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, holding
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.quantities import diffusion, elastic_energy, elasticity
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.quantities.bracket import Quantity
 from signorini_fenicsx.quantities.kinds import Energy, Integral, Kind
+from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 
 
 @dataclass(frozen=True)
-class OfPhysics:
+class Quantities:
     """The quantities of a physics.
 
     Attributes:
@@ -36,16 +36,6 @@ class OfPhysics:
     named_for: Callable[[Any], str]
 
 
-QUANTITIES = {
-    name: OfPhysics(physics.check, energy, physics.Integrals, physics.Fluxes, physics.named_for)
-    for name, physics, energy in (
-        ("diffusion", diffusion, diffusion.energy),
-        ("elasticity", elasticity, elastic_energy.energy),
-    )
-}
-"""The physics that have quantities."""
-
-
 def quantity(solution: Solved, kind: Kind) -> Quantity:
     """The interval for a quantity, see `Solved.quantity` (collective).
 
@@ -55,7 +45,7 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
     """
     check_kind("solution", solution, Solved)
     check_quantities(solution.spaces.domain, (solution.boundary, solution.problem), [kind])
-    physics = QUANTITIES[solution.physics]
+    physics: Quantities = PHYSICS[solution.physics].quantities
     with holding(solution):
         if isinstance(kind, Energy):
             interval: Quantity = physics.energy(solution)
@@ -81,6 +71,6 @@ def check_quantities(domain: Domain, posed: tuple[Any, Any], kinds: Sequence[Kin
     """
     for kind in kinds:
         check_kind("kind", kind, Kind)
-        if posed[0].physics not in QUANTITIES:
+        if (physics := PHYSICS[posed[0].physics].quantities) is None:
             raise InputError(f"{posed[0].physics}: no quantities are known")
-        QUANTITIES[posed[0].physics].check(domain, posed, kind)
+        physics.check(domain, posed, kind)

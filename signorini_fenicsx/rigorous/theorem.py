@@ -22,15 +22,29 @@ Proof. The argument is that of `certificate`, here with exact ingredients.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.data import Given, deviation
-from signorini_fenicsx.rigorous.discrete import DIRICHLET, INSIDE, NEUMANN, SIGNORINI, Discrete, Facets, boundary
-from signorini_fenicsx.rigorous.proven import Proven
+from signorini_fenicsx.rigorous.discrete import (
+    DIRICHLET,
+    INSIDE,
+    NEUMANN,
+    SIGNORINI,
+    Discrete,
+    Facets,
+    boundary,
+    gathered,
+)
+from signorini_fenicsx.rigorous.elementary import FromArb
+from signorini_fenicsx.rigorous.proven import Proofs, Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     bernstein,
@@ -172,3 +186,23 @@ def _trace_constant(cells: Simplices, kappa: Tensor, facets: Facets) -> Interval
     """The constant C_e of `physics/diffusion/bound/local_fields`, with ĥ in place of δ_T."""
     factor = 1.0 / (PI * PI) + 2.0 / (PI * float(cells.dim))
     return root(facets.measure / cells.measure[facets.cells] * factor) * kappa.diameter[facets.cells]
+
+
+def _prepared(solution: Solution, v: fem.Function) -> Callable[[], Proven | None]:
+    """The proof of a scalar problem, to be run on rank 0 (collective).
+
+    Raises:
+        InputError: If there is no theorem for the problem.
+    """
+    if solution.data.laws.listed:
+        raise InputError("the proof is for the law of Signorini alone")
+    if solution.data.c_h is not None:
+        raise InputError("the proof is for c = 0 alone")
+    if solution.data.inside is not None:
+        raise InputError("the proof is for problems without an obstacle and other laws in Ω")
+    given = Given.of(solution.data.trees, FromArb())
+    discrete = gathered(solution, v)
+    return lambda: None if discrete is None else prove(discrete, given)
+
+
+PROOFS = Proofs(500_000, _prepared)

@@ -38,6 +38,7 @@ class Drawn:
         inside: The parts of Γ_S inside the domain.
         strength: What |σ_h| is called.
         gamma: What Γ_S is called.
+        phreatic_line: Points of the phreatic line of a dam, on all ranks, shape (points, 2); None if there is none.
     """
 
     u: Array
@@ -53,6 +54,7 @@ class Drawn:
     inside: Sequence[str] = ()
     strength: str = r"$|\sigma_h|$"
     gamma: str = r"$\Gamma_S$"
+    phreatic_line: Array | None = None
 
 
 def whole_boundary(spaces: MeshSpaces, **values: Array) -> dict[int, Kind]:

@@ -6,8 +6,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy.typing as npt
 from dolfinx import fem
@@ -15,7 +14,6 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
@@ -27,15 +25,6 @@ from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.fields import Fields
 from signorini_fenicsx.solving.options import Options
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from ufl import Form
-
-    from signorini_fenicsx.certificate.certificate import Certificate
-    from signorini_fenicsx.derivatives.gradient import Change, Gradient
-    from signorini_fenicsx.discrete.seen import Control
-    from signorini_fenicsx.quantities import Kind, Quantity
 
 type Columns = Mapping[str, npt.NDArray]
 """The columns of a table by their names."""
@@ -193,13 +182,6 @@ class Solved(ABC):
         """
         return PointValues(*(at_points(self.spaces.domain, function, points) for function in (self.u, self.sigma)))
 
-    @collector_off()
-    def certify(self, *, for_signorini: bool = False) -> Certificate:
-        """Bound the energy error, see `certify` (collective)."""
-        from signorini_fenicsx.certificate.certify import certify
-
-        return certify(self, for_signorini=for_signorini)
-
     def of_problem(self, problem: Any) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         raise InputError(f"solutions of {self.physics} have no derivatives")
@@ -215,73 +197,6 @@ class Solved(ABC):
             InputError: If there are no derivatives of such solutions.
         """
         raise InputError(f"solutions of {self.physics} have no derivatives")
-
-    @collector_off()
-    def gradient(self, J: Form, controls: Sequence[Control | str], **tolerance: float) -> Gradient:
-        """A functional of this solution and its derivatives by controls, see `derivatives.gradient` (collective).
-
-        Args:
-            J: Integrals, in UFL, in `sigma`, `u` and `p` of this solution, and in controls.
-            controls: Scalar constants and functions in the data of the problem, with the values of when it was solved;
-                or paths to numbers in it, such as "problem.kappa.rock".
-            **tolerance: By this name, which sites are biactive.
-
-        Raises:
-            InputError: If a control is none, or in neither; if there are no derivatives.
-        """
-        from signorini_fenicsx.derivatives.gradient import gradient
-
-        return gradient(self, J, controls, **tolerance)
-
-    @collector_off()
-    def derivative(self, direction: Mapping[Control | str, Any], **tolerance: float) -> Change:
-        """The change of this solution with controls, see `derivatives.gradient.derivative` (collective).
-
-        Args:
-            direction: For each control, or path, its change: for a function one of its space, else a number.
-            **tolerance: By this name, which sites are biactive.
-
-        Raises:
-            InputError: If a control is none, or in no datum; if there are no derivatives.
-        """
-        from signorini_fenicsx.derivatives.gradient import derivative
-
-        return derivative(self, direction, **tolerance)
-
-    @collector_off()
-    def quantity(self, kind: Kind) -> Quantity:
-        """Prove a quantity of the exact solution from both sides (collective).
-
-        Args:
-            kind: What quantity, of `signorini_fenicsx.quantities`.
-
-        Raises:
-            InputError: If it is not one of this problem.
-        """
-        from signorini_fenicsx.quantities.of_solution import quantity
-
-        return quantity(self, kind)
-
-    @collector_off()
-    def _repr_html_(self) -> str | None:
-        """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
-        from signorini_fenicsx.output.notebook import html
-
-        return html(cast(Any, self))
-
-    @collector_off()
-    def plot(self, certificate: Certificate | None = None) -> Figure | None:
-        """Draw the overview: the fields and the contact, or the deformed body (collective).
-
-        Args:
-            certificate: Its error bound; if given, the contributions of the cells are drawn as well.
-
-        Returns:
-            The figure, which a notebook shows and `savefig` writes; None on all ranks but 0.
-        """
-        from signorini_fenicsx.output.notebook import figure
-
-        return figure(cast(Any, self), certificate)
 
     def of_step(self) -> dict[str, float]:
         """Numbers of a step that this physics has, for `steps.csv` (collective)."""
@@ -333,30 +248,6 @@ class Solved(ABC):
     @abstractmethod
     def fields(self) -> Fields:
         """All fields, of which the files for ParaView and those of steps in time are made (collective)."""
-
-    @collector_off()
-    def write(
-        self, folder: Path | str, *, certificate: Certificate | None = None, plot: bool = False, html: bool = False
-    ) -> None:
-        """Write the files of the command line into a folder, where they replace an earlier result (collective).
-
-        The solution itself is there first, whatever fails afterwards.
-
-        Args:
-            folder: The folder; it is created if it does not exist.
-            certificate: Its error bound, which is written as well.
-            plot: Also draw PNGs.
-            html: Also write `solution.html`, pictures that the mouse can turn; elastic solutions have none.
-
-        Raises:
-            InputError: If the folder cannot be written or contains other files.
-            LaterFailure: If the solution is written, but not all of the others.
-        """
-        from signorini_fenicsx.output.writing import Found, SolutionFiles
-
-        with ResultsFolder(self.spaces.mesh.comm, folder) as place:
-            files = SolutionFiles(self).publish(place)
-            files.publish_others(place, Found(certificate=certificate), plot=plot, html=html)
 
     @collector_off()
     def summary(self) -> dict[str, Any]:

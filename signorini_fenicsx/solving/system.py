@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, is_dataclass
-from importlib import import_module
-from importlib.util import find_spec
 from typing import Any, Protocol
 
 from signorini_fenicsx.base.arguments import check_kind
@@ -19,15 +17,9 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.named_sides import oriented
 from signorini_fenicsx.meshes.sampling import curve_gap
 from signorini_fenicsx.solving.evolution import Evolution, Steps
-from signorini_fenicsx.solving.kept import Keeping
 from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
-
-DIFFUSION = "diffusion"
-"""The physics of files that name none."""
-PHYSICS = {name: f"signorini_fenicsx.physics.{name}" for name in (DIFFUSION, "elasticity")}
-"""The package of each physics: `solving` has its `System`, `kept` its `KEEPING`, and `bound`, if there is one, bounds
-errors. A new physics is a folder and a name here."""
 
 type Remesh = Callable[[float], Domain]
 """Maps a factor > 1 to a mesh of the domain that is coarser by this factor (collective). Raises InputError if there is
@@ -139,7 +131,7 @@ def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
     name = getattr(boundary, "physics", None)
     if name not in PHYSICS:
         raise InputError(f"problem: must be {_problems()}, not {type(boundary).__name__}")
-    system: System = import_module(f"{PHYSICS[name]}.solving").System(domain, boundary, problem)
+    system: System = PHYSICS[name].system(domain, boundary, problem)
     check_joined(system.spaces, system.boundary.named)
     return system
 
@@ -162,22 +154,8 @@ def with_sides(domain: Domain, problem: Any) -> Domain:
 
 def _problems() -> str:
     """What the problems of all physics are called."""
-    return " or ".join(f"{'an' if name[0] in 'aeiou' else 'a'} {name.capitalize()}" for name in PHYSICS)
-
-
-def keeping_of(physics: str) -> Keeping:
-    """How a physics keeps its solutions in files."""
-    keeping: Keeping = import_module(f"{PHYSICS[physics]}.kept").KEEPING
-    return keeping
-
-
-def bound_of(physics: str, module: str) -> Any:
-    """A module by which a physics bounds errors; None if it has no bounds.
-
-    `certify` has `certificate_of`, `of_field` has `field_bound`, and `steps` has `StepBounds`.
-    """
-    package = f"{PHYSICS[physics]}.bound"
-    return import_module(f"{package}.{module}") if find_spec(package) else None
+    names = [physics.problem.__name__ for physics in PHYSICS.values()]
+    return " or ".join(f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" for name in names)
 
 
 def sorted_on(domain: Domain, problem: Any, boundary: Any = None) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from signorini_fenicsx.cases.solving import quantities_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import convergence_study
 from signorini_fenicsx.output.writing import Found, SolutionFiles, publish_convergence, write_summary
-from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.studies.folder import RECORD, Status, StudyFolder
 from signorini_fenicsx.studies.study import Run
 from signorini_fenicsx.studies.varied import in_words, varied_keys
@@ -123,7 +123,7 @@ def _compute(run: Run, results: ResultsFolder, comm: MPI.Comm) -> None:
         publish_convergence(run.case, task.vary, task.reference, rows, results, comm)
 
 
-def _write(run: Run, results: ResultsFolder, solution: Solved, *, failed: bool) -> None:
+def _write(run: Run, results: ResultsFolder, solution: Solution, *, failed: bool) -> None:
     """Publish the solution of a run, and what is to be known and seen of it."""
     files, found = SolutionFiles(solution).publish(results, failed=failed), Found()
     if not failed:

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from signorini_fenicsx import __version__
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
+from signorini_fenicsx.base.version import __version__
 from signorini_fenicsx.cases.case import CaseFile, Solve, load_case
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.cases.domains import rough_cells

@@ -6,7 +6,8 @@ import pytest
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.physics.diffusion.case import Case
 
 GOOD = """
 title = "Good"

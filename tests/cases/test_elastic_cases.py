@@ -13,7 +13,6 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.comparison import compare, differences
@@ -21,6 +20,7 @@ from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.gather import gather
+from signorini_fenicsx.physics.elasticity.case import ElasticCase
 from signorini_fenicsx.physics.elasticity.differences import ElasticDifferences
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.shown import in_space, von_mises

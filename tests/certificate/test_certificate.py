@@ -11,12 +11,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD

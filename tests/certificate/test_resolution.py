@@ -8,7 +8,7 @@ import ufl
 from mpi4py import MPI
 
 from signorini_fenicsx import Diffusion, Friction, Signorini
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
@@ -17,6 +17,7 @@ from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve

@@ -9,7 +9,7 @@ from own_mesh import Array, Mask, own_domain
 
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import options_of, solve_case
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
@@ -17,6 +17,7 @@ from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORI
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.problem import Problem

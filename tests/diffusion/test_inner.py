@@ -13,7 +13,7 @@ from random_bounds import difference
 from signorini_fenicsx import Diffusion, Signorini
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -25,6 +25,7 @@ from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD

@@ -9,11 +9,12 @@ from mpi4py import MPI
 from random_bounds import difference
 
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.uniform import refined_uniformly
+from signorini_fenicsx.physics.diffusion.case import Case
 
 COMM = MPI.COMM_WORLD
 SLIDING = """

@@ -16,13 +16,13 @@ from mpi4py import MPI
 from signorini_fenicsx import Friction, InputError, Options, Solution, certify, load_solution, solve
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.seepage import seepage
 from signorini_fenicsx.physics.diffusion.spaces import build_spaces
 from signorini_fenicsx.rigorous.proof import proof_of
 

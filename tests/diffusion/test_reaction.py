@@ -13,13 +13,14 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import solve
 

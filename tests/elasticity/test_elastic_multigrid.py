@@ -11,11 +11,11 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.elasticity import ElasticCase
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.case import ElasticCase
 from signorini_fenicsx.physics.elasticity.data import elastic_data
 from signorini_fenicsx.physics.elasticity.problem import (
     Contact,

@@ -13,7 +13,7 @@ from made_cases import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
@@ -24,6 +24,7 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD

@@ -14,7 +14,7 @@ from method_rows import compare_methods, distance, mass_imbalance
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
@@ -22,6 +22,7 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.methods.registry import METHODS
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.classical.half_norm import HalfNorm
 from signorini_fenicsx.physics.diffusion.classical.projection import scattered_values
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend

@@ -10,13 +10,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
 from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.differences import slobodeckij_norm
 from signorini_fenicsx.physics.diffusion.solution import Solution
 

@@ -10,11 +10,12 @@ from made_cases import case_of
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import shared_domain, solve_case
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD

@@ -9,14 +9,15 @@ from commands import signorini
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.plot import Plot
-from signorini_fenicsx.cases.seepage import seepage
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.output.pictures import gathered_scene, overview
 from signorini_fenicsx.output.pictures.plane import Plane
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.water import WATER_LINES, water_lines, wet
+from signorini_fenicsx.physics.diffusion.case import Case
+from signorini_fenicsx.physics.diffusion.seepage import seepage
 from signorini_fenicsx.studies.study import make_run
 
 HEAT = {

@@ -16,7 +16,7 @@ from in_time import run, run_in_two
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.inspection import check
 from signorini_fenicsx.cases.solving import evolve_case, solve_case
 from signorini_fenicsx.certificate.certify import certify
@@ -24,6 +24,7 @@ from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.cli.solutions import export
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.steps import StepFolder
+from signorini_fenicsx.physics.diffusion.case import Case
 
 COMM = MPI.COMM_WORLD
 SMALL = {"solve.h": 1 / 4, "time.steps": 5, "time.scheme": "bdf2"}

@@ -9,8 +9,8 @@ from test_quantities_of_bodies import sliding
 from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Pressure, Tresca, Wall, solve
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.elasticity.quantities.brackets import Fluxes
 from signorini_fenicsx.quantities import Energy, Force, Integral, Kind, Mean, Moment, Quantity
-from signorini_fenicsx.quantities.elasticity import Fluxes
 
 COMM = MPI.COMM_WORLD
 

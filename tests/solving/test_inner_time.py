@@ -9,11 +9,12 @@ from exact import energy_error
 from in_time import run_in_two
 from mpi4py import MPI
 
-from signorini_fenicsx.cases.case import Case, load_case
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.meshes.uniform import refined_uniformly
+from signorini_fenicsx.physics.diffusion.case import Case
 
 COMM = MPI.COMM_WORLD
 OPEN, SHUT = "max(x - 0.3 - 0.4*t, 0)", "max(0.3 + 0.4*t - x, 0)"

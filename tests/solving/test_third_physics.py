@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mpi4py import MPI
+from springs import Springs
 from springs.solving import Bed
 
 from signorini_fenicsx import certify, compare, load_solution, solve
@@ -14,7 +15,7 @@ from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint_file import FOLDER
 from signorini_fenicsx.output.writing import Found
-from signorini_fenicsx.solving.system import PHYSICS
+from signorini_fenicsx.solving.physics import PHYSICS
 
 COMM = MPI.COMM_WORLD
 
@@ -25,7 +26,7 @@ def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     domain = build_domain(COMM, "square", 0.3, mesh="structured")
     with pytest.raises(InputError, match="must be a Diffusion or an Elasticity, not Edges"):
         solve(domain, Bed(2.0, -1.0, ["bottom"]))
-    monkeypatch.setitem(PHYSICS, "springs", "springs")
+    monkeypatch.setitem(PHYSICS, "springs", Springs())
     solution = solve(domain, Bed(2.0, -1.0, ["bottom"]), name="bed")
     certificate = certify(solution)
     assert certificate.if_none == "none is known for springs"

@@ -17,10 +17,11 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import Domain, facet_vertices
+from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import InContact, Solved
+from signorini_fenicsx.solving.solved import InContact
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Distance:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Rested(Solved):
+class Rested(Solution):
     """A bed at rest."""
 
     boundary: Edges

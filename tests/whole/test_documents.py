@@ -13,12 +13,12 @@ from pydantic import BaseModel
 
 import signorini_fenicsx.api
 from signorini_fenicsx import extend
-from signorini_fenicsx.cases.case import Case
 from signorini_fenicsx.cases.complaints import keys_of
-from signorini_fenicsx.cases.elasticity import ContactTexts, ElasticCase
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cli.app import app
+from signorini_fenicsx.physics.diffusion.case import Case
+from signorini_fenicsx.physics.elasticity.case import ContactTexts, ElasticCase
 
 PUBLIC = {"signorini_fenicsx": signorini_fenicsx, "signorini_fenicsx.extend": extend}
 ROOT = Path(__file__).parents[2]

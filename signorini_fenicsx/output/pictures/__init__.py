@@ -8,13 +8,12 @@ from typing import Any
 
 import matplotlib as mpl
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.gather import Fields, Gathered, gather
-from signorini_fenicsx.output.pictures import elastic, load_steps, plane_files, style
+from signorini_fenicsx.output.pictures import plane_files, style
 from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_quantities
 from signorini_fenicsx.output.pictures.evolution import (
     animate,
@@ -23,8 +22,10 @@ from signorini_fenicsx.output.pictures.evolution import (
     draw_sets,
     shown,
 )
+from signorini_fenicsx.output.pictures.of_physics import Pictures
 from signorini_fenicsx.output.pictures.scene import UNNAMED, Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 
 __all__ = [
@@ -46,17 +47,9 @@ __all__ = [
 ]
 
 
-OF_PHYSICS = {"elasticity": elastic}
-"""Physics whose pictures are others than those of `plane_files` and `space_files`: modules with the same functions."""
-
-
-STEPS_OF = {"elasticity": load_steps.draw_steps}
-"""Physics whose pictures of a run in time are not those of the sets on Γ_S: what draws them."""
-
-
 def is_animated(solution: Solved) -> bool:
     """Whether a run in time that ends with this solution has an animation."""
-    return solution.boundary.physics not in OF_PHYSICS and solution.spaces.mesh.topology.dim == 2
+    return _of(solution.physics).animated and solution.spaces.mesh.topology.dim == 2
 
 
 def draw_steps(
@@ -67,7 +60,7 @@ def draw_steps(
     rows: Sequence[Mapping[str, Any]],
 ) -> None:
     """Draw the pictures of a run in time, but for the animation (rank 0)."""
-    STEPS_OF.get(scene.physics, draw_sets)(folder, scene, tables, times, rows)
+    _of(scene.physics).draw_steps(folder, scene, tables, times, rows)
     draw_quantities(folder / "quantities.png", rows, scene.title)
 
 
@@ -75,14 +68,12 @@ def scene_of(
     solution: Solved,
     gathered: Gathered,
     certificate: Certificate | None = None,
-    phreatic_line: Array | None = None,
 ) -> Scene:
     """The scene for pictures of a solution, from its gathered arrays (rank 0)."""
     spaces, physics = solution.spaces, solution.physics
-    in_words = OF_PHYSICS[physics].caption if physics in OF_PHYSICS else caption
     return Scene(
         title=solution.title or solution.name,
-        caption=in_words(solution, gathered.fields, certificate),
+        caption=_of(physics).caption(solution, gathered.fields, certificate),
         fields=gathered.fields,
         facets=gathered.facets,
         boundary=gathered.boundary,
@@ -95,19 +86,17 @@ def scene_of(
         edges=gathered.of.edges,
         columns=gathered.of.columns,
         inside=gathered.of.inside,
-        phreatic_line=phreatic_line,
+        phreatic_line=gathered.of.phreatic_line,
         physics=physics,
         sites=gathered.sites,
         plot=getattr(solution.source, "plot", None) or UNNAMED,
     )
 
 
-def gathered_scene(
-    solution: Solved, certificate: Certificate | None = None, phreatic_line: Array | None = None
-) -> Scene | None:
+def gathered_scene(solution: Solved, certificate: Certificate | None = None) -> Scene | None:
     """The scene of a solution on rank 0; None elsewhere (collective)."""
     gathered = gather(solution, None if certificate is None else certificate.indicator)
-    return None if gathered is None else scene_of(solution, gathered, certificate, phreatic_line)
+    return None if gathered is None else scene_of(solution, gathered, certificate)
 
 
 def caption(solution: Solved, fields: Fields, certificate: Certificate | None) -> str:
@@ -138,13 +127,13 @@ def draw_all(folder: Path, scene: Scene) -> None:
     Without a certificate there is no `certificate.png`, and without an iteration that changed anything no
     `iterations.png`.
     """
-    _files_of(scene).draw_files(folder, scene)
+    _of(scene.physics).draw_files(folder, scene)
 
 
 @mpl.rc_context(style.STYLE)
 def overview(scene: Scene) -> Sheet:
     """The overview as a figure, which a notebook shows (rank 0)."""
-    figure: Sheet = _files_of(scene).overview(scene)
+    figure = _of(scene.physics).overview(scene)
     figure.draw_without_rendering()  # ticks are made here, in this style
     return figure
 
@@ -169,9 +158,16 @@ def draw_field(path: Path, scene: Scene) -> None:
     _files_in(scene.dim).draw_field_file(path, scene)
 
 
-def _files_of(scene: Scene) -> ModuleType:
-    """The module that draws the files of a scene."""
-    return OF_PHYSICS.get(scene.physics) or _files_in(scene.dim)
+def _of(physics: str) -> Pictures:
+    """How the solutions of a physics are drawn."""
+    pictures: Pictures | None = PHYSICS[physics].pictures
+    return pictures or Pictures(
+        caption,
+        lambda folder, scene: _files_in(scene.dim).draw_files(folder, scene),
+        lambda scene: _files_in(scene.dim).overview(scene),
+        draw_sets,
+        animated=True,
+    )
 
 
 def _files_in(dim: int) -> ModuleType:

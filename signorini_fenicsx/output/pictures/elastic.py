@@ -17,7 +17,8 @@ from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.output.gather import Fields
-from signorini_fenicsx.output.pictures import plane_files, style
+from signorini_fenicsx.output.pictures import load_steps, plane_files, style
+from signorini_fenicsx.output.pictures.of_physics import Pictures
 from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
@@ -58,7 +59,8 @@ def draw_files(folder: Path, scene: Scene) -> None:
         return
     from signorini_fenicsx.output.pictures import space_files  # imports VTK
 
-    space_files.draw_files_of_body(folder, scene)
+    assert isinstance(scene.facets, BodyFacets)
+    space_files.draw_files_of_body(folder, scene, rubs=bool(np.isfinite(scene.facets.shear).any()))
 
 
 def overview(scene: Scene) -> Sheet:
@@ -280,3 +282,6 @@ def _rounded(value: float) -> float:
     """The nearest smaller one of 1, 2, 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-12)) * power)
+
+
+PICTURES = Pictures(caption, draw_files, overview, load_steps.draw_steps)

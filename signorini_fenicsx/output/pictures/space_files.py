@@ -10,12 +10,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.curves import draw_iterations, draw_steps, moves
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.space import HULL, Space
-from signorini_fenicsx.physics.elasticity.shown import BodyFacets
 
 SIDE, WIDE_SIDE = 2.5, 3.4
 """Inches of a view in a sheet of three columns and of fewer."""
@@ -62,19 +62,15 @@ def deformed(moved: Scene, foundation: Array, title: str) -> Sheet:
     return sheet
 
 
-def draw_files_of_body(folder: Path, scene: Scene) -> None:
-    """Draw with Γ_C `pressure.png` and with a certificate `certificate.png` of an elastic body."""
+def draw_files_of_body(folder: Path, scene: Scene, *, rubs: bool) -> None:
+    """Draw with Γ_C `pressure.png`, if it rubs with its shear, and with a certificate `certificate.png` of a body."""
     space = Space(scene)
     _draw_certificate_file(folder, space)
-    facets = scene.facets
-    if not scene.labels:
-        return
-    assert isinstance(facets, BodyFacets)
-    rubs = np.isfinite(facets.shear).any()
-    _draw_traces(folder / "pressure.png", space, OF_BODY | (OF_FRICTION if rubs else {}))
+    if scene.labels:
+        _draw_traces(folder / "pressure.png", space, OF_BODY | (OF_FRICTION if rubs else {}))
 
 
-def contact_over_time(scene: Scene, tables: Sequence[BodyFacets], times: Sequence[float]) -> Sheet:
+def contact_over_time(scene: Scene, tables: Sequence[FacetTable], times: Sequence[float]) -> Sheet:
     """Pressure and, with friction, shear and slip on Γ_C at some times, in one scale of colours for each.
 
     Args:

@@ -91,8 +91,11 @@ def columns(solution: Solution, table: FacetTable) -> Columns:
 
 
 def other_tables(solution: Solution) -> dict[str, Columns]:
-    """The table `free_boundary.csv` where there are laws in Ω, see `Solved.other_tables` (collective)."""
-    return {} if solution.data.inside is None else {"free_boundary": _free_boundary(solution)}
+    """`free_boundary.csv` of laws in Ω, `phreatic_line.csv` of a dam, see `Solved.other_tables` (collective)."""
+    tables = {} if solution.data.inside is None else {"free_boundary": _free_boundary(solution)}
+    if solution.seepage is not None:
+        tables["phreatic_line"] = dict(zip(("x", "y"), solution.seepage.phreatic_line.T, strict=True))
+    return tables
 
 
 def _free_boundary(solution: Solution) -> Columns:
@@ -132,6 +135,7 @@ def drawn(solution: Solution) -> Drawn:
         columns=_columns_of_cells(solution),
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
+        phreatic_line=None if solution.seepage is None else solution.seepage.phreatic_line,
     )
 
 
@@ -176,4 +180,6 @@ def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
         lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
     if summary["details"]:
         lines["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
+    if solution.seepage is not None:
+        lines["seepage"] = solution.seepage.in_words()
     return lines

@@ -34,9 +34,11 @@ from signorini_fenicsx.physics.diffusion.differences import differences
 from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.notes import notes_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.seepage import Seepage, seepage
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.water import discharges, in_words
-from signorini_fenicsx.solving.solved import InContact, Solved
+from signorini_fenicsx.solution import Solution as AnySolution
+from signorini_fenicsx.solving.solved import InContact
 
 SAME = 1e-9
 """Relative distance of u from a corner of a law that is rounding."""
@@ -68,7 +70,7 @@ def flux_through(
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class Solution(Solved):
+class Solution(AnySolution):
     """A discrete solution and how it was found. Functions hold owned and up-to-date ghost values.
 
     A notebook shows it as a table and a picture. Some examples:
@@ -114,7 +116,7 @@ class Solution(Solved):
     data: Data
     p: fem.Function
     order = 1
-    offers = (*Solved.offers, "cell_flux", "flux_through", "force", "free_boundary", "p")
+    offers = (*AnySolution.offers, "cell_flux", "flux_through", "force", "free_boundary", "p")
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns, other_tables = shown.table, shown.columns, shown.other_tables
     differences = differences
@@ -365,11 +367,17 @@ class Solution(Solved):
         """What flows in through parts with laws of groundwater, see `discharges` (collective when first used)."""
         return discharges(self)
 
+    @cached_property
+    def seepage(self) -> Seepage | None:
+        """The seepage through a dam of a case with [dam]; None for others (collective when first used)."""
+        return seepage(self)
+
     def _particular(self) -> dict[str, Any]:
         own = self.outcome.own_residual
         return {
             **({} if own is None else {"own_residual": own}),
             **({"eps": self.options.eps, "violation": self.violation()} if self.method.has_eps else {}),
             **({"water": self.water} if self.water else {}),
+            **({} if self.seepage is None else {"seepage": self.seepage.summary()}),
             "details": self.outcome.details,
         }

@@ -25,12 +25,11 @@ from signorini_fenicsx.contact.laws import River, Seepage
 from signorini_fenicsx.discrete.cell_shapes import corners, hat_gradients
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.quantities.bracket import PASSES
 
 if TYPE_CHECKING:  # it has these
     from signorini_fenicsx.physics.diffusion.solution import Solution
 
-PASSES = "passes where the pressure is negative, in soil that is taken for saturated"
-"""What is said of that share."""
 LESS = 1 - 1e-12
 """What is left of c from cell to cell, so that water that goes round and round has c = 0."""
 

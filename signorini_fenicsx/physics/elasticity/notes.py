@@ -12,7 +12,7 @@ from signorini_fenicsx.discrete.curved import curved_parts
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
-from signorini_fenicsx.physics.elasticity.quantities import largest_of
+from signorini_fenicsx.physics.elasticity.readings import largest_of
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 
 if TYPE_CHECKING:  # it has these

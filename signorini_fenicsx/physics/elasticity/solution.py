@@ -24,7 +24,7 @@ from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQua
 from signorini_fenicsx.physics.elasticity.notes import large_deformation, notes_of
 from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.quantities import quantities
+from signorini_fenicsx.physics.elasticity.readings import quantities
 from signorini_fenicsx.physics.elasticity.residuals import (
     ElasticKKT,
     balance,
@@ -34,7 +34,8 @@ from signorini_fenicsx.physics.elasticity.residuals import (
 )
 from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
-from signorini_fenicsx.solving.solved import InContact, Solved
+from signorini_fenicsx.solution import Solution
+from signorini_fenicsx.solving.solved import InContact
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
@@ -58,7 +59,7 @@ class ElasticSegments:
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
-class ElasticSolution(Solved):
+class ElasticSolution(Solution):
     """A discrete elastic solution and how it was found.
 
     Attributes:
@@ -90,7 +91,7 @@ class ElasticSolution(Solved):
     lacks = ("--html",)
     order = 2
     _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
-    offers = (*Solved.offers, *_own)
+    offers = (*Solution.offers, *_own)
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns = shown.table, shown.columns
     differences = differences

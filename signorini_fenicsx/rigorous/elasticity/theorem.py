@@ -21,7 +21,10 @@ Proof. The argument is that of `forms.elasticity`, here with exact ingredients.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
@@ -30,14 +33,17 @@ from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import Negative, exactly
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, opposite, split_vertices
+from signorini_fenicsx.physics.elasticity.scope import outside
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.discrete import opposed
-from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given
+from signorini_fenicsx.rigorous.elasticity.discrete import NONE, ElasticDiscrete, Given, gathered
 from signorini_fenicsx.rigorous.elasticity.displacement import admissible
 from signorini_fenicsx.rigorous.elasticity.loads import Moments, constants, force
 from signorini_fenicsx.rigorous.elasticity.on_contact import changed, pressed, reactions, rubbed, shear_near, tangential
 from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, stresses_of
-from signorini_fenicsx.rigorous.proven import Proven
+from signorini_fenicsx.rigorous.elementary import FromArb
+from signorini_fenicsx.rigorous.proven import Proofs, Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     facet_measures,
@@ -349,3 +355,19 @@ def _energy(
         off = off - with_midpoints(of_v) if own.is_zero.all() else off + with_midpoints(own - of_v)
         size = size + compliance.half_norm(subcells.measure * squared(enclosing(beyond)))
     return (root(square_norm(subcells, compliance.half(off))) + size) / root(compliance.theta)
+
+
+def _prepared(solution: ElasticSolution, v: fem.Function) -> Callable[[], Proven | None]:
+    """The proof of an elastic problem, to be run on rank 0 (collective).
+
+    Raises:
+        InputError: If there is no theorem for the problem.
+    """
+    reason = outside(solution.problem)
+    if reason or solution.step is not None:
+        raise InputError(reason or "the proof is not for steps in time")
+    discrete = gathered(solution, v, FromArb())
+    return lambda: None if discrete is None else prove(*discrete)
+
+
+PROOFS = Proofs(50_000, _prepared)

@@ -8,7 +8,7 @@ the separation point, where the phreatic line meets the face.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import dolfinx.mesh
 import numpy as np
@@ -16,9 +16,11 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.base.rows import in_digits
-from signorini_fenicsx.cases.dam import Dam
 from signorini_fenicsx.discrete.points import in_facets
-from signorini_fenicsx.physics.diffusion.solution import Solution
+
+if TYPE_CHECKING:  # it has this
+    from signorini_fenicsx.physics.diffusion.dam import Dam
+    from signorini_fenicsx.physics.diffusion.solution import Solution
 
 FEW = 3
 """Facets of the face from which the outflow is continued, in a straight line, to a point beside them."""
@@ -50,7 +52,7 @@ class Seepage:
         return {name: value for name, value in vars(self).items() if isinstance(value, float)}
 
 
-def seepage(solution: Any) -> Seepage | None:
+def seepage(solution: Solution) -> Seepage | None:
     """The seepage of a solution of a case with [dam], None for other solutions; the same on all ranks (collective)."""
     dam: Dam | None = getattr(solution.source, "dam", None)
     if dam is None:

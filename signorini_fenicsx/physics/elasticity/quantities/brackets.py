@@ -34,15 +34,9 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleSt
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.friction import FromBefore
-from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
-from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
-from signorini_fenicsx.quantities import beside
-from signorini_fenicsx.quantities.beside import Beside
-from signorini_fenicsx.quantities.bracket import Half
-from signorini_fenicsx.quantities.discrete import of_displacement
-from signorini_fenicsx.quantities.elastic_energy import QUADRATIC, Along
-from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
-from signorini_fenicsx.quantities.motions import (
+from signorini_fenicsx.physics.elasticity.quantities.discrete import of_displacement
+from signorini_fenicsx.physics.elasticity.quantities.energy import QUADRATIC, Along, energy
+from signorini_fenicsx.physics.elasticity.quantities.motions import (
     OPPOSITE,
     Posed,
     check_parts,
@@ -52,6 +46,13 @@ from signorini_fenicsx.quantities.motions import (
     moved,
     unseen_work,
 )
+from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
+from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.quantities import beside
+from signorini_fenicsx.quantities.beside import Beside
+from signorini_fenicsx.quantities.bracket import Half
+from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
+from signorini_fenicsx.quantities.of_solution import Quantities
 from signorini_fenicsx.quantities.shifts import added, check_part, in_regions
 
 STEP = "the exact solution of the step after the computed slip of the last one"
@@ -300,3 +301,6 @@ class Integrals(beside.Integrals[_Side], _Beside):
             v = Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
             total += products(tree, facets.vertices, facets.measure, v.at, QUADRATIC, spaces.frame, enough).total
         return total
+
+
+QUANTITIES = Quantities(check, energy, Integrals, Fluxes, named_for)

@@ -32,14 +32,16 @@ from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
 from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC
 from signorini_fenicsx.physics.diffusion.bound.near_quadratic import NearQuadratic
+from signorini_fenicsx.physics.diffusion.quantities.discrete import of_energy, of_trace
+from signorini_fenicsx.physics.diffusion.quantities.shifts import Posed, with_flux, with_trace
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.physics.diffusion.water import share_above_table
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import SHARE, Beside
 from signorini_fenicsx.quantities.bracket import Half, Quantity
-from signorini_fenicsx.quantities.discrete import of_energy, of_trace
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind
-from signorini_fenicsx.quantities.shifts import Posed, in_regions, with_flux, with_trace
+from signorini_fenicsx.quantities.of_solution import Quantities
+from signorini_fenicsx.quantities.shifts import in_regions
 
 WEIGHT = "weight by quadrature"
 """Why the flux with a weight that is no polynomial is not guaranteed."""
@@ -322,3 +324,6 @@ def _of_laws(own: Admissible, near: NearQuadratic, enough: float) -> Array:
         flux_h = None if goal.plain else goal.flux_h[part.rows]
         total[0] += some.integrals(energies(part, some, v[part.rows], flux_h)).sum()
     return total
+
+
+QUANTITIES = Quantities(check, energy, Integrals, Fluxes, named_for)

@@ -1,5 +1,6 @@
 """Case files of elastic contact, `physics = "elasticity"`."""
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -10,6 +11,16 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.costs import Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
+from signorini_fenicsx.cases.first_case import (
+    GIVEN,
+    HELD,
+    SYMMETRIC,
+    law_sections,
+    lists_of,
+    parts_with,
+    rest_of,
+    section_of,
+)
 from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
 from signorini_fenicsx.cases.parts import PartsInside
 from signorini_fenicsx.cases.values import (
@@ -41,6 +52,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     Tresca,
     of_meeting,
 )
+from signorini_fenicsx.physics.elasticity.scope import outside
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solving import rule_of
 from signorini_fenicsx.solving.options import Options
@@ -108,6 +120,12 @@ class WithFriction(WITHOUT_FRICTION):  # type: ignore[misc, valid-type]
 
 WITH_CONTACT = {"contact": WITHOUT_FRICTION, "friction": WithFriction}
 NORMAL = tuple(name for name, kind in LAWS.items() if kind not in (Friction, River, Seepage))
+
+
+IN_WORDS = {
+    "contact": ("Contact without friction.", []),
+    "friction": ("Contact with Coulomb's friction, |σ_t| ≤ mu · pressure.", ["mu = 0.3"]),
+}
 
 
 class ContactTexts(KindSection):
@@ -183,6 +201,7 @@ class ElasticCase(CaseFile):
         return {"contact_force": ("force", 11, ".5g")} | super().columns_of_step
 
     costs = COSTS
+    first_words = (SYMMETRIC, *WITH_CONTACT, *NORMAL)
     lacks = ElasticSolution.lacks
     held = "clamped, u = u_D"
     is_vector = True
@@ -213,8 +232,6 @@ class ElasticCase(CaseFile):
     @property
     def unproved(self) -> str:
         """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
-        from signorini_fenicsx.rigorous.elasticity.scope import outside
-
         return outside(self.data())
 
     @model_validator(mode="after")
@@ -246,3 +263,31 @@ class ElasticCase(CaseFile):
         gaps |= {part: self.problem.gap if law.gap is None else law.gap for law in self.law for part in law.parts}
         values["gap"] = one_value(gaps, self.problem.gap)
         return ElasticProblem(**values, **of_meeting([law.made() for law in self.law]), exact=self.exact.u)
+
+    @classmethod
+    def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
+        """The sections of a first case, see `CaseFile.first_sections`."""
+        touching = [part for part, word in outer.items() if word in WITH_CONTACT]
+        fixed = ", ".join(f'{json.dumps(part)} = "n"' for part in parts_with(outer, SYMMETRIC))
+        boundary = [
+            f"contact = {json.dumps(touching)}",
+            *lists_of(outer, GIVEN),
+            *rest_of(outer, inner),
+        ]
+        if fixed:
+            boundary.append(f"fixed = {{{fixed}}}  # u·n is given there; also letters of xyz")
+        laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, SYMMETRIC, "contact")} | {
+            **inner
+        }
+        down, zero = (json.dumps([0] * (dim - 1) + [last]) for last in (-0.01, 0))
+        data = [("young = 1", "Young's modulus"), ("poisson = 0.3", "Poisson's ratio"), (f"f = {down}", "the load")]
+        if parts_with(outer, HELD):
+            data.append((f"u_D = {zero}", "the displacement on the rest"))
+        if parts_with(outer, GIVEN):
+            data.append((f"g_N = {zero}", "the traction σn on the parts in neumann; also by part: {top = […]}"))
+        data.append(("gap = 0", "to what the body touches, along the outer normal"))
+        return [
+            "\n".join(["[boundary]", *boundary]),
+            *law_sections(laws, IN_WORDS),
+            section_of("problem", data),
+        ]

@@ -1,0 +1,209 @@
+"""Case files of a scalar u, those without `physics`: one Signorini problem, its discretisation and its algorithm."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from signorini_fenicsx.cases.case import CaseFile, Times
+from signorini_fenicsx.cases.costs import Cost
+from signorini_fenicsx.cases.data_section import DataSection, data_section
+from signorini_fenicsx.cases.first_case import GIVEN, HELD, law_sections, lists_of, parts_with, rest_of, section_of
+from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.parts import PartsInside
+from signorini_fenicsx.cases.plot import Plot
+from signorini_fenicsx.cases.values import ExpressionByRegion, choice, text_by_region
+from signorini_fenicsx.contact.law import EVERYWHERE
+from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.meshes.domain import Boundary as Posed
+from signorini_fenicsx.meshes.memory import BYTES_PER_FACET
+from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_sections
+from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.solving.evolution import SCHEMES
+
+COSTS = {2: Cost(1, BYTES_PER_FACET[2], 177e3, 5e4), 3: Cost(1, BYTES_PER_FACET[3], 196e3, 5e4)}
+"""Of diffusion by alg1 to alg4 with the hybrid backend, on at least 395 000 facets; see docs/measured/speed.md."""
+
+type CapacityText = str | dict[str, Any]
+
+
+def _capacity(value: object) -> object:
+    """A number or text, a table with one per region, or the graph of a storage."""
+    if value is None or not isinstance(value, dict) or "corners" not in value:
+        return value if value is None else text_by_region(value)
+    graph = LawTexts.model_validate({"kind": "storage", "region": EVERYWHERE, **value})
+    return dict(graph.model_extra or {})
+
+
+class ProblemTexts(data_section(Problem, exact=None, laws=None)):  # type: ignore[misc]
+    """`[problem]`: the data of a `Problem` as text in x, y, z.
+
+    κ is a text, a matrix, or one of them per region; f and c are texts, or one per region.
+    """
+
+    def read(self, names: str) -> Problem:
+        """The data as trees in these variables.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        return Problem(**{key: parsed(value, names, f"[problem] {key}") for key, value in self})
+
+
+class Boundary(PartsInside):
+    """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
+
+    Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
+    """
+
+    signorini: list[str] = Field(default=[])
+    neumann: list[str] = Field(default=[])
+    dirichlet: list[str] | None = None
+
+
+class PartsWithLaws(Boundary):
+    """`[boundary]` with the parts of each `[[law]]`."""
+
+    laws: dict[str, list[str]] = Field(exclude=True)
+
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The lists that are given, by their keys."""
+        lists = {key: parts for key, parts in super().named.items() if key != "laws"}
+        return lists | self.laws
+
+
+class Time(Times):
+    """`[time]` of diffusion."""
+
+    initial: ExpressionByRegion = "0"
+    capacity: Annotated[CapacityText | None, BeforeValidator(_capacity)] = None
+    scheme: Annotated[str, choice("scheme", tuple(SCHEMES))] = "implicit-euler"
+
+    @property
+    def is_storage(self) -> bool:
+        """Whether the capacity is the graph of a storage."""
+        return isinstance(self.capacity, dict) and "corners" in self.capacity
+
+
+class Exact(DataSection):
+    """`[exact]`: the exact solution u, if it is known, as text in x, y, z, or one per region."""
+
+    u: ExpressionByRegion | None = None
+
+
+class Case(CaseFile):
+    """One Signorini problem, its discretisation and its algorithm."""
+
+    PHYSICS: ClassVar[str] = "diffusion"
+    costs = COSTS
+    first_words = tuple(LAWS)
+    boundary: Boundary = Boundary()
+    law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
+    problem: ProblemTexts
+    exact: Exact = Exact()
+    time: Time | None = None
+    dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
+    plot: Annotated[Plot | None, Field(default=None, exclude_if=lambda plot: plot is None)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_dam(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """Add the sections that [dam] stands for."""
+        return with_dam(tree)
+
+    @model_serializer(mode="wrap")
+    def _without_what_dam_makes(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        tree: dict[str, Any] = dump(self)
+        return tree if self.dam is None else without_sections(self.dam, tree)
+
+    @model_validator(mode="after")
+    def _has_gamma_s(self) -> Self:
+        self.parts.refuse_repetition()
+        law = "a [[law]] between the jump of u and σ·n"
+        self.boundary.check_inner(self.law_parts, self.geometry.file, law)
+        for i, texts in enumerate(self.law):
+            if texts.kind == "storage" and self.time is None:
+                raise ValueError(f"law.{i}: the law 'storage' needs [time]")
+        return self
+
+    @property
+    def _stores(self) -> bool:
+        return self.time is not None and self.time.is_storage
+
+    @property
+    def scheme(self) -> str:
+        """The scheme in time, in words."""
+        return "" if self.time is None else f" of {self.time.scheme}"
+
+    @property
+    def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
+        """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
+        if self.problem.obstacle is None or self._stores or any(law.region for law in self.law):
+            return super().columns_of_step
+        return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")} | super().columns_of_step
+
+    @property
+    def unproved(self) -> str:
+        """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
+        if self.law:
+            return "the proof is for the law of Signorini alone, without [[law]]"
+        if self.problem.c != "0":
+            return "the proof is for c = 0 alone; leave out [problem] c"
+        no_obstacle = self.problem.obstacle is None
+        return "" if no_obstacle else "the proof is for the law of Signorini alone, without an obstacle"
+
+    @property
+    def law_parts(self) -> list[str]:
+        """The parts that have a `[[law]]`."""
+        return [part for law in self.law for part in law.parts]
+
+    def condition_of(self, part: str) -> str:
+        """The condition on a part, in a word: of a law its kind."""
+        return next((law.kind for law in self.law if part in law.parts), self.boundary.condition_of(part))
+
+    @property
+    def parts(self) -> PartsWithLaws:
+        """The section `[boundary]`, and the parts with a `[[law]]`."""
+        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law) if law.parts}
+        return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
+
+    def posed(self, dim: int) -> tuple[Posed, Problem]:
+        """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""
+        parts = self.boundary
+        return Posed([*parts.signorini, *self.law_parts], parts.neumann, parts.inner), self.data(dim)
+
+    def problem_at(self, dim: int, step: int | None) -> Problem:
+        """The problem of a step in time, see `CaseFile.problem_at`."""
+        problem = self.data(dim)
+        if step is None or self.time is None:
+            return problem
+        return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
+
+    def data(self, dim: int) -> Problem:
+        """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
+
+        Raises:
+            InputError: If an expression cannot be read.
+        """
+        names = "xyz"[:dim] + ("" if self.time is None else "t")
+        exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
+        return replace(self.problem.read(names), exact=exact, laws=[law.made() for law in self.law])
+
+    @classmethod
+    def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
+        """The sections of a first case, see `CaseFile.first_sections`."""
+        unilateral = parts_with(outer, "signorini")
+        boundary = [*lists_of(outer, "signorini", GIVEN), *rest_of(outer, inner)]
+        laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, "signorini")} | {**inner}
+        data = [("f = -1", "the source: −∇·(κ∇u) = f"), ("kappa = 1", "κ, the conductivity")]
+        if parts_with(outer, HELD):
+            data.append(("u_D = 0", "u on the rest"))
+        if parts_with(outer, GIVEN):
+            data.append(("g_N = 0", "κ∇u·n on the parts in neumann, with the outer normal n"))
+        if unilateral:
+            data += [("psi = -0.1", "u ≥ psi on the parts in signorini"), ("q_S = 0", "κ∇u·n ≥ q_S there")]
+        return ["\n".join(["[boundary]", *boundary]), *law_sections(laws), section_of("problem", data)]

@@ -1,0 +1,1 @@
+"""Quantities of diffusion problems from both sides."""

@@ -1,0 +1,1 @@
+"""Quantities of elastic bodies from both sides."""

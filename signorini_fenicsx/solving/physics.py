@@ -1,0 +1,41 @@
+"""What there is of each physics, and what shows solutions: tables that layers above fill, in `registry.py`.
+
+They are looked up by name where an import would point upwards.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+DIFFUSION = "diffusion"
+"""The physics of files that name none."""
+
+
+class Physics:
+    """A physics; what a subclass has as a `cached_property` is imported when it is first used.
+
+    Attributes:
+        problem: The class of its problems, which are `Posed`.
+        system: The class of its systems, a `System`.
+        keeping: How its solutions are kept in files, a `Keeping`.
+        case: The class of its case files, a `CaseFile`; None if there are none.
+        bound: What bounds errors, `Bounds`; None if nothing does.
+        quantities: Its quantities from both sides, `Quantities`; None if there are none.
+        pictures: How its solutions are drawn, `Pictures`; None for pictures of a scalar u.
+        proofs: Its bounds as theorems, `Proofs`; None if there are none.
+    """
+
+    problem: Any
+    system: Any
+    keeping: Any
+    case: Any = None
+    bound: Any = None
+    quantities: Any = None
+    pictures: Any = None
+    proofs: Any = None
+
+
+PHYSICS: dict[str, Physics] = {}
+"""All physics by their names."""
+
+OUTPUT: dict[str, Callable[..., Any]] = {}
+"""What writes a solution and draws it, by the names of the methods of `Solution` that ask for it."""
