@@ -4,13 +4,13 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Protocol, Self
 
 from mpi4py import MPI
 
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.signals import LoopInterruption
-from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.backend import Iterate, Pairs
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.residuals import Residuals
 
@@ -54,6 +54,22 @@ class Step:
     def sites(self) -> int:
         """The number of sites; a problem without any is linear."""
         return self.no_flux + self.zero_trace + self.robin
+
+
+class FoundSets(Protocol):
+    """Sets that were found with their solution, an `Outcome` or its traces alone."""
+
+    @property
+    def iterate(self) -> Pairs:
+        """The solution."""
+
+    @property
+    def conditions(self) -> SiteConditions:
+        """The sets."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether they repeat."""
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,25 @@
 """A set rule as a method: a predicted start for large problems, the loop, and at the end a precise flux."""
 
-import contextlib
-from dataclasses import replace
+from __future__ import annotations
 
-from signorini_fenicsx.base.errors import LinearSolveFailure
-from signorini_fenicsx.contact.backend import Backend, Iterate
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.base.errors import InputError, LinearSolveFailure, NumericalFailure
+from signorini_fenicsx.contact.backend import Iterate, Pairs
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.history import History, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import SetRule
-from signorini_fenicsx.methods.prediction import Prediction, contact_without_dirichlet
+from signorini_fenicsx.methods.prediction import Prediction, Settled
 from signorini_fenicsx.methods.task import Task
 
 
@@ -20,67 +30,139 @@ def solve_by_sets(rule: SetRule, task: Task) -> Outcome:
         InputError: If PETSc refuses an option.
         LinearSolveFailure: If the start cannot be solved.
     """
-    with task.watch.phase("assembly"):
-        backend = task.backend(task.spaces, task.data)
-    parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=task.floating())
-    history = History(backend.comm, task.on_step)
-    predicted: SiteConditions | None = None
-    with contextlib.suppress(LinearSolveFailure):
-        predicted, before = _predicted(backend, rule, parameters, task, history)
-        if predicted is not None:
-            outcome = iterate_sets(backend, rule, parameters, start=predicted, before=before, history=history)
-            outcome = _made_precise(outcome, backend, rule, parameters, task, history, check=True)
-            if outcome.converged and (outcome.kkt is None or outcome.kkt.violation() is None):
-                return outcome
-    start = contact_without_dirichlet(task.spaces, backend.chains)
-    cold = iterate_sets(backend, rule, parameters, start=start, history=history)
-    if predicted is not None:
-        cold = replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
-    return _made_precise(cold, backend, rule, parameters, task, history)
+    return _Sets(rule, task).found()
 
 
-def _predicted(
-    backend: Backend[Iterate], rule: SetRule, parameters: Parameters, task: Task, history: History
-) -> tuple[SiteConditions | None, Iterate | None]:
-    """Predicted sets, or those of the task, and the iterate before them; None if there are none (collective)."""
-    prediction = Prediction(rule, parameters.rho, parameters.eps, task.coarser, task.tuning)
-    spaces = task.spaces
-    with task.watch.phase("prediction"):
-        earlier, inexact, worth_it = task.start, backend.inexact, task.predict and prediction.is_worth_it(spaces)
-        if earlier is None and task.predict and task.in_cells:
-            earlier = prediction.with_laws_inside(spaces)
-        elif earlier is None and worth_it:
-            earlier = prediction.from_coarser_mesh(spaces)
-        if inexact is not None and (worth_it or (task.predict and inexact.cheap)):
-            first = prediction.start(spaces, backend.chains, earlier)
-            history.start_from(first)
-            return prediction.settle(backend, inexact, spaces, first, history)
-        if earlier is not None:
-            return prediction.transferred(earlier, spaces, prediction.law(backend.chains)), None
-    return None, None
+class _Sets:
+    """The sets of a task, as far as they are known: from another mesh, settled by traces, found by the loop.
 
-
-def _made_precise(
-    outcome: Outcome,
-    backend: Backend[Iterate],
-    rule: SetRule,
-    parameters: Parameters,
-    task: Task,
-    history: History,
-    *,
-    check: bool = False,
-) -> Outcome:
-    """The outcome with its KKT residuals; if these are too large, a precise backend goes on (collective).
-
-    Without a precise backend the residuals are left out, unless they are asked for.
+    An outer method may change the laws of the backend, and settle them or run the loop again from the last segments.
     """
-    if not outcome.converged or (backend.precise is None and not check):
+
+    def __init__(self, rule: SetRule, task: Task):
+        """Make the backend (collective).
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        with task.watch.phase("assembly"):
+            self._backend = task.backend(task.spaces, task.data)
+        self._rule, self._task = rule, task
+        self._parameters = Parameters(task.rho or 1.0, task.eps, task.max_iterations, floating=task.floating())
+        self._history = History(self._backend.comm, task.on_step)
+        self._start: SiteConditions | None = None
+        self._before: Iterate | None = None
+        self._segment: Indices | None = None  # of the last solve
+
+    @property
+    def _law(self) -> Chains:
+        """The law of each site, changed by the penalty if there is one."""
+        return self._rule.law(self._backend.chains, self._task.eps)
+
+    @property
+    def _first(self) -> SiteConditions | None:
+        """The conditions to go on from: those of the start, or the last segments under the present laws."""
+        return self._start if self._segment is None else self._law.conditions(self._segment)
+
+    def found(self) -> Outcome:
+        """Run the loop from predicted sets, and if these fail without them (collective).
+
+        Raises:
+            LinearSolveFailure: If the own start cannot be solved.
+        """
+        predicted = False
+        with contextlib.suppress(LinearSolveFailure):
+            predicted = self.predicted()
+            if predicted:
+                outcome = self._made_precise(self._task.solved(self._backend, self._loop), check=True)
+                if outcome.converged and (outcome.kkt is None or outcome.kkt.violation() is None):
+                    return outcome
+        self._start, self._before, self._segment = self._task.own_start(self._backend), None, None
+        cold = self._task.solved(self._backend, self._loop)
+        if predicted:
+            cold = replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
+        return self._made_precise(cold)
+
+    def predicted(self) -> bool:
+        """Take the sets of the task's start or of a coarser mesh, and settle those of large problems (collective).
+
+        Returns:
+            Whether there are any.
+        """
+        task, backend, inexact, start = self._task, self._backend, self._backend.inexact, self._task.start
+        if inexact is not None and not (task.predict and (task.is_large(backend) or inexact.cheap)):
+            inexact = None
+        coarsens = start is None and task.predict and task.coarser is not None
+        factor = task.coarsening(backend) if coarsens else None
+        if start is None and inexact is None and factor is None:
+            return False
+        with task.watch.phase("prediction"):
+            if factor is not None:
+                start = self._on_coarser_mesh(factor)
+            if start is not None:
+                segment = task.begin(backend, start)
+                self._start = self._law.conditions(np.minimum(segment, self._law.count))
+            if inexact is not None:
+                own = self._law.conditions(self._rule.first(self._law))
+                self._start = self._start or task.own_start(backend) or own
+                self._history.start_from(self._start)
+                prediction = Prediction(self._rule, task, backend, inexact)
+                task.settled(backend, partial(self._settle, prediction))
+        return self._start is not None
+
+    def _on_coarser_mesh(self, factor: float) -> Any:
+        """What is found on a mesh that is coarser by this factor, itself predicted; None if nothing (collective)."""
+        assert self._task.coarser is not None
+        with contextlib.suppress(InputError, NumericalFailure):
+            task = self._task.coarser(factor)
+            sets = _Sets(self._rule, task)
+            if task.whole:
+                outcome = sets.found()
+                sets._start = outcome.conditions.and_cells(outcome.iterate.cells) if outcome.converged else None
+            else:
+                sets.predicted()
+            PETSc.garbage_cleanup(task.spaces.mesh.comm)  # in parallel PETSc frees objects only here
+            return None if sets._start is None else task.found(sets._backend, sets._law.segments(sets._start))
+        return None
+
+    def _settle(self, prediction: Prediction) -> Settled:
+        """Settle the sets under the present laws (collective)."""
+        first = self._first
+        assert first is not None
+        settled = prediction.settle(first, self._history)
+        self._start, self._before = settled.conditions, settled.before
+        self._segment = self._law.segments(settled.conditions)
+        return settled
+
+    def _loop(self, segment: Indices | None = None, follow: Callable[[Pairs], bool] = lambda iterate: False) -> Outcome:
+        """Run the loop, see `methods.task.Loop` (collective)."""
+        self._segment = self._segment if segment is None else segment
+        outcome = iterate_sets(
+            self._backend,
+            self._rule,
+            self._parameters,
+            start=self._first,
+            before=self._before,
+            history=self._history,
+            follow=follow,
+        )
+        self._before = outcome.iterate
+        self._segment = self._law.segments(outcome.conditions.and_cells(outcome.iterate.cells))
         return outcome
-    with task.watch.phase("kkt"):
-        kkt = task.kkt(outcome.iterate, rule.penalty)
-    if (violation := kkt.violation()) is None or backend.precise is None:
-        return replace(outcome, kkt=kkt)
-    start = outcome.conditions.and_cells(outcome.iterate.cells)
-    again = iterate_sets(backend.precise(), rule, parameters, start=start, history=history)
-    remark = f"by the saddle point, because the facet system left {violation}"
-    return replace(again, reason=f"{again.reason}, {remark}")
+
+    def _made_precise(self, outcome: Outcome, *, check: bool = False) -> Outcome:
+        """The outcome with its KKT residuals; if these are too large, a precise backend goes on (collective).
+
+        Without a precise backend the residuals are left out, unless they are asked for.
+        """
+        task, backend = self._task, self._backend
+        if not outcome.converged or (backend.precise is None and not check):
+            return outcome
+        with task.watch.phase("kkt"):
+            kkt = task.kkt(outcome.iterate, self._rule.penalty)
+        if (violation := kkt.violation()) is None or backend.precise is None:
+            return replace(outcome, kkt=kkt)
+        start = outcome.conditions.and_cells(outcome.iterate.cells)
+        again = iterate_sets(backend.precise(), self._rule, self._parameters, start=start, history=self._history)
+        remark = f"by the saddle point, because the facet system left {violation}"
+        return replace(again, reason=f"{again.reason}, {remark}")

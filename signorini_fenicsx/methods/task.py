@@ -3,21 +3,28 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, Self
 
+from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Backend, BackendFactory, Iterate
-from signorini_fenicsx.contact.conditions import Penalty
+from signorini_fenicsx.contact.backend import BackendFactory, Iterate, Pairs
+from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
-from signorini_fenicsx.contact.history import OnStep
+from signorini_fenicsx.contact.history import FoundSets, OnStep, Outcome
 from signorini_fenicsx.contact.residuals import Residuals
-from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 
-type Coarser = Callable[[float], tuple[MeshSpaces, Callable[[bool], Backend[Iterate]]]]
-"""Maps a factor > 1 to the same problem on a mesh that is coarser by this factor: its spaces, and what makes its
-backend, with multigrid or not (collective). Raises InputError if there is no such mesh."""
+
+class Loop(Protocol):
+    """The loop over the sets, from those of the last time under the present laws of the backend."""
+
+    def __call__(self, segment: Indices | None = None, follow: Callable[[Pairs], bool] = ...) -> Outcome:
+        """Run it (collective).
+
+        Args:
+            segment: The segment of each site, in the place of that of the last time.
+            follow: See `contact.loop.iterate_sets`.
+        """
 
 
 @dataclass(frozen=True)
@@ -32,9 +39,11 @@ class Task(ABC):
         max_iterations: Iterations allowed.
         on_step: Called on all ranks after each iteration.
         backend: Makes the backend of the set rules.
-        start: Segments to start from, on any mesh of the domain, or None.
+        start: A solution or segments to start from, on any mesh of the domain, or None.
         predict: Whether the sets of large problems are predicted.
-        coarser: Makes coarser meshes for the prediction; None if there are none.
+        coarser: Maps a factor > 1 to the same problem on a mesh that is coarser by this factor (collective; raises
+            InputError if there is no such mesh); None if there are none.
+        whole: Whether a coarser problem is solved to its end for a prediction; otherwise its sets are only settled.
         tuning: Sizes from which the program works differently.
         watch: Measures the phases of the method.
     """
@@ -46,16 +55,40 @@ class Task(ABC):
     max_iterations: int
     on_step: OnStep
     backend: BackendFactory
-    start: Segments | None = None
+    start: Any = None
     predict: bool = True
-    coarser: Coarser | None = None
+    coarser: Callable[[float], Self] | None = None
+    whole: bool = False
     tuning: Tuning = field(default_factory=Tuning)
     watch: Stopwatch = field(default_factory=Stopwatch)
 
-    @property
     @abstractmethod
-    def in_cells(self) -> bool:
-        """Whether cells are sites as well."""
+    def is_large(self, backend: Any) -> bool:
+        """Whether a prediction saves more than it costs."""
+
+    @abstractmethod
+    def coarsening(self, backend: Any) -> float | None:
+        """How much coarser a mesh is on which the sets are predicted first; None if that costs more than it saves."""
+
+    @abstractmethod
+    def begin(self, backend: Any, start: Any) -> Indices:
+        """The segment of each site to begin with, from a start; the laws may begin with it as well (collective)."""
+
+    @abstractmethod
+    def own_start(self, backend: Any) -> SiteConditions | None:
+        """The conditions to begin with if there is no start; None for those of the algorithm (collective)."""
+
+    @abstractmethod
+    def found(self, backend: Any, segment: Indices) -> Any:
+        """What was found as a start for another mesh, from the segment of each site (collective)."""
+
+    def settled[F: FoundSets](self, _backend: Any, settle: Callable[[], F]) -> F:
+        """Settle the sets: once, or with an outer method around it again and again (collective)."""
+        return settle()
+
+    def solved(self, _backend: Any, loop: Loop) -> Outcome:
+        """Run the loop: once, or with an outer method around it again and again (collective)."""
+        return loop()
 
     @abstractmethod
     def floating(self) -> Floating | None:
@@ -66,4 +99,4 @@ class Task(ABC):
 
     @abstractmethod
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> Residuals:
-        """The residuals of an iterate (collective)."""
+        """The residuals of the last iterate (collective)."""

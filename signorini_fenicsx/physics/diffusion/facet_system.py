@@ -45,6 +45,8 @@ class Loads:
     forces: Array
 
 
+PREDICT_FROM = 5_000
+"""Number of facets of the mesh from which a prediction saves more than it costs."""
 DIRECT_UP_TO = 60_000
 """Most facets of a system that is factorised: tenths of a second in the plane, seconds in space, for any κ."""
 

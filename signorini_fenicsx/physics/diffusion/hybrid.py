@@ -16,10 +16,9 @@ from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
-from signorini_fenicsx.methods.prediction import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem, Loads
+from signorini_fenicsx.physics.diffusion.facet_system import PREDICT_FROM, FacetSystem, Loads
 from signorini_fenicsx.physics.diffusion.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.patch import Patch

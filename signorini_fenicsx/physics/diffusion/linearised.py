@@ -297,6 +297,6 @@ def linearised(solution: Solution, tolerance: float) -> Linearised:
             f"{solution.options.algorithm_name} solves another discrete problem; alg1 to alg4 have derivatives"
         )
     system = None if solution.system is None else solution.system()
-    backend = None if system is None else system.backend_of(solution.outcome)
+    backend = None if system is None else system.kept.of(solution.outcome, HybridBackend)
     backend = backend or HybridBackend(solution.spaces, solution.data, tuning=solution.options.tuning)
     return Linearised(solution, backend, tolerance)

@@ -13,12 +13,13 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Backend, Iterate, Renewable
+from signorini_fenicsx.contact.backend import Backend, Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.laws import LAWS
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
@@ -52,7 +53,7 @@ class System:
     Attributes:
         spaces: The discrete spaces.
         boundary: The parts that are Γ_S and Γ_N, and those inside the domain; the rest is Γ_D.
-        solved: The last outcome and the data that the method got; None before the first.
+        kept: Makes the backend, and keeps the last one.
     """
 
     def __init__(self, domain: Domain, boundary: Boundary, problem: Problem | None):
@@ -65,9 +66,7 @@ class System:
         check_parts(domain, self.boundary.named)
         self.spaces = build_spaces(domain, self.boundary.signorini, self.boundary.neumann, self.boundary.inner)
         self._known = Known(domain.mesh.comm)
-        self._backend: Backend[Iterate] | None = None
-        self.solved: tuple[ref[Outcome], Data] | None = None
-        self._made_for: tuple[object, Tuning, bool] | None = None
+        self.kept = KeptBackend()
 
     def prepared(self, given: tuple[Boundary, Problem], wish: Wish) -> DiffusionRun:
         """Read the data and check them (collective).
@@ -93,13 +92,16 @@ class System:
                 data.chains.corners, spaces.Lambda.dofmap.index_map.size_global, in_cells=in_cells
             ),
             on_step=wish.on_step,
-            backend=partial(self._kept_backend, options),
+            # with laws in Ω the cells are sites too
+            backend=partial(self.kept.take, (options.backend, options.tuning, in_cells), partial(_backend, options)),
             start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,
             predict=options.predict and (in_cells or len(spaces.part_names) > 0),  # else the problem is linear
-            coarser=remesh and partial(_coarser, remesh, self.boundary, problem, options.tuning),
+            whole=in_cells,
             tuning=options.tuning,
             watch=wish.watch,
         )
+        if remesh is not None:
+            task = replace(task, coarser=partial(_coarser, task, remesh, self.boundary, problem))
         return DiffusionRun(task, options, self.boundary, problem, data, constant, self)
 
     def check(self, given: tuple[Boundary, Problem]) -> None:
@@ -120,25 +122,9 @@ class System:
         check_start(self.spaces.domain, start, Solution)
         return DiffusionSteps(self.spaces, problem, evolution, start)
 
-    def backend_of(self, outcome: Outcome) -> HybridBackend | None:
-        """The backend that is set up for the problem with this outcome; None if there is none, or it is another."""
-        backend = self._backend
-        if self.solved is None or self.solved[0]() is not outcome or not isinstance(backend, HybridBackend):
-            return None
-        return backend if backend.data is self.solved[1] else None
-
     def forget(self) -> None:
         """Drop the backend of the last solve."""
-        self._backend = None
-
-    def _kept_backend(self, options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
-        """The backend of the last solve with these data, or a new one (collective)."""
-        wanted = options.backend, options.tuning, data.inside is not None  # with laws in Ω the cells are sites too
-        kept, self._backend = self._backend, None
-        renewed = wanted == self._made_for and isinstance(kept, Renewable) and kept.renew(data)
-        backend = kept if kept is not None and renewed else _new_backend(options, spaces, data)
-        self._backend, self._made_for = backend, wanted
-        return backend
+        self.kept.forget()
 
 
 @dataclass
@@ -224,7 +210,7 @@ class DiffusionRun:
         spaces, trace = self.task.spaces, outcome.iterate.p + self.data.psi_h
         if self.trace is not None:
             trace = self.trace + (self.data.psi_h - self.task.data.psi_h)  # the difference is the constant
-        self.system.solved = ref(outcome), self.task.data
+        self.system.kept.solved(outcome, self.task.data)
         return Solution(
             boundary=self.boundary,
             problem=self.problem,
@@ -239,7 +225,7 @@ class DiffusionRun:
         )
 
 
-def _new_backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
+def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
     """The backend that the options choose (collective)."""
     if not isinstance(options.backend, str):
         return options.backend(spaces, data)
@@ -250,11 +236,20 @@ def _new_backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterat
     )
 
 
-def _coarser(remesh: Remesh, boundary: Boundary, problem: Problem, tuning: Tuning, factor: float) -> Any:
-    """The problem on a coarser mesh, see `methods.task.Coarser` (collective)."""
+def _coarser(task: DiffusionTask, remesh: Remesh, boundary: Boundary, problem: Problem, factor: float) -> DiffusionTask:
+    """The task on a coarser mesh, whose sets are settled at any size (collective)."""
     spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann, boundary.inner)
-    data = project_data(spaces, replace(problem, exact=None))
-    return spaces, lambda multigrid: HybridBackend(spaces, data, tuning=tuning, multigrid=multigrid, prefix="coarse_")
+    return replace(
+        task,
+        spaces=spaces,
+        data=project_data(spaces, replace(problem, exact=None)),
+        on_step=lambda step: None,
+        backend=partial(HybridBackend, tuning=task.tuning, multigrid=not task.whole, prefix="coarse_"),
+        start=None,
+        coarser=lambda further: _coarser(task, remesh, boundary, problem, factor * further),
+        tuning=task.tuning if task.whole else replace(task.tuning, predict_from=0),
+        watch=Stopwatch(),
+    )
 
 
 def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:

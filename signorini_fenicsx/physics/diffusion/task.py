@@ -7,14 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.contact.backend import Backend, Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.facet_system import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.residuals import KKTResiduals, kkt_residuals
 from signorini_fenicsx.physics.diffusion.solvability import floating_sites
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
+
+COARSENING_IN_CELLS = 2.0
+"""Mesh size of the coarser mesh of a prediction with laws in Ω, divided by that of the finer mesh."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +29,36 @@ class DiffusionTask(Task):
 
     spaces: Spaces
     data: Data
+    start: Segments | None = None
 
-    @property
-    def in_cells(self) -> bool:
-        """Whether there are laws in Ω."""
-        return self.data.inside is not None
+    def is_large(self, _backend: object) -> bool:
+        """Whether the mesh has so many facets that a prediction saves more than it costs."""
+        return self.tuning.predicts(self.spaces.facets_of_mesh, PREDICT_FROM)
+
+    def coarsening(self, backend: object) -> float | None:
+        """See `Task.coarsening`; None in space, where a mesh that coarse predicts too little for its cost.
+
+        With laws in Ω the edge of a set of cells, such as those on an obstacle, moves by one cell per step from a cold
+        start, so that the number of steps grows like 1/h. From the contact on a mesh that is coarser by 2 a few steps
+        are left.
+        """
+        facets, tuning = self.spaces.facets_of_mesh, self.tuning
+        if self.data.inside is not None:
+            return COARSENING_IN_CELLS if facets >= tuning.predict_in_cells_from else None
+        fine = self.spaces.mesh.topology.dim == 2 and facets >= tuning.coarsen_from
+        return tuning.coarsening if fine and self.is_large(backend) else None
+
+    def begin(self, _backend: object, start: Segments) -> Indices:
+        """The segments on another mesh: for a facet that at its midpoint, for a cell that of the cell there."""
+        return start.on(self.spaces)
+
+    def own_start(self, backend: Backend[Iterate]) -> SiteConditions | None:
+        """The steepest segments if there is no Γ_D: an algorithm's own start may be a Neumann problem."""
+        return None if self.spaces.held else backend.chains.conditions(backend.chains.steepest())
+
+    def found(self, _backend: object, segment: Indices) -> Segments:
+        """The segments (collective)."""
+        return Segments.of_sites(self.spaces, segment)
 
     def floating(self) -> Floating | None:
         """The components that have neither facets of Γ_D nor cells with a term cu (collective)."""

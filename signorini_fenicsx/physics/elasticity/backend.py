@@ -82,7 +82,7 @@ class ElasticBackend(PlainBackend):
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self.spaces, self._data, self.comm = spaces, data, spaces.mesh.comm
+        self.spaces, self.data, self.comm = spaces, data, spaces.mesh.comm
         self._unknowns = np.concatenate([spaces.sites, spaces.slip_sites])
         self.measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
         self.sites = len(self._unknowns)
@@ -118,7 +118,11 @@ class ElasticBackend(PlainBackend):
     @property
     def chains(self) -> Chains:
         """The law of each site, of friction by its present bounds."""
-        return law_of_sites(self.spaces, self._data.laws.chains, self.friction)
+        return law_of_sites(self.spaces, self.data.laws.chains, self.friction)
+
+    def data_found(self) -> ElasticData:
+        """The data with the last bounds of friction, and with the tools where they have moved to (collective)."""
+        return replace(self.data.after(self.spaces, self.tools.rho), friction=self.friction)
 
     @property
     def iterates(self) -> bool:
@@ -127,8 +131,12 @@ class ElasticBackend(PlainBackend):
 
     @property
     def inexact(self) -> Inexact | None:
-        """The backend itself, as traces cost less than fields; with tools only if solves can be rough."""
-        return self if not self.tools or (self.iterates and not self.friction.by_pressure) else None
+        """The backend itself, as traces cost less than fields; with tools only if solves can be rough.
+
+        None where the law turns, with friction in space.
+        """
+        rough = self.iterates and not self.friction.by_pressure
+        return self if not self._turns and (rough or not self.tools) else None
 
     @property
     def anchored(self) -> Anchored[Iterate] | None:
@@ -213,7 +221,7 @@ class ElasticBackend(PlainBackend):
 
     def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
-        laws, normal = self._data.laws, len(self.spaces.sites)
+        laws, normal = self.data.laws, len(self.spaces.sites)
         segment = laws.chains.segments(conditions.take(slice(normal)))
         p = np.append(laws.own(segment, p[:normal], flux[:normal]), p[normal:])
         p, flux = conditions.clean(p, flux, np.inf)
@@ -288,7 +296,7 @@ class ElasticBackend(PlainBackend):
     def _take_springs(self, conditions: SiteConditions) -> None:
         """Take the springs under these conditions (collective)."""
         some, normal = conditions.counts(self.comm)[Condition.ROBIN] > 0, slice(len(self.spaces.sites))
-        self._springs = self._data.laws.springs(conditions.take(normal)) if some else None
+        self._springs = self.data.laws.springs(conditions.take(normal)) if some else None
 
     def _given_forces(self, conditions: SiteConditions, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of the opening."""
@@ -370,7 +378,7 @@ class ElasticBackend(PlainBackend):
     @property
     def is_contact(self) -> bool:
         """Whether there is no other law in the normal direction than contact."""
-        return not self._data.laws.of_parts
+        return not self.data.laws.of_parts
 
     @property
     def _signs(self) -> Array:
@@ -399,10 +407,10 @@ class ElasticBackend(PlainBackend):
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
-        stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self._data.lift)
+        stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self.data.lift)
         if refine:
             stresses, displacements = self._refined(conditions, stresses, displacements)
-        p, flux = self._cleaned(conditions, self._beside_tools(self._x), self._data.reactions(spaces, stresses))
+        p, flux = self._cleaned(conditions, self._beside_tools(self._x), self.data.reactions(spaces, stresses))
         self.sizes.take(displacements, stresses)
         return Iterate(p, flux, self._iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
 

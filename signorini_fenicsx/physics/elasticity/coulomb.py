@@ -12,7 +12,6 @@ For large μ there may be several solutions, and no theorem known to us tells wh
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from mpi4py import MPI
@@ -22,7 +21,7 @@ from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.contact.backend import Pairs
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.history import FoundSets, Outcome
 from signorini_fenicsx.linear.gmres import EXACT, gmres
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb_path import Sites, State
@@ -41,26 +40,7 @@ SHORTEST = 1 / 64
 GOLDEN = (np.sqrt(5) - 1) / 2
 
 
-class Solved(Protocol):
-    """A problem of Tresca that was solved, an `Outcome` or its traces alone."""
-
-    @property
-    def iterate(self) -> Pairs:
-        """The solution."""
-        ...
-
-    @property
-    def conditions(self) -> SiteConditions:
-        """The sets."""
-        ...
-
-    @property
-    def converged(self) -> bool:
-        """Whether the sets repeated."""
-        ...
-
-
-def balanced[S: Solved](
+def balanced[S: FoundSets](
     backend: ElasticBackend, tresca: Callable[[], S], changes: list[float], *, roughly: bool = False
 ) -> S:
     """Find the bound of the shear that is μ times the pressure, by Newton's method (collective).

@@ -301,7 +301,7 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
     if solution.data.tools:
         raise InputError("derivatives are not there where a tool moves under a given force")
     system = None if solution.system is None else solution.system()
-    backend = None if system is None else system.backend_of(solution.outcome)
+    backend = None if system is None else system.kept.of(solution.outcome, ElasticBackend)
     if backend is None:
         motions = check_rigid_motions(solution.spaces, solution.data)
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning, motions)

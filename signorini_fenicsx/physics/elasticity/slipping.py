@@ -72,7 +72,7 @@ def slipped(
     """
     share, last, known = ROUGH if backend.iterates else 0.0, np.inf, False
     delay, base = _Delay(), backend.friction
-    if is_large(backend):
+    if is_large(backend.comm, base):
         delay.time = DELAYED
     backend.leave(share)
 
@@ -127,9 +127,9 @@ def slipped(
     return replace(outcome, conditions=law.conditions(law.segments(outcome.conditions)))
 
 
-def is_large(backend: ElasticBackend) -> bool:
+def is_large(comm: MPI.Comm, friction: FrictionBounds) -> bool:
     """Whether μ in space is so large that Coulomb's bound is delayed at once (collective)."""
-    return bool(backend.comm.allreduce(backend.friction.mu.max(initial=0.0), MPI.MAX) > ALONE)
+    return bool(comm.allreduce(friction.mu.max(initial=0.0), MPI.MAX) > ALONE)
 
 
 def _following(

@@ -1,0 +1,157 @@
+"""What a method gets of an elastic problem: its starts, and Coulomb's friction as an outer method around the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
+from signorini_fenicsx.contact.history import FoundSets, Outcome
+from signorini_fenicsx.contact.kept_backend import KeptBackend
+from signorini_fenicsx.discrete.contact_sets import transferred
+from signorini_fenicsx.methods.task import Loop, Task
+from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.coulomb import CHANGE, balanced, by_path
+from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.evolution import spread
+from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
+from signorini_fenicsx.physics.elasticity.slipping import slipped
+from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+
+PREDICT_FROM = 15_000
+"""Number of unknowns from which a prediction saves more than it costs."""
+REACH = 0.1
+"""Gaps larger than the least one by this share of the body are open at the start where contact has to hold it,"""
+ENOUGH = 0.01
+"""if the other ones hold each rigid motion by this share at least of what all of them do, in squares of its means."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElasticTask(Task):
+    """A discrete elastic problem and the parameters of its method.
+
+    Attributes:
+        kept: Has the backend.
+        motions: The rigid motions that only contact prevents, see `ElasticBackend`.
+        changes: Of the steps of Coulomb's friction in the last run, see `ElasticSolution.bound_changes`.
+    """
+
+    spaces: ElasticSpaces
+    data: ElasticData
+    kept: KeptBackend
+    motions: Array
+    changes: list[float] = field(default_factory=list)
+
+    def is_large(self, backend: ElasticBackend) -> bool:
+        """Whether there are so many unknowns that a prediction saves more than it costs."""
+        return self.tuning.predicts(backend.dofs, PREDICT_FROM)
+
+    def coarsening(self, backend: ElasticBackend) -> float | None:
+        """See `Task.coarsening`."""
+        return self.tuning.coarsening if self.is_large(backend) else None
+
+    def own_start(self, backend: ElasticBackend) -> SiteConditions | None:
+        """Contact where it has to hold the body, and nothing slips; friction by its first bounds (collective)."""
+        backend.turn(self.data.friction)
+        chains = backend.chains
+        return None if self._near is None else chains.conditions(_sticking(chains, self._near))
+
+    def begin(self, backend: ElasticBackend, start: ElasticSolution | ElasticSegments) -> Indices:
+        """Segments and bounds of the shear as they are, of a solution its contact, where nothing slips (collective)."""
+        spaces, comm = self.spaces, self.spaces.mesh.comm
+        if isinstance(start, ElasticSolution):
+            found = transferred(start.contact_set(), spaces)
+            own = None if comm.allreduce(int(found.sum())) > 0 else self._near
+            return _sticking(backend.chains, np.repeat(found, spaces.dim) if own is None else own)
+        start = start if start.spaces is spaces else _carried(start, spaces)
+        slope = np.take_along_axis(backend.chains.slope, start.segment[:, None], axis=1)[: len(spaces.sites)]
+        if self._near is not None and comm.allreduce(int((slope > 0).sum())) == 0:
+            return _sticking(backend.chains, self._near)
+        friction = backend.friction.with_bounds(start.bound)
+        backend.turn(friction.along(start.slip) if start.slip is not None and friction else friction)
+        return start.segment
+
+    def found(self, backend: ElasticBackend, segment: Indices) -> ElasticSegments:
+        """The segments, the bounds of the shear, and with given ones in space what slips.
+
+        Coulomb's bounds are found sooner from no slip than from that under bounds that are not quite right.
+        """
+        friction, slip = backend.friction, None
+        if friction.slipping is not None and not friction.by_pressure:
+            slip = friction.slipping.direction * friction.slipping.size[:, :, None]
+        return ElasticSegments(self.spaces, segment, friction.bound, slip)
+
+    def settled[F: FoundSets](self, backend: ElasticBackend, settle: Callable[[], F]) -> F:
+        """Settle the sets, with Coulomb's friction once for each bound of the shear (collective)."""
+        return balanced(backend, settle, [], roughly=True)
+
+    def solved(self, backend: ElasticBackend, loop: Loop) -> Outcome:
+        """Run the loop, with Coulomb's friction in the plane once for each bound of the shear (collective)."""
+        self.changes.clear()
+        if backend.friction.slipping is not None:
+            return slipped(backend, lambda follow: loop(None, follow), self.changes, self.max_iterations)
+        outcome = balanced(backend, loop, self.changes)
+        found = not self.changes or self.changes[-1] <= CHANGE
+        return outcome if found or not outcome.converged else by_path(backend, loop, self.changes)
+
+    def floating(self) -> None:
+        """None: weak springs hold a body that no site holds."""
+
+    def kkt(self, iterate: Iterate, _penalty: Penalty | None) -> ElasticKKT:
+        """The residuals of the last iterate, with the bounds of the shear that were found (collective)."""
+        stresses = self.spaces.split.values(iterate.sigma)
+        return elastic_kkt(self.spaces, self.kept.present.data_found(), stresses, iterate.p)
+
+    @cached_property
+    def _near(self) -> Mask | None:
+        """The facet vertices whose contact holds the body at the start: those with small gaps (collective at first).
+
+        A gap that is large beside the body does not close, and contact with it would tear the body apart. The reach is
+        doubled until what is in it holds the body nearly as well as all of Γ_C does. None if it is held without.
+        """
+        spaces, comm = self.spaces, self.spaces.mesh.comm
+        if self.motions.shape[1] == 0:
+            return None
+        into, along = np.split(self.motions, [len(spaces.sites)])
+        slips = comm.allreduce(along.T @ along)
+
+        def held(near: Mask) -> Array:
+            return np.asarray(comm.allreduce(into[near].T @ into[near]) + slips)
+
+        gap = self.data.lift[spaces.sites]
+        everything, least = held(np.ones(len(gap), dtype=bool)), comm.allreduce(gap.min(initial=np.inf), MPI.MIN)
+        reach = REACH * float(np.ptp(spaces.domain.box(), axis=0).max())
+        while True:
+            near = gap <= least + reach
+            if np.linalg.eigvals(np.linalg.solve(everything, held(near))).real.min() >= ENOUGH:
+                return near
+            reach *= 2
+
+
+def _sticking(chains: Chains, touching: Mask) -> Indices:
+    """The segments with these facet vertices in contact; nothing slips."""
+    steep = np.append(touching, np.ones(len(chains.p) - len(touching), dtype=bool))
+    return np.where(steep, chains.steepest(), chains.beside_reference(steep=False))
+
+
+def _carried(start: ElasticSegments, spaces: ElasticSpaces) -> ElasticSegments:
+    """The segments and the bounds of the shear on another mesh (collective)."""
+    theirs, dim, slip = start.spaces, spaces.dim, start.slip
+    slips = [] if slip is None else [theirs.along(slip)]
+    normal, along = np.split(start.segment, [len(theirs.sites)])
+    states = along.reshape(-1, dim, dim - 1)[:, :, 0].astype(np.float64)
+    rows = [normal.reshape(-1, dim), *(spread(theirs, values) for values in (states, start.bound, *slips))]
+    functions = [theirs.linear_multiplier(np.asarray(values, dtype=np.float64)) for values in rows]
+    on_normal, *on_rough = spaces.near_vertices(functions, theirs.domain)
+    states, bounds, *slips = (values[spaces.rough_rows] for values in on_rough)
+    segment = np.rint(np.append(on_normal, np.repeat(states, dim - 1))).astype(np.int64)
+    in_frames = [spaces.in_frames(values).reshape(-1, dim, dim - 1) for values in slips]
+    return ElasticSegments(spaces, segment, bounds, *in_frames)
