@@ -83,13 +83,9 @@ class ElasticBackend(PlainBackend):
             InputError: If PETSc refuses an option.
         """
         self.spaces, self.data, self.comm = spaces, data, spaces.mesh.comm
-        self._unknowns = np.concatenate([spaces.sites, spaces.slip_sites])
-        self.measure = np.concatenate([spaces.site_measure, spaces.slip_measure])
+        self._unknowns, self.measure = spaces.site_kinds.unknown, spaces.site_kinds.measure
         self.sites = len(self._unknowns)
-        self.friction, self._turns = (
-            data.friction,
-            data.friction.slipping is not None,
-        )  # σ_t turns with the slip in space
+        self.friction, self._turns = data.friction, data.friction.slipping is not None  # in space σ_t turns
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = (matrix := self._operator.matrix).getSize()[0]
@@ -131,10 +127,7 @@ class ElasticBackend(PlainBackend):
 
     @property
     def inexact(self) -> Inexact | None:
-        """The backend itself, as traces cost less than fields; with tools only if solves can be rough.
-
-        None where the law turns, with friction in space.
-        """
+        """The backend itself, as traces cost less than fields; with tools by rough solves, never where laws turn."""
         rough = self.iterates and not self.friction.by_pressure
         return self if not self._turns and (rough or not self.tools) else None
 
@@ -282,12 +275,11 @@ class ElasticBackend(PlainBackend):
     def _respond(self, conditions: SiteConditions, sprung: Mask) -> None:
         """Find how the body follows the tools under the conditions of the present matrix (collective)."""
         contact, at_rest = conditions.kind == Condition.ZERO_TRACE, self._given_forces(conditions)
+        weak = self._weak.stiffness * sprung
 
         def response(move: Array, last: Array | None) -> PETSc.Vec:
             load, lift = np.zeros((2, len(self.system.load)))
-            pulled = (
-                self._given_forces(conditions, -self._signs * move) - at_rest + self._weak.stiffness * sprung * move
-            )
+            pulled = self._given_forces(conditions, -self._signs * move) - at_rest + weak * move
             load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
             return self._at_rest(conditions, load, lift, last)
 
