@@ -155,8 +155,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
         if case.time is None:
             remarks = system.prepared(posed, Wish(options_of(case))).remarks()
         else:
-            _check_steps(system, posed, case.time.evolution())
-            remarks = ()
+            remarks = _check_steps(system, posed, case.time.evolution())
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -197,20 +196,26 @@ def _left(case: CaseFile, spaces: MeshSpaces) -> list[str]:
     return [name for name, count in zip([*others, ""], counts, strict=True) if count > 0]
 
 
-def _check_steps(system: System, posed: tuple[Any, Any], evolution: Evolution) -> None:
+def _check_steps(system: System, posed: tuple[Any, Any], evolution: Evolution) -> list[str]:
     """Read the data of all steps in time, as a run does (collective).
+
+    Returns:
+        What is worth knowing of each datum, in a sentence with the first step that has it.
 
     Raises:
         InputError: If a datum is not what it has to be, or there is not one solution.
     """
     boundary, problem = posed
-    steps = system.steps(problem, evolution, None)
+    steps, remarks = system.steps(problem, evolution, None), dict[str, str]()
     steps.start()
     for step in range(1, evolution.steps + 1):
+        when = f"step {step}, t = {evolution.time(step):.5g}"
         try:
-            system.check((boundary, steps.problem(step)))
+            for remark in system.check((boundary, steps.problem(step))):
+                remarks.setdefault(remark.partition(":")[0], f"{when}: {remark}")
         except InputError as error:
-            raise InputError(f"step {step}, t = {evolution.time(step):.5g}: {error}") from None
+            raise InputError(f"{when}: {error}") from None
+    return list(remarks.values())
 
 
 def _usable(case: CaseFile, mesh: FileMesh) -> FileMesh:

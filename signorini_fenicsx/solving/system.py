@@ -99,8 +99,11 @@ class System(Protocol):
             InputError: If the problem cannot be discretised as asked.
         """
 
-    def check(self, problem: Any) -> None:
+    def check(self, problem: Any) -> list[str]:
         """Read the data of a problem with this boundary, and check what can be known before it is solved (collective).
+
+        Returns:
+            Data that jump and should not, in words.
 
         Raises:
             InputError: If the problem cannot be discretised.

@@ -101,6 +101,9 @@ def test_jumps_between_facets_are_told(folder: Path):
         remarks = check(square.with_values(values), MPI.COMM_WORLD).remarks
         assert len(remarks) == len(told)
         assert all(map(str.startswith, remarks, told)), remarks
+    later = {"problem.psi": f"({JUMPS})*(1 if t > 1.5 else 0)", "time": {"end": 3, "steps": 3}}
+    (remark,) = check(square.with_values(later), MPI.COMM_WORLD).remarks
+    assert remark.startswith("step 2, t = 2: [problem] psi: jumps by 0.1 at (0.5, ")
     cube = load_case("cube").with_values({"geometry.mesh": "structured", "solve.h": 0.9})
     for psi, number in (("-1 if x < 1/2 else 0", 1), ("-abs(x - 1/2) - y", 0)):
         assert len(check(cube.with_values({"problem.psi": psi}), MPI.COMM_WORLD).remarks) == number

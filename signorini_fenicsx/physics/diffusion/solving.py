@@ -104,13 +104,15 @@ class System:
             task = replace(task, coarser=partial(_coarser, task, remesh, self.boundary, problem))
         return DiffusionRun(task, options, self.boundary, problem, data, constant, self)
 
-    def check(self, given: tuple[Boundary, Problem]) -> None:
+    def check(self, given: tuple[Boundary, Problem]) -> list[str]:
         """Read the data and check them, see `solving.system.System` (collective).
 
         Raises:
             InputError: If the problem cannot be discretised.
         """
-        check_solvability(self.spaces, project_data(self.spaces, given[1], self._known))
+        data = project_data(self.spaces, given[1], self._known)
+        check_solvability(self.spaces, data)
+        return notes_of(self.spaces, data)
 
     def steps(self, problem: Problem, evolution: Evolution, start: Solution | None) -> DiffusionSteps:
         """The steps of a problem in time, see `solving.evolution.Steps` (collective).

@@ -99,13 +99,13 @@ class System:
         )
         return ElasticRun(task, options, self.boundary, problem, self)
 
-    def check(self, given: tuple[ElasticBoundary, ElasticProblem]) -> None:
+    def check(self, given: tuple[ElasticBoundary, ElasticProblem]) -> list[str]:
         """Read the data and check them, see `solving.system.System` (collective).
 
         Raises:
             InputError: If the problem cannot be discretised.
         """
-        self.prepared(given, Wish(Options()))
+        return self.prepared(given, Wish(Options())).remarks()
 
     def steps(self, problem: ElasticProblem, evolution: Evolution, start: ElasticSolution | None) -> ElasticSteps:
         """The steps of loads, see `solving.evolution.Steps` (collective).
