@@ -51,6 +51,7 @@ def distance(coarse: Solution, fine: Solution) -> float:
         (0.3, {"f": "3000*sin(40*pi*x)*sin(40*pi*y)"}, "f"),
         (0.2, {"kappa": "1 - .99*exp(-((x-.515)/.01)^2)"}, "kappa"),
         (0.2, {"u_D": "0.1 + 5*exp(-1e5*((x-1)^2+(y-.54)^2))"}, "u_D"),
+        (0.36, {"u_D": "max(0, 1 - ((x - 0.4)/0.05)^2)*y", "c": "1e6", "f": "1"}, "u_D"),  # missed in the load of cu
         (0.2, {"q_S": "1000 if (x-.515)^2 < 1e-5 else 0"}, "q_S"),
         (0.2, {"psi": "1/(x - 0.3)"}, "psi"),
     ],

@@ -214,6 +214,8 @@ def gap_parts(
     hidden = hidden_parts(resolution, trace, of_v.solution.data.u_D, metric, pressure, inside, bound_so_far)
     contact = contact + hidden.gap
     mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + hidden.slope) ** 2
+    if reaction is not None:
+        oscillation = oscillation + reaction.hidden(hidden.value, metric, resolution)
     least = None if reaction is None else reaction.least
     left = resolution.load_left(lambda load: load_left(spaces, data, metric, load, least, ENOUGH * bound_so_far))
     return GapParts(mismatch, of_reaction, contact, oscillation, left, hidden.slope, of_laws)

@@ -10,6 +10,8 @@ cell. Quadrature integrates the squares of polynomials exactly. So it misses of 
 The smaller of both is added, unless this were more than all other terms of the bound. Then, and where no bound of ∇d
 is known, the datum is not resolved: the bound relies on quadrature there, and this is said.
 
+Of v itself it misses at most 2ρ, or ‖d‖ + ‖d‖_Q as means: with c at most so many times that is a load more.
+
 On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss λ_max times 2ρ, or ‖d‖ + ‖d‖_Q as means. With a
 bound in Ω the gap has (λ, v − ψ) in the same way.
 """
@@ -57,10 +59,12 @@ class Hidden:
     Attributes:
         slope: To ‖κ^½∇v − κ^-½y‖_T.
         gap: To twice the gap.
+        value: To the root mean square of v on T.
     """
 
     slope: Array
     gap: Array
+    value: Array
 
 
 def hidden_parts(
@@ -86,24 +90,28 @@ def hidden_parts(
         inside: The laws in Ω.
         of_discrete: The bound without what is hidden.
     """
-    slope, gap = np.zeros((2, len(metric.volume)))
+    slope, gap, value = np.zeros((3, len(metric.volume)))
     missed = _Missed(resolution, metric, degree_near(trace), of_discrete)
     if (tree := resolution.tree("u_D", u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
-        slope[cells] += missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))[0]
+        steep, value[cells] = missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))
+        slope[cells] += steep
     if pressure is not None and (tree := resolution.tree(pressure.name, pressure.datum)) is not None:
         cells = np.union1d(trace.touching, _cells_of_psi(resolution, trace, tree, pressure.points)).astype(np.int64)
-        slope[cells] += missed.of(pressure.name, tree, cells)[0]
+        steep, size = missed.of(pressure.name, tree, cells)
+        slope[cells] += steep
+        value[cells] += size
         gap += pressure.missed(resolution, tree, len(gap))
     for ray in inside.rays:
         if (tree := resolution.tree(ray.name, ray.datum)) is not None:
             cells = _cells_of_ray(resolution, trace, tree, ray)
             steep, size = missed.of(ray.name, tree, cells)
             slope[cells] += steep
+            value[cells] += size
             gap[cells] += 2 * inside.largest[cells] * metric.volume[cells] * size
             pressed = np.setdiff1d(np.flatnonzero(ray.touched & (inside.largest > 0)), cells)
             gap[pressed] += _missed_of_means(resolution, trace, tree, ray, inside, pressed)
-    return Hidden(slope, gap)
+    return Hidden(slope, gap, value)
 
 
 def degree_near(trace: Trace) -> int:

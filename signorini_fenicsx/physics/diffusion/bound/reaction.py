@@ -26,7 +26,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -61,13 +61,30 @@ class ReactionTerms:
         gap: ‖c^-½ g‖².
         load: r − g without f − f_h.
         least: Lower bound of c.
+        most: Upper bound of c.
         takes: Mask of the cells where what a step in time takes from those before is a part of `load`.
     """
 
     gap: Array
     load: Projection
     least: Array
+    most: Array
     takes: Mask
+
+    def hidden(self, value: Array, metric: CellMetric, resolution: Resolution) -> Array:
+        """What osc_T grows by, as quadrature may miss `value` of the root mean square of v: the load c·v has that too.
+
+        It is bounded by its norm with c^-½ where that is less; else its mean is recorded.
+        """
+        size = np.where(value > 0, self.most, 0.0) * value
+        of_slope = metric.diameter / np.pi / np.sqrt(metric.low)
+        small = self.least * of_slope**2 > 1
+        far = np.where(small, 0.0, size)
+        resolution.add_load("u_D", Interval(-far, far), far, metric)
+        of_c = np.divide(1, np.sqrt(self.least), out=np.zeros_like(size), where=small)
+        more: Array = size * np.sqrt(metric.volume) * np.where(small, of_c, of_slope)
+        resolution.record_missed("u_D", np.flatnonzero(small), more[small] ** 2)
+        return more
 
 
 @dataclass(frozen=True)
@@ -78,13 +95,13 @@ class _Coefficient:
         values: p in points.
         deviation: S.
         mean: μ.
-        least: Lower bound of c.
+        ends: Bounds of c.
     """
 
     values: Callable[[CellPoints], Array]
     deviation: Array
     mean: Interval
-    least: Array
+    ends: Interval
 
 
 def reaction_terms(
@@ -105,7 +122,7 @@ def reaction_terms(
     level, fine = owned_values(u), _fine(metric, resolution)
     nodes = np.abs(trace.v.x.array[cell_dofs(trace.v.function_space)] - level[:, None]).max(axis=1)
     farthest = np.abs(level) + nodes
-    coefficient = _coefficient(data, metric, resolution, farthest)
+    coefficient = _coefficient(data, metric, resolution, farthest, trace.cells)
     if coefficient is None:
         return None
     squares = SQUARE if "c" not in resolution.by_quadrature else max(SQUARE, quadrature_degree(data.c, power=2))
@@ -131,7 +148,7 @@ def reaction_terms(
         gap[rows], size[rows] = cut.delta**2 * cut.of_first * metric.volume[rows], cut.unsure
         of_mean.lo[rows], of_mean.hi[rows] = cut.mean - cut.unsure, cut.mean + cut.unsure
     resolution.add_load("c", of_mean, size, metric)
-    return ReactionTerms(gap, load, coefficient.least, takes)
+    return ReactionTerms(gap, load, coefficient.ends.lo, coefficient.ends.hi, takes)
 
 
 @dataclass(frozen=True)
@@ -189,26 +206,32 @@ def _fine(metric: CellMetric, resolution: Resolution) -> Array:
     return fine
 
 
-def _coefficient(data: Data, metric: CellMetric, resolution: Resolution, size: Array) -> _Coefficient | None:
+def _coefficient(
+    data: Data, metric: CellMetric, resolution: Resolution, size: Array, near: Indices
+) -> _Coefficient | None:
     """The pair of p and S for a c given as text; another c as it is; None where c is certainly 0 (collective).
 
-    `size` is that of u on each cell.
+    `size` is that of u on each cell; the upper bound of c is sharp in cells that are `near`.
     """
     pieces, nothing = resolution.pieces("c", data.c), np.zeros(len(metric.volume))
     if not pieces:
-        return None if data.c_h is None else _Coefficient(data.c.values, nothing, enclosing(nothing), nothing)
-    vertices, least = resolution.vertices, nothing.copy()
+        return None if data.c_h is None else _Coefficient(data.c.values, nothing, enclosing(nothing), enclosing(nothing))
+    vertices, least, most = resolution.vertices, nothing.copy(), nothing.copy()
     p, deviation, mean = near_quadratics("c", data.c, metric, resolution, size)
     for tree, cells in pieces:
         assert isinstance(tree, TREES)
-        least[cells] = bernstein(p.of(cells), vertices[cells]).min(axis=1)
+        coefficients = bernstein(p.of(cells), vertices[cells])
+        least[cells], most[cells] = coefficients.min(axis=1), coefficients.max(axis=1)
         if not is_polynomial(tree, 2):
-            least[cells] = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, np.inf).lo
+            high = np.where(np.isin(cells, near), 0.0, np.inf)
+            ends = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, high)
+            least[cells], most[cells] = ends.lo, ends.hi
     below = np.flatnonzero(least < -ROUNDING * np.abs(p.value).max(initial=0.0))
     resolution.note("the sign of c", vertices[below].mean(axis=1), below)
     if not resolution.spaces.mesh.comm.allreduce(bool(p.value.any() or deviation.any()), MPI.LOR):
         return None
-    return _Coefficient(lambda points: at_points(p, points), deviation, mean, np.maximum(least, 0.0))
+    ends = Interval(np.maximum(least, 0.0), np.maximum(most, 0.0))
+    return _Coefficient(lambda points: at_points(p, points), deviation, mean, ends)
 
 
 def near_quadratics(
