@@ -26,7 +26,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -207,7 +207,7 @@ def _fine(metric: CellMetric, resolution: Resolution) -> Array:
 
 
 def _coefficient(
-    data: Data, metric: CellMetric, resolution: Resolution, size: Array, near: Indices
+    data: Data, metric: CellMetric, resolution: Resolution, size: Array, near: AnyIndices
 ) -> _Coefficient | None:
     """The pair of p and S for a c given as text; another c as it is; None where c is certainly 0 (collective).
 
@@ -215,7 +215,8 @@ def _coefficient(
     """
     pieces, nothing = resolution.pieces("c", data.c), np.zeros(len(metric.volume))
     if not pieces:
-        return None if data.c_h is None else _Coefficient(data.c.values, nothing, enclosing(nothing), enclosing(nothing))
+        zero = enclosing(nothing)
+        return None if data.c_h is None else _Coefficient(data.c.values, nothing, zero, zero)
     vertices, least, most = resolution.vertices, nothing.copy(), nothing.copy()
     p, deviation, mean = near_quadratics("c", data.c, metric, resolution, size)
     for tree, cells in pieces:
@@ -224,8 +225,8 @@ def _coefficient(
         least[cells], most[cells] = coefficients.min(axis=1), coefficients.max(axis=1)
         if not is_polynomial(tree, 2):
             high = np.where(np.isin(cells, near), 0.0, np.inf)
-            ends = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, high)
-            least[cells], most[cells] = ends.lo, ends.hi
+            values = ranges(tree, vertices[cells], None, resolution.spaces.frame, 0.0, high)
+            least[cells], most[cells] = values.lo, values.hi
     below = np.flatnonzero(least < -ROUNDING * np.abs(p.value).max(initial=0.0))
     resolution.note("the sign of c", vertices[below].mean(axis=1), below)
     if not resolution.spaces.mesh.comm.allreduce(bool(p.value.any() or deviation.any()), MPI.LOR):
