@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
@@ -11,7 +12,6 @@ from pydantic import Field, ValidationError, model_validator
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
-from signorini_fenicsx.cases.costs import Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.parts import Parts, PartsInside, Section
@@ -55,6 +55,23 @@ class Times(DataSection):
     def evolution(self) -> Evolution:
         """The times for `evolve`."""
         return Evolution(**dict(self))
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a facet costs, as measured; certificate and output included.
+
+    Attributes:
+        unknowns: Unknowns of the linear system.
+        memory: Bytes.
+        solver_rate: Facets per second and core from the assembled problem to the solution.
+        run_rate: Facets per second and core of a whole run, with a structured mesh.
+    """
+
+    unknowns: int
+    memory: float
+    solver_rate: float
+    run_rate: float
 
 
 class CaseFile(Section):

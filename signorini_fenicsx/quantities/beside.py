@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -16,11 +17,12 @@ from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.points import CellPoints, Points, facet_quadrature
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.points import CellPoints, Points, facet_quadrature, in_cells
 from signorini_fenicsx.expressions import TREES
-from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.expressions.given import Given, combined, parsed
 from signorini_fenicsx.expressions.products import products
-from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
 from signorini_fenicsx.quantities.kinds import Integral, Mean
 from signorini_fenicsx.solving.options import Options
@@ -251,3 +253,67 @@ class Integrals[Fields](Beside[Fields]):
 def _one(own: Indices, x: Array) -> Array:
     """1 in points."""
     return np.ones(x.shape[:2])
+
+
+def where(spaces: MeshSpaces, kind: Integral, weight: Datum) -> Iterator[Points]:
+    """Points of a quadrature in the cells of the regions, or in the facets of each part (collective)."""
+    domain, mesh, degree = spaces.domain, spaces.mesh, quadrature_degree(weight)
+    if kind.parts:
+        yield from (facet_quadrature(mesh, domain.facets[part], degree) for part in kind.parts)
+        return
+    cells = owned_cells(mesh)
+    if kind.region:
+        cells = np.unique(np.concatenate([domain.regions[name] for name in kind.region])).astype(np.int32)
+    yield from in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), degree))
+
+
+def mean_of(kind: Integral, sums: Array) -> float:
+    """The integral, for a mean over that of the weight."""
+    integral, of_weight = sums.tolist()
+    return integral / of_weight if isinstance(kind, Mean) and of_weight != 0 else integral
+
+
+def added(domain: Domain, one: Given, other: Given, factor: float) -> Given:
+    """The sum of a datum and a multiple of another one.
+
+    Raises:
+        InputError: If one of them is a function of points.
+    """
+    names = "xyz"[: domain.mesh.geometry.dim]
+    one, other = (parsed(given, names, "weight") for given in (one, other))
+    return combined(one, other, factor, "data of a problem with quantities")
+
+
+def in_regions(
+    domain: Domain, f: Given | Mapping[str, Given], weight: Given, region: Sequence[str], factor: float
+) -> Given | Mapping[str, Given]:
+    """A load that is larger by a multiple of a weight in some regions, none for all of Ω.
+
+    Raises:
+        InputError: If a region is unknown.
+    """
+    regions = domain.regions
+    for name in region:
+        if name not in regions:
+            there_are = f"its regions are {', '.join(regions)}" if regions else "it has none"
+            raise InputError(f"unknown region '{name}' of the mesh; {there_are}")
+    if not region and not isinstance(f, Mapping):
+        return added(domain, f, weight, factor)
+    of_region = {name: f[name] if isinstance(f, Mapping) else f for name in regions}
+    return {
+        name: added(domain, own, weight, factor) if not region or name in region else own
+        for name, own in of_region.items()
+    }
+
+
+def check_part(domain: Domain, boundary: Any, part: str, other: str = "for which n has the other direction") -> None:
+    """Refuse what is no part, and the other side of one inside the domain, with what is different on the named one.
+
+    Raises:
+        InputError: If it is.
+    """
+    if part not in domain.facets:
+        raise InputError(f"unknown part '{part}'; there are {', '.join(domain.facets)}")
+    across = {other_side(named): named for named in boundary.inner}
+    if part in across:
+        raise InputError(f"the part '{part}' has no law; take '{across[part]}', {other}")

@@ -6,8 +6,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from signorini_fenicsx.cases.case import CaseFile, Times
-from signorini_fenicsx.cases.costs import Cost
+from signorini_fenicsx.cases.case import CaseFile, Cost, Times
 from signorini_fenicsx.cases.data_section import DataSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, law_sections, lists_of, parts_with, rest_of, section_of
 from signorini_fenicsx.cases.laws import LawTexts

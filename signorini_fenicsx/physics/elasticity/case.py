@@ -8,8 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.costs import Cost
+from signorini_fenicsx.cases.case import CaseFile, Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import (
     GIVEN,

@@ -29,7 +29,7 @@ from signorini_fenicsx.expressions.given import Given, parsed
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.quantities.shifts import added, check_part
+from signorini_fenicsx.quantities.beside import added, check_part
 
 MOVED: Mapping[type[Law], tuple[Sequence[str], Sequence[str]]] = {
     Dirichlet: (["value"], []),

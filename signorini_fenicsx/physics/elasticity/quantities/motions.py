@@ -30,8 +30,8 @@ from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.tools import Tool
+from signorini_fenicsx.quantities.beside import added, check_part
 from signorini_fenicsx.quantities.kinds import Force, Moment
-from signorini_fenicsx.quantities.shifts import added, check_part
 
 OPPOSITE = "on which all is opposite"
 """What is different on the named side of a part inside the domain."""
