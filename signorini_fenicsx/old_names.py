@@ -3,41 +3,21 @@
 import warnings
 from collections.abc import Callable
 from functools import wraps
-from importlib import import_module
 from typing import Any
 
 from signorini_fenicsx import extend
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.domain import Boundary
-from signorini_fenicsx.physics.elasticity.problem import Coulomb, CoulombLaw, ElasticBoundary
+from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.elasticity.problem import Coulomb, CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.solving.evolving import evolve as evolve_problem
+from signorini_fenicsx.solving.solver import Solver
+from signorini_fenicsx.solving.solver import solve as solve_problem
 
 IN_DIFFUSION = "Diffusion(…, conditions=[…])"
 IN_ELASTICITY = "Elasticity(…, conditions=[…])"
-OLD = {
-    "Boundary": ("meshes.domain.Boundary", IN_DIFFUSION),
-    "Problem": ("physics.diffusion.problem.Problem", IN_DIFFUSION),
-    "ElasticBoundary": ("physics.elasticity.problem.ElasticBoundary", IN_ELASTICITY),
-    "ElasticProblem": ("physics.elasticity.problem.ElasticProblem", IN_ELASTICITY),
-    "ElasticSolution": ("physics.elasticity.solution.ElasticSolution", "Solution, which all solutions are"),
-    "solve_elastic": ("api.solve", "solve(domain, problem, options)"),
-    "certify_elastic": ("api.certify", "certify(solution)"),
-    "load_any_case": ("api.load_case", "load_case(name)"),
-    "load_any_solution": ("api.load_solution", "load_solution(folder)"),
-} | {name: (f"extend.{name}", f"signorini_fenicsx.extend.{name}") for name in extend.__all__}
-"""Where each old name is now, and how to write it."""
-
-
-def old_name(name: str) -> Any:
-    """What an old name stands for, with a warning.
-
-    Raises:
-        AttributeError: If there was no such name.
-    """
-    if name not in OLD:
-        raise AttributeError(f"module 'signorini_fenicsx' has no attribute {name!r}")
-    place, now = OLD[name]
-    warnings.warn(f"signorini_fenicsx.{name} is {now} now", DeprecationWarning, stacklevel=3)
-    module, _, attribute = place.rpartition(".")
-    return getattr(import_module(f"signorini_fenicsx.{module}"), attribute)
 
 
 def taking_old_calls[**P, R](function: Callable[P, R]) -> Callable[P, R]:
@@ -68,3 +48,36 @@ def _coulomb(kind: type[Coulomb], *given: Any, **named: Any) -> Coulomb | Coulom
 
 
 Coulomb.__new__ = _coulomb  # type: ignore[method-assign, assignment]
+evolve = taking_old_calls(evolve_problem)
+solve = taking_old_calls(solve_problem)
+Solver.__init__ = taking_old_calls(Solver.__init__)  # type: ignore[method-assign]
+
+OLD = {
+    "Boundary": (Boundary, IN_DIFFUSION),
+    "Problem": (Problem, IN_DIFFUSION),
+    "ElasticBoundary": (ElasticBoundary, IN_ELASTICITY),
+    "ElasticProblem": (ElasticProblem, IN_ELASTICITY),
+    "ElasticSolution": (None, "Solution, which all solutions are"),
+    "solve_elastic": (solve, "solve(domain, problem, options)"),
+    "certify_elastic": (certify, "certify(solution)"),
+    "load_any_case": (load_case, "load_case(name)"),
+    "load_any_solution": (load_solution, "load_solution(folder)"),
+} | {name: (getattr(extend, name), f"signorini_fenicsx.extend.{name}") for name in extend.__all__}
+"""What each old name stands for, and how to write it."""
+
+
+def old_name(name: str) -> Any:
+    """What an old name stands for, with a warning.
+
+    Raises:
+        AttributeError: If there was no such name.
+    """
+    if name not in OLD:
+        raise AttributeError(f"module 'signorini_fenicsx' has no attribute {name!r}")
+    found, now = OLD[name]
+    warnings.warn(f"signorini_fenicsx.{name} is {now} now", DeprecationWarning, stacklevel=3)
+    if name == "ElasticSolution":
+        from signorini_fenicsx.physics.elasticity.solution import ElasticSolution  # with most of elasticity
+
+        return ElasticSolution
+    return found

@@ -13,7 +13,6 @@ An entry here gives a new method a name. It can also run without one: `solve` ta
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from typing import Any, Self
 
 from signorini_fenicsx.contact.conditions import Condition, Penalty
@@ -111,21 +110,19 @@ PENALTY = "Hu, Wang, Zhou: ESAIM M2AN (2024)"
 GLOWINSKI = "Glowinski: Numerical Methods for Nonlinear Variational Problems (1984)"
 
 
-def _of_diffusion(where: str, *first: object) -> Callable[[Task], Outcome]:
-    """A method for diffusion alone, called with these arguments and the task. Its module is imported when it runs."""
-    module, _, name = where.rpartition(".")
+def _alone(name: str, *first: object) -> Callable[[Any], Outcome]:
+    """A method for diffusion alone, called with these arguments and the task."""
 
-    def run(task: Task) -> Outcome:
-        function = getattr(import_module(f"signorini_fenicsx.physics.diffusion.{module}"), name)
-        outcome: Outcome = function(*first, task)
+    def run(task: Any) -> Outcome:
+        outcome: Outcome = task.alone(name)(*first, task)
         return outcome
 
     return run
 
 
-def _classical(title: str, reference: str, where: str, **options: Any) -> Method:
-    """A classical method; SciPy and PIQP, which some of them need, are slow to import."""
-    return Method(title, reference, _of_diffusion(f"classical.{where}"), needs_dirichlet=True, **options)
+def _classical(title: str, reference: str, name: str, **options: Any) -> Method:
+    """A classical method."""
+    return Method(title, reference, _alone(name), needs_dirichlet=True, **options)
 
 
 METHODS: Mapping[str, Method] = {
@@ -136,27 +133,27 @@ METHODS: Mapping[str, Method] = {
     "snes1": Method(
         "PETSc SNES for (MPε-I)_h",
         PENALTY,
-        _of_diffusion("newton.solve_by_newton", Penalty.TRACE),
+        _alone("solve_by_newton", Penalty.TRACE),
         contact=Condition.ROBIN,
         penalty=Penalty.TRACE,
     ),
     "snes2": Method(
         "PETSc SNES for (MPε-II)_h",
         PENALTY,
-        _of_diffusion("newton.solve_by_newton", Penalty.FLUX),
+        _alone("solve_by_newton", Penalty.FLUX),
         penalty=Penalty.FLUX,
     ),
     "vi": Method(
         "PETSc SNESVI for (MLM-I)_h",
         "Benson, Munson: Optim. Methods Softw. (2006)",
-        _of_diffusion("bound_constrained.solve_bound_constrained"),
+        _alone("solve_bound_constrained"),
         laws=(Signorini, TwoSided),
         takes_inner=True,
     ),
     "uzawa": _classical(
         "Uzawa iteration for (VL), conforming P1",
         GLOWINSKI,
-        "primal_uzawa.primal_uzawa",
+        "primal_uzawa",
         laws=(),
         has_rho=True,
         max_iterations=MANY,
@@ -164,7 +161,7 @@ METHODS: Mapping[str, Method] = {
     "psor": _classical(
         "projected over-relaxation for (VI), conforming P1",
         GLOWINSKI,
-        "over_relaxation.over_relaxation",
+        "over_relaxation",
         laws=(),
         max_iterations=MANY,
         on_one_rank=True,
@@ -172,13 +169,13 @@ METHODS: Mapping[str, Method] = {
     "primal-pdas": _classical(
         "primal-dual active set for (VI), conforming P1",
         "Ito, Kunisch: Lagrange Multiplier Approach (2008)",
-        "primal_sets.primal_dual_active_set",
+        "primal_dual_active_set",
         laws=(),
     ),
     "primal-penalty": _classical(
         "penalty (P_ε) by semismooth Newton, conforming P1",
         "[Haslinger 04] of the slides",
-        "primal_sets.primal_penalty",
+        "primal_penalty",
         laws=(),
         contact=Condition.ROBIN,
         penalty=Penalty.TRACE,
@@ -186,21 +183,21 @@ METHODS: Mapping[str, Method] = {
     "mixed-uzawa1": _classical(
         "Uzawa iteration in σ·n, L² projection, for (MLM-I)_h",
         LAGRANGE,
-        "mixed_uzawa.flux_uzawa",
+        "flux_uzawa",
         has_rho=True,
         max_iterations=MANY,
     ),
     "mixed-uzawa2": _classical(
         "Uzawa iteration in p, L² projection, for (MLM-II)_h",
         LAGRANGE,
-        "mixed_uzawa.trace_uzawa",
+        "trace_uzawa",
         has_rho=True,
         max_iterations=MANY,
     ),
     "mixed-uzawa-h12": _classical(
         "Uzawa iteration in p, H^{1/2} projection, for (MLM-II)_h",
         "Gatica, Maischak, Stephan: ESAIM M2AN (2011)",
-        "mixed_uzawa.half_uzawa",
+        "half_uzawa",
         has_rho=True,
         max_iterations=MANY,
         dense=True,
@@ -208,21 +205,21 @@ METHODS: Mapping[str, Method] = {
     "mixed-uzawa-wang": _classical(
         "Uzawa iteration in u, a constrained minimisation each, for (MVI)_h",
         "[Wang 09] of the slides",
-        "stabilised.minimisation_uzawa",
+        "minimisation_uzawa",
         has_rho=True,
         max_iterations=MANY,
     ),
     "slimane": _classical(
         "stabilised unilateral mixed form, ∇·σ + f = εu",
         "Slimane, Bendali, Laborde: ESAIM M2AN (2004)",
-        "stabilised.stabilised_form",
+        "stabilised_form",
         stabilised=True,
         has_rho=True,
     ),
     "qp": _classical(
         "(MVI)_h as a quadratic programme, interior point (PIQP)",
         "Theorem 2 of the slides",
-        "quadratic.quadratic_programme",
+        "quadratic_programme",
         laws=None,
         takes_inner=True,
         laws_inside=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.contact.backend import Backend, Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
+from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.data import Data
@@ -30,6 +32,12 @@ class DiffusionTask(Task):
     spaces: Spaces
     data: Data
     start: Segments | None = None
+
+    def alone(self, name: str) -> Callable[..., Outcome]:
+        """What runs a method for diffusion alone; SciPy and PIQP, which some of them need, are slow to import."""
+        from signorini_fenicsx.physics.diffusion.alone import METHODS
+
+        return METHODS[name]
 
     def is_large(self, _backend: object) -> bool:
         """Whether the mesh has so many facets that a prediction saves more than it costs."""
