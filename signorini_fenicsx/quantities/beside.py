@@ -17,8 +17,7 @@ from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
-from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.discrete.points import CellPoints, Points, facet_quadrature, in_cells
+from signorini_fenicsx.discrete.points import Points, facet_quadrature, in_cells
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import Given, combined, parsed
 from signorini_fenicsx.expressions.products import products
@@ -216,17 +215,22 @@ class Integrals[Fields](Beside[Fields]):
             return owned_cells(self.spaces.mesh).astype(np.int64)
         return np.unique(np.concatenate([self.domain.regions[name] for name in self.kind.region])).astype(np.int64)
 
-    def _where(self) -> list[Points]:
-        """Points of a quadrature in the cells, or in the facets of each part."""
-        mesh, degree = self.spaces.mesh, quadrature_degree(self.weight, power=2)
+    def where(self, power: int = 1) -> Iterator[Points]:
+        """Points of a quadrature for a power of the weight in the cells, or in the facets of each part (collective)."""
+        mesh, degree = self.spaces.mesh, quadrature_degree(self.weight, power=power)
         if self.kind.parts:
-            return [facet_quadrature(mesh, self.domain.facets[part], degree) for part in self.kind.parts]
-        return [CellPoints(mesh, self.cells.astype(np.int32), *positive_quadrature(mesh.basix_cell(), degree))]
+            return (facet_quadrature(mesh, self.domain.facets[part], degree) for part in self.kind.parts)
+        return in_cells(mesh, self.cells.astype(np.int32), *positive_quadrature(mesh.basix_cell(), degree))
+
+    def of_sums(self, sums: Array) -> float:
+        """The integral, for a mean over that of the weight, from both on this rank (collective)."""
+        integral, of_weight = self.comm.allreduce(sums).tolist()
+        return integral / of_weight if isinstance(self.kind, Mean) and of_weight != 0 else integral
 
     def _sizes(self) -> list[float]:
         """The integrals of the weight, of its square and of 1, by quadrature (collective)."""
         sums = np.zeros(3)
-        for points in self._where():
+        for points in self.where(power=2):
             values = self.weight.values(points)
             sums += [points.integrals(values**power).sum() for power in (1, 2, 0)]
         integrals: list[float] = self.comm.allreduce(sums).tolist()
@@ -235,7 +239,7 @@ class Integrals[Fields](Beside[Fields]):
     def _of_weight(self, enough: float) -> tuple[float, float]:
         """The integral of the weight, and by how much it may be wrong; `enough` as in `products` (collective)."""
         total = np.zeros(2)
-        for points in self._where():
+        for points in self.where(power=2):
             measure = points.scale * points.weights.sum()
             if self.weight.pieces is None:
                 total[0] += points.integrals(self.weight.values(points)).sum()
@@ -253,24 +257,6 @@ class Integrals[Fields](Beside[Fields]):
 def _one(own: Indices, x: Array) -> Array:
     """1 in points."""
     return np.ones(x.shape[:2])
-
-
-def where(spaces: MeshSpaces, kind: Integral, weight: Datum) -> Iterator[Points]:
-    """Points of a quadrature in the cells of the regions, or in the facets of each part (collective)."""
-    domain, mesh, degree = spaces.domain, spaces.mesh, quadrature_degree(weight)
-    if kind.parts:
-        yield from (facet_quadrature(mesh, domain.facets[part], degree) for part in kind.parts)
-        return
-    cells = owned_cells(mesh)
-    if kind.region:
-        cells = np.unique(np.concatenate([domain.regions[name] for name in kind.region])).astype(np.int32)
-    yield from in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), degree))
-
-
-def mean_of(kind: Integral, sums: Array) -> float:
-    """The integral, for a mean over that of the weight."""
-    integral, of_weight = sums.tolist()
-    return integral / of_weight if isinstance(kind, Mean) and of_weight != 0 else integral
 
 
 def added(domain: Domain, one: Given, other: Given, factor: float) -> Given:

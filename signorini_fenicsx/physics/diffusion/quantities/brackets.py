@@ -21,7 +21,7 @@ from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.certificate.laws import half_gap
 from signorini_fenicsx.contact.laws import Signorini
-from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, FacetPoints, facet_quadrature, facet_type, in_cells, in_facets
 from signorini_fenicsx.expressions import TREES
@@ -44,7 +44,7 @@ from signorini_fenicsx.physics.diffusion.quantities.shifts import Posed, with_fl
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.physics.diffusion.water import share_above_table
 from signorini_fenicsx.quantities import beside
-from signorini_fenicsx.quantities.beside import SHARE, Beside, in_regions, mean_of, where
+from signorini_fenicsx.quantities.beside import SHARE, Beside, in_regions
 from signorini_fenicsx.quantities.bracket import Half, Quantity
 from signorini_fenicsx.quantities.kinds import Energy, Flux, Integral, Kind
 from signorini_fenicsx.quantities.of_solution import Quantities
@@ -241,8 +241,13 @@ class Integrals(beside.Integrals[Admissible], _Beside):
     """The integral of u with a weight, or its mean."""
 
     def discrete(self) -> float:
-        """The integral, or the mean, of u_h or p_h (collective)."""
-        return _of_trace(self.solution, self.kind, self.weight)
+        """The integral, or the mean, with u_h in cells and p_h, or the mean of u, on facets (collective)."""
+        u_h, sums = owned_values(self.solution.u), np.zeros(2)
+        for points in self.where():
+            weights = points.integrals(self.weight.values(points))
+            u = _on_facets(self.solution, points) if isinstance(points, FacetPoints) else u_h[points.rows]
+            sums += weights @ u, weights.sum()
+        return self.of_sums(sums)
 
     def integral(self, of: Admissible, enough: float) -> Array:
         """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
@@ -330,16 +335,6 @@ def _of_laws(own: Admissible, near: NearQuadratic, enough: float) -> Array:
         flux_h = None if goal.plain else goal.flux_h[part.rows]
         total[0] += some.integrals(energies(part, some, v[part.rows], flux_h)).sum()
     return total
-
-
-def _of_trace(solution: Solution, kind: Integral, weight: Datum) -> float:
-    """The integral of weight·u, or its mean, with u_h in cells and p_h, or the mean of u, on facets (collective)."""
-    spaces, sums = solution.spaces, np.zeros(2)
-    for points in where(solution.spaces, kind, weight):
-        weights = points.integrals(weight.values(points))
-        u = _on_facets(solution, points) if isinstance(points, FacetPoints) else owned_values(solution.u)[points.rows]
-        sums += weights @ u, weights.sum()
-    return mean_of(kind, spaces.mesh.comm.allreduce(sums))
 
 
 def _of_energy(solution: Solution, goal: Goal) -> float:

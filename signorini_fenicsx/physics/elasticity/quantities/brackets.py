@@ -17,7 +17,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
-from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
+from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import Points, facet_quadrature
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
@@ -50,7 +50,7 @@ from signorini_fenicsx.physics.elasticity.quantities.motions import (
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
 from signorini_fenicsx.quantities import beside
-from signorini_fenicsx.quantities.beside import Beside, added, check_part, in_regions, mean_of, where
+from signorini_fenicsx.quantities.beside import Beside, added, check_part, in_regions
 from signorini_fenicsx.quantities.bracket import Half
 from signorini_fenicsx.quantities.kinds import Energy, Force, Integral, Kind, Moment
 from signorini_fenicsx.quantities.of_solution import Quantities
@@ -266,8 +266,30 @@ class Integrals(beside.Integrals[_Side], _Beside):
     """The integral of a component of the displacement with a weight, or its mean."""
 
     def discrete(self) -> float:
-        """The integral, or the mean, of u_h (collective)."""
-        return _of_displacement(self.solution, self.kind, self.weight)
+        """The integral of u_h along the direction, or of its normal component, or its mean (collective).
+
+        Where two bodies touch it is that of the jump.
+        """
+        spaces, sums, inner = self.spaces, np.zeros(2), self.solution.boundary.inner
+        u, dim, along, parts = self.solution.u, spaces.dim, self.kind.direction, self.kind.parts
+
+        def add(points: Points, ways: Array, share: float) -> None:
+            of_cells = u.x.array.reshape(-1, dim)[u.function_space.dofmap.list[points.cells]]
+            values, along_ways = (
+                self.weight.values(points),
+                np.einsum("npv,nvi,ni->np", points.barycentric, of_cells, ways),
+            )
+            sums[:] += points.integrals(values * along_ways).sum(), share * points.integrals(values).sum()
+
+        for points in self.where() if not parts else ():
+            add(points, np.tile(direction_of(along, dim), (len(points.cells), 1)), 1.0)
+        for part in (*parts, *(other_side(part) for part in parts if part in inner)):
+            facets, named = spaces.part(part), part in parts
+            ways = facets.normals  # n has the sign of its side by itself
+            if along is not None:
+                ways = np.tile(direction_of(along, dim), (len(ways), 1)) * (1.0 if named else -1.0)
+            add(facet_quadrature(spaces.mesh, facets.facets, quadrature_degree(self.weight)), ways, float(named))
+        return self.of_sums(sums)
 
     def posed(self, tau: float) -> Posed:
         """The problem with data that differ by τ (collective)."""
@@ -301,31 +323,6 @@ class Integrals(beside.Integrals[_Side], _Beside):
             v = Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
             total += products(tree, facets.vertices, facets.measure, v.at, QUADRATIC, spaces.frame, enough).total
         return total
-
-
-def _of_displacement(solution: ElasticSolution, kind: Integral, weight: Datum) -> float:
-    """The integral of weight·u_h·direction, on parts without one of weight·u_h·n, or its mean (collective).
-
-    Where two bodies touch it is that of the jump.
-    """
-    spaces, sums, inner = solution.spaces, np.zeros(2), solution.boundary.inner
-    dim, along = spaces.dim, kind.direction
-    nodes, of_cells = solution.u.x.array.reshape(-1, dim), solution.u.function_space.dofmap.list
-
-    def add(points: Points, ways: Array, share: float) -> None:
-        u = np.einsum("npv,nvi,ni->np", points.barycentric, nodes[of_cells[points.cells]], ways)
-        values = weight.values(points)
-        sums[:] += points.integrals(values * u).sum(), share * points.integrals(values).sum()
-
-    for points in where(spaces, kind, weight) if not kind.parts else ():
-        add(points, np.tile(direction_of(along, dim), (len(points.cells), 1)), 1.0)
-    for part in (*kind.parts, *(other_side(part) for part in kind.parts if part in inner)):
-        facets, named = spaces.part(part), part in kind.parts
-        ways = facets.normals  # n has the sign of its side by itself
-        if along is not None:
-            ways = np.tile(direction_of(along, dim), (len(ways), 1)) * (1.0 if named else -1.0)
-        add(facet_quadrature(spaces.mesh, facets.facets, quadrature_degree(weight)), ways, float(named))
-    return mean_of(kind, spaces.mesh.comm.allreduce(sums))
 
 
 QUANTITIES = Quantities(check, energy, Integrals, Fluxes, named_for)
