@@ -34,7 +34,7 @@ may be on a jump."""
 
 def lost_digits(solution: Any) -> tuple[str, ...]:
     """The names of the texts in the data of a solution that lose too many digits in some cell (collective)."""
-    spaces, data, u, flux = solution.spaces, solution.data, solution.u.x.array, solution.norms()["sigma_L2"]
+    spaces, data, u, flux = solution.spaces, solution.data, solution.u.x.array, solution.norms().get("sigma_L2", 0.0)
     vertices, comm, names = corners(spaces.mesh), spaces.mesh.comm, dict[str, None]()
     of_u = np.array([u.max(initial=-np.inf), -u.min(initial=np.inf)])
     comm.Allreduce(MPI.IN_PLACE, of_u, MPI.MAX)

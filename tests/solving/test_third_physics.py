@@ -1,20 +1,26 @@
 """A physics that the package does not know: a folder and a name, and all services have it."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import read_rows
+from in_time import run, run_in_two
 from mpi4py import MPI
 from springs import Springs
 from springs.solving import Bed
 
 from signorini_fenicsx import certify, compare, load_solution, solve
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import case_of
+from signorini_fenicsx.cases.first_case import Place, case_text
 from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint_file import FOLDER
 from signorini_fenicsx.output.writing import Found
+from signorini_fenicsx.quantities import Energy, Flux
 from signorini_fenicsx.solving.physics import PHYSICS
 
 COMM = MPI.COMM_WORLD
@@ -22,7 +28,7 @@ COMM = MPI.COMM_WORLD
 
 @pytest.mark.parallel(2)
 def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
-    """It is solved, written, drawn, read again, compared and reported; there is no bound, which is said."""
+    """It is solved, measured, written, drawn, read again, compared and reported; no bound is known, which is said."""
     domain = build_domain(COMM, "square", 0.3, mesh="structured")
     with pytest.raises(InputError, match="must be a Diffusion or an Elasticity, not Edges"):
         solve(domain, Bed(2.0, -1.0, ["bottom"]))
@@ -32,13 +38,19 @@ def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert certificate.if_none == "none is known for springs"
     solution.write(folder / "bed", certificate=certificate, plot=True)
     files = {path.name for path in (folder / "bed").iterdir()}
-    assert {"solution.bp", "rests.bp", "solution.xdmf", "facets.csv", "overview.png", "summary.json"} <= files
+    assert {"solution.bp", "rests.bp", "solution.xdmf", "facets.csv", "bed.png", "summary.json"} <= files
     summary = json.loads((folder / "bed" / "summary.json").read_text(encoding="utf-8"))
     facets = solution.contact.facets
     assert summary["contact_facets"] == facets > 0
     read = load_solution(folder / "bed", COMM)
     assert read.problem == solution.problem
     assert compare(solution, read).relative == {"u_L2": 0.0}
+    energy = read.quantity(Energy())
+    free = 1 - facets * solution.spaces.cell_measures[0]
+    assert energy.guaranteed
+    assert energy.lower == pytest.approx(-free / 4)
+    with pytest.raises(InputError, match="Flux: a bed has Integral and Energy"):
+        read.quantity(Flux("bottom"))
     SolutionReport().solution(solution, Found(certificate=certificate))
     told = capsys.readouterr().out
     if COMM.rank == 0:
@@ -53,3 +65,19 @@ def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     COMM.Barrier()
     with pytest.raises(InputError, match="is damaged: its KKT residual balance"):
         load_solution(folder / "bed", COMM)
+    in_time(folder)
+
+
+def in_time(folder: Path) -> None:
+    """Its first case, with [time] and a quantity, is run, drawn, ended, gone on with and read."""
+    text = case_text("a bed", Place.of("square", folder), "springs", {"bottom": "rests"})
+    more = {"time.end": 3, "time.steps": 3, "quantity": [{"name": "mean", "kind": "mean"}], "solve.h": 0.3}
+    case = case_of(tomllib.loads(text), Path("settling.toml")).with_values(more)
+    run(case, folder / "whole", plot=True)
+    run_in_two(case, folder / "two", 2)
+    last = load_solution(folder / "two", COMM)
+    assert last.step == 3
+    assert float(last.u.x.array.min()) == pytest.approx(-3.0)  # f = −1, −2, −3 are added, and k = 2
+    whole, two = (read_rows(folder / name / "steps.csv") for name in ("whole", "two"))
+    assert [row["quantities.mean.lower"] for row in whole] == [row["quantities.mean.lower"] for row in two]
+    assert {"settling.png", "quantities.png", "solution.bp"} <= {path.name for path in (folder / "whole").iterdir()}

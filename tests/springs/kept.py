@@ -10,12 +10,15 @@ from springs.solving import Bed, Edges, Rested, residuals, state
 def _read(boundary, problem, spaces, stored):
     u = fem.Function(spaces.Q, name="u")
     u.x.array[:] = stored.in_cells(spaces, "u")
-    outcome, kkt = stored.outcome(*state(spaces, u)), residuals(problem, u)
+    load = stored.in_cells(spaces, "load")
+    outcome, kkt = stored.outcome(*state(spaces, u)), residuals(problem, u, load)
     return Rested(
         boundary=boundary,
         problem=problem,
         options=stored.options,
         spaces=spaces,
+        data=load,
+        step=stored.step,
         outcome=outcome,
         kkt=kkt,
         **stored.about,
@@ -26,9 +29,9 @@ KEEPING = Keeping(
     boundary=Edges,
     problem=Bed,
     laws={},
-    layout={"u": (np.float64, "cells")},
+    layout={"u": (np.float64, "cells"), "load": (np.float64, "cells")},
     codes={},
-    in_cells=lambda solution: {"u": solution.u.x.array},
+    in_cells=lambda solution: {"u": solution.u.x.array, "load": solution.data},
     on_facets=lambda solution: {"vertices": solution.table().vertices},
     read=_read,
 )

@@ -2,13 +2,15 @@
 # ruff: noqa: D102
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import owned_values, set_owned
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
@@ -19,6 +21,7 @@ from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import Domain, facet_vertices
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.evolution import Evolution, Past
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import InContact
@@ -50,7 +53,7 @@ class Bed:
 
 @dataclass(frozen=True)
 class Balance(Residuals):
-    """The largest |ku − f| where u > 0."""
+    """The largest |ku − load| where u > 0."""
 
     balance: float
 
@@ -69,6 +72,7 @@ class Rested(Solution):
     boundary: Edges
     problem: Bed
     spaces: MeshSpaces
+    data: Array
     kkt: Balance
     order = 1
 
@@ -97,6 +101,9 @@ class Rested(Solution):
 
     def errors(self):
         return None
+
+    def segments(self):
+        """None: what a bed does needs no start."""
 
     def _sets(self):
         return {"dofs": self.outcome.dofs, "contact_facets": self.contact.facets}
@@ -150,10 +157,45 @@ class System:
         self.spaces = build_mesh_spaces(domain, boundary.rests)
 
     def prepared(self, given: Any, wish: Any):
-        return Run(self.spaces, *given, wish.options)
+        boundary, problem = given
+        load = np.full(len(self.spaces.cell_measures), problem.f) + (0.0 if wish.memory is None else wish.memory)
+        return Run(self.spaces, boundary, problem, wish.options, load)
+
+    def steps(self, problem: Bed, evolution: Evolution, start: Any):
+        return Settling(self.spaces, problem, evolution)
 
     def forget(self):
         """Nothing is kept."""
+
+
+@dataclass
+class Settling:
+    """The steps of a bed."""
+
+    spaces: MeshSpaces
+    given: Bed
+    evolution: Evolution
+
+    def start(self):
+        return 0.0
+
+    def problem(self, step: int):
+        return replace(self.given, f=self.given.f * self.evolution.time(step))
+
+    def memory(self, step: int, before: Sequence[Any]):
+        return before[0]
+
+    def left_by(self, solution: Rested):
+        return solution.data
+
+    def of_step(self, solution: Rested):
+        return {}
+
+    def kept(self, solution: Rested):
+        return {"load": solution.data}
+
+    def again(self, step: int, kept: Any):
+        return Past(step, [kept(step, "load")], None)
 
 
 @dataclass
@@ -164,15 +206,16 @@ class Run:
     boundary: Edges
     problem: Bed
     options: Options
+    load: Array
 
     def outcome(self):
-        u = fem.Function(self.spaces.Q, name="u")
-        u.x.array[:] = self.problem.f / self.problem.k
-        u.x.array[self.spaces.cells] = max(self.problem.f / self.problem.k, 0.0)
+        u, cells = fem.Function(self.spaces.Q, name="u"), self.spaces.cells
+        set_owned(u, self.load / self.problem.k)
+        u.x.array[cells] = np.maximum(u.x.array[cells], 0.0)
         return Outcome(*state(self.spaces, u), [], "all springs rest", True, "springs", len(u.x.array), "none")
 
     def judged(self, outcome: Outcome):
-        return outcome, residuals(self.problem, outcome.iterate.u)
+        return outcome, residuals(self.problem, outcome.iterate.u, self.load)
 
     def solution(self, outcome: Outcome, kkt: Balance, **about: Any):
         return Rested(
@@ -180,6 +223,7 @@ class Run:
             problem=self.problem,
             options=self.options,
             spaces=self.spaces,
+            data=self.load,
             outcome=outcome,
             kkt=kkt,
             **about,
@@ -194,7 +238,8 @@ def state(spaces: MeshSpaces, u: fem.Function):
     return Iterate(p=p, flux=0 * p, linear_iterations=0, sigma=sigma, u=u), SiteConditions(kind)
 
 
-def residuals(problem: Bed, u: fem.Function):
-    """How far the springs are from rest."""
-    left = np.abs(problem.k * u.x.array - problem.f)[u.x.array != 0].max(initial=0.0)
+def residuals(problem: Bed, u: fem.Function, load: Array):
+    """How far the springs are from rest under a load per cell."""
+    values = owned_values(u)
+    left = np.abs(problem.k * values - load)[values != 0].max(initial=0.0)
     return Balance(float(max(u.function_space.mesh.comm.allgather(left))))

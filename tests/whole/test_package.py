@@ -8,7 +8,10 @@ import sys
 import tomllib
 from pathlib import Path
 
+import grimp
+import numpy as np
 import pytest
+import scipy.sparse.csgraph
 from mpi4py import MPI
 from sizes import too_long
 
@@ -63,6 +66,37 @@ def test_nothing_is_loaded_before_it_is_used(tmp_path: Path):
     loaded = "[name for name in ('mpi4py', 'numpy', 'dolfinx') if name in sys.modules]"
     done = python(tmp_path, "-c", f"import sys, signorini_fenicsx; print({loaded})")
     assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+RUN = """
+import sys
+from signorini_fenicsx.cli import main
+sys.argv = ["signorini", "solve", "{case}", "--h", "{h}", "--quiet"]
+try:
+    main.main()
+except SystemExit:
+    print([name for name in sys.modules if name.startswith("signorini_fenicsx") and "{other}" in name])
+"""
+
+
+@pytest.mark.parametrize(("case", "h", "other"), [("example1", "0.5", "elastic"), ("plate", "0.02", "diffusion")])
+def test_a_run_imports_nothing_of_another_physics(tmp_path: Path, case: str, h: str, other: str):
+    done = python(tmp_path, "-c", RUN.format(case=case, h=h, other=other))
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+    assert (tmp_path / "results" / case / "summary.json").is_file()
+
+
+def test_circles_of_imports_are_within_one_part():
+    """Late imports and those for types alone count as well: nothing but what is in one physics or folder is tied."""
+    graph = grimp.build_graph("signorini_fenicsx", cache_dir=None)
+    names = sorted(graph.modules)
+    place = {name: row for row, name in enumerate(names)}
+    pairs = [(place[name], place[other]) for name in names for other in graph.find_modules_directly_imported_by(name)]
+    ties = scipy.sparse.coo_array((np.ones(len(pairs)), tuple(zip(*pairs, strict=True))), shape=(len(names),) * 2)
+    number, circle = scipy.sparse.csgraph.connected_components(ties, directed=True, connection="strong")
+    circles = [[name.split(".") for name, of in zip(names, circle, strict=True) if of == k] for k in range(number)]
+    parts = [{tuple(name[1:3] if name[1:2] == ["physics"] else name[1:2]) for name in each} for each in circles]
+    assert [each for each in parts if len(each) > 1] == []
 
 
 def test_a_process_that_reads_a_mesh_loads_no_dolfinx(tmp_path: Path):

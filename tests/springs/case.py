@@ -1,0 +1,48 @@
+"""Case files of beds."""
+# ruff: noqa: D102
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.data_section import DataSection
+from signorini_fenicsx.cases.first_case import lists_of
+from signorini_fenicsx.cases.parts import PartsInside
+from springs.solving import Bed, Edges
+
+
+class RestingParts(PartsInside):
+    """`[boundary]`: the parts of Γ."""
+
+    rests: list[str] = Field(default=[])
+
+
+class Stiffness(DataSection):
+    """`[problem]`: k and f."""
+
+    words = ("k", "f")
+    k: float
+    f: float
+
+
+class BedCase(CaseFile):
+    """A bed."""
+
+    PHYSICS: ClassVar[str] = "springs"
+    physics: Literal["springs"]
+    boundary: RestingParts
+    problem: Stiffness
+    exact: DataSection = DataSection()
+    first_words = ("rests",)
+
+    @property
+    def parts(self):
+        return self.boundary
+
+    def posed(self, dim: int):
+        return Edges(self.boundary.rests), Bed(self.problem.k, self.problem.f, self.boundary.rests)
+
+    @classmethod
+    def first_sections(cls, outer, inner, dim):
+        return ["\n".join(["[boundary]", *lists_of(outer, "rests")]), "[problem]\nk = 2\nf = -1"]
