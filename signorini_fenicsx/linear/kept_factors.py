@@ -115,6 +115,14 @@ class KeptFactors:
         """The unknowns that are fixed if these sites are held."""
         return np.concatenate([self._fixed, self._unknowns[held]])
 
+    def solve_by_any(self, load: Array, x: PETSc.Vec, imposed: Imposed) -> tuple[int, bool]:
+        """Solve by factors that are kept, or else anew: iterations, and whether they went to the end (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        return (1, True) if self.solve(load, x, imposed) else self.solve_anew(load, x, imposed)
+
     def solve_anew(self, load: Array, x: PETSc.Vec, imposed: Imposed) -> tuple[int, bool]:
         """Set the solver up and solve (collective).
 

@@ -28,6 +28,7 @@ from signorini_fenicsx.physics.elasticity.friction import FrictionBounds, law_of
 from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
 from signorini_fenicsx.physics.elasticity.normal_laws import Springs
 from signorini_fenicsx.physics.elasticity.on_facets import neighbours
+from signorini_fenicsx.physics.elasticity.posed import Posed, State
 from signorini_fenicsx.physics.elasticity.rigid_motions import is_free
 from signorini_fenicsx.physics.elasticity.sizes import Sizes
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -50,6 +51,15 @@ class ElasticBackend(PlainBackend):
     `NormalLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the
     flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips. In space a vertex with
     friction has two of them, for the components of both, and `FrictionBounds.stiffness` is added where it slips.
+
+    It has the problem of the last solve, and a state that says what x is to it:
+
+        any ──solve, solve_until─────────> ROUGH or SOLVED    x is its solution, up to a share or to the end
+        ROUGH ──the same again───────────> goes on from x
+        SOLVED ──the same again──────────> nothing is done
+        any ──solve_homogeneous, other───> POSED              x is only a start, the solver is set up
+        ROUGH, SOLVED ──anchor, follow_bounds──> POSED
+        any ──turn, release, renew, a failure──> START        x is only a start, and the laws are others
 
     Attributes:
         stiffness: The diagonal entry of each site over its measure.
@@ -84,8 +94,10 @@ class ElasticBackend(PlainBackend):
         """
         self.spaces, self.data, self.comm = spaces, data, spaces.mesh.comm
         self._unknowns, self.measure = spaces.site_kinds.unknown, spaces.site_kinds.measure
+        self._normal, self._slip = spaces.site_kinds
+        self._signs = np.repeat([-1.0, 1.0], [len(self._normal), len(self._slip)])  # p and the flux are −u_n and −σ_nn
         self.sites = len(self._unknowns)
-        self.friction, self._turns = data.friction, data.friction.slipping is not None  # in space σ_t turns
+        self.friction = data.friction
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = (matrix := self._operator.matrix).getSize()[0]
@@ -93,20 +105,14 @@ class ElasticBackend(PlainBackend):
         make = partial(of_facets, spaces, self._operator, data.stiffness_of_volume(spaces) >= STIFF) if large else None
         prefix, defaults = "certificate_" if direct else "facet_", DEFAULTS[spaces.dim]
         self._solver = FacetSolver(matrix, prefix, defaults, make, MOST_ITERATIONS)
-        self._near, self._pressing = neighbours(spaces)
-        self._factors = KeptFactors(
-            self._solver, self._operator, data.fixed, self._unknowns, spaces.dim, self._near, self._pressing
-        )
+        near = self._near, self._pressing = neighbours(spaces)
+        self._factors = KeptFactors(self._solver, self._operator, data.fixed, self._unknowns, spaces.dim, *near)
         self._x, self._held = matrix.createVecs()
         self._x.set(0.0)
         self.tools = Moving(spaces, data.tools)
-        self._moved: Array | float = 0.0  # the part of the last solution by the motion of tools
-        self._springs: Springs | None = None
         self._motions = np.zeros((self.sites, 0)) if motions is None else motions
-        self._iterations, self.to_the_end = 0, False  # of the last solve; did the iteration go to its end?
-        self._applied: SiteConditions | None = None
-        self._imposed: SiteConditions | None = None  # of the last solve, with `_law`
-        self._sprung = False
+        self._state, self._iterations = State.START, 0
+        self._last: Posed | None = None
         diagonal = self.system.matrix.getDiagonal().array_r[self._unknowns]
         self._weak, self.stiffness = WeakSprings(SPRING * diagonal), diagonal / self.measure
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=self.system.loaded or bool(self.tools))
@@ -129,19 +135,24 @@ class ElasticBackend(PlainBackend):
     def inexact(self) -> Inexact | None:
         """The backend itself, as traces cost less than fields; with tools by rough solves, never where laws turn."""
         rough = self.iterates and not self.friction.by_pressure
-        return self if not self._turns and (rough or not self.tools) else None
+        return self if self.friction.slipping is None and (rough or not self.tools) else None
 
     @property
     def anchored(self) -> Anchored[Iterate] | None:
         """The backend itself, but in space with friction, whose law turns."""
-        return None if self._turns else self
+        return self if self.friction.slipping is None else None
+
+    @property
+    def to_the_end(self) -> bool:
+        """Whether the last solve went to its end, and x is its solution."""
+        return self._state is State.SOLVED
 
     def anchor(self) -> bool:
         """Let weak springs pull as `Anchored.anchor` says (collective)."""
-        assert self._imposed is not None
+        assert self._last is not None
         p, weak = self._beside_tools(self._x), self._weak
-        pull = np.abs(weak.pull(self._imposed, p) / self.measure)
-        self._weak, self._applied = WeakSprings(weak.stiffness, p), None
+        pull = np.abs(weak.pull(self._last.conditions, p) / self.measure)
+        self._weak, self._state = WeakSprings(weak.stiffness, p), State.POSED
         return weak.anchor is None or self.sizes.extent(pull, pull)[0] > STEP * self.sizes.largest[1]
 
     def release(self) -> None:
@@ -177,9 +188,10 @@ class ElasticBackend(PlainBackend):
             self._solve(conditions)
             self.leave(0.0)
             return self._pairs(self._x, conditions)
-        if not self._has_solved(conditions):
-            load, given, _ = self._posed(conditions)
-            if (traces := self._factors.at_sites(load, self._at_sites(conditions))) is not None:
+        if not (self.to_the_end and self._is_last(conditions)):
+            posed = self._pose(conditions)
+            load, given = self._loads(posed)
+            if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
                 p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
                 return self._cleaned(conditions, self._signs * p, self._signs * forces / self.measure)
 
@@ -214,89 +226,80 @@ class ElasticBackend(PlainBackend):
 
     def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
-        laws, normal = self.data.laws, len(self.spaces.sites)
-        segment = laws.chains.segments(conditions.take(slice(normal)))
-        p = np.append(laws.own(segment, p[:normal], flux[:normal]), p[normal:])
+        laws, normal, slip = self.data.laws, self._normal, self._slip
+        segment, p = laws.chains.segments(normal.of(conditions)), p.copy()
+        normal.of(p)[:] = laws.own(segment, normal.of(p), normal.of(flux))
         p, flux = conditions.clean(p, flux, np.inf)
-        flux[normal:] += self.friction.pressed(self.spaces.pressure_of(flux)) - self.friction.resisted(p[normal:])
+        slip.of(flux)[:] += self.friction.pressed(flux[slip.pressing]) - self.friction.resisted(slip.of(p))
         return p, flux + self._weak.on_held(conditions, p) / self.measure
 
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
-        if self._has_solved(conditions):
+        if self.to_the_end and self._is_last(conditions):
             return
-        self._applied = None
-        self._x.array_w[:], self._moved = self._x.array_r - self._moved, 0.0
-        load, _, loose = self._posed(conditions)
-        springs = np.where(sprung := self._weak.under(conditions, loose=loose), self._weak.stiffness, 0.0)
-        self._law = self._at_sites(conditions, springs)
-        if self._factors.solve(load, self._x, self._law):
-            self._iterations, self.to_the_end = 1, True
-        else:
-            self._iterations, self.to_the_end = self._factors.solve_anew(load, self._x, self._law)
-        self._imposed = conditions
+        self._x.array_w[:] = self._x.array_r - self.tools.forget()
+        posed, self._state = self._pose(conditions), State.START
+        load, _ = self._loads(posed)
+        self._iterations, ended = self._factors.solve_by_any(load, self._x, posed.imposed)
+        self._last, self._state = posed, State.POSED
         self._x.axpy(1.0, self._held)
-        self._sprung = loose
         if self.tools:
-            self._respond(conditions, sprung)
-            self.to_the_end &= self._solver.share == 0.0
+            self._respond(posed)
+            ended &= self._solver.share == 0.0
             forces = self._factors.forces(self._x) - self.system.load[self._unknowns]
-            self.tools.rho, self._moved = self.tools.follow(forces, loaded=True)
-            self._x.array_w[:] = self._x.array_r + self._moved
-        self._applied = conditions
+            self._x.array_w[:] = self._x.array_r + self.tools.take(forces)
+        self._state = State.SOLVED if ended else State.ROUGH
 
-    def _has_solved(self, conditions: SiteConditions) -> bool:
-        """Whether the last solve was under these conditions, and converged (collective)."""
-        return conditions.same(self._applied, self.comm) and self.to_the_end
+    def _is_last(self, conditions: SiteConditions) -> bool:
+        """Whether the last problem is that under these conditions, with the present laws (collective)."""
+        last = None if self._state is State.START or self._last is None else self._last.conditions
+        return conditions.same(last, self.comm)
 
-    def _posed(self, conditions: SiteConditions) -> tuple[Array, Array, bool]:
-        """The problem under these conditions, of which `_held` is the part of the solution that is given (collective).
+    def _pose(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
+        """The problem under these conditions; weak springs are left out if the body is held (collective)."""
+        some, loose = conditions.counts(self.comm)[Condition.ROBIN] > 0, False
+        if not held and self._weak.anchor is None:
+            means = np.where((conditions.kind == Condition.NO_FLUX)[:, None], 0.0, self._motions)
+            self._slip.of(means)[:] += self.friction.held_across(self._slip.of(self._motions))
+            loose = is_free(self.comm, means)
+        weak = np.where(not held and self._weak.under(conditions, loose=loose), self._weak.stiffness, 0.0)
+        springs = self.data.laws.springs(self._normal.of(conditions)) if some else None
+        return Posed(conditions, springs, weak, loose, self._at_sites(conditions, springs, weak))
 
-        Returns:
-            The right side for the rest, its part by laws at the sites, and whether a motion of the body is free.
-        """
-        contact, free = (conditions.kind == kind for kind in (Condition.ZERO_TRACE, Condition.NO_FLUX))
-        self._take_springs(conditions)
-        load, given = self.system.load.copy(), self._given_forces(conditions)
+    def _loads(self, posed: Posed) -> tuple[Array, Array]:
+        """The right side for the rest of a solution of which `_held` is given, and its part by laws (collective)."""
+        conditions, load, given = posed.conditions, self.system.load.copy(), self._given_forces(posed)
         self._held.set(0.0)
         if conditions.has_values:
+            contact = conditions.kind == Condition.ZERO_TRACE
             self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
             load -= self._operator.image(self._held)
         given += self._pulls(load) + self._signs * self._weak.pull(conditions, 0.0)
         load[self._unknowns] += given
-        means = np.where(free[:, None], 0.0, self._motions)
-        means[len(self.spaces.sites) :] += self.friction.held_across(self._motions[len(self.spaces.sites) :])
-        loose = self._weak.anchor is None and is_free(self.comm, means)
-        if loose or self._sprung:
+        if posed.loose or (self._last is not None and self._last.loose):
             self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
             self._factors.forget()
-        return load, given, loose
+        return load, given
 
-    def _respond(self, conditions: SiteConditions, sprung: Mask) -> None:
+    def _respond(self, posed: Posed) -> None:
         """Find how the body follows the tools under the conditions of the present matrix (collective)."""
-        contact, at_rest = conditions.kind == Condition.ZERO_TRACE, self._given_forces(conditions)
-        weak = self._weak.stiffness * sprung
+        contact, at_rest = posed.conditions.kind == Condition.ZERO_TRACE, self._given_forces(posed)
 
         def response(move: Array, last: Array | None) -> PETSc.Vec:
             load, lift = np.zeros((2, len(self.system.load)))
-            pulled = self._given_forces(conditions, -self._signs * move) - at_rest + weak * move
+            pulled = self._given_forces(posed, -self._signs * move) - at_rest + posed.weak * move
             load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
-            return self._at_rest(conditions, load, lift, last)
+            return self._at_rest(posed, load, lift, last)
 
         self.tools.respond(response, self._factors.forces)
 
-    def _take_springs(self, conditions: SiteConditions) -> None:
-        """Take the springs under these conditions (collective)."""
-        some, normal = conditions.counts(self.comm)[Condition.ROBIN] > 0, slice(len(self.spaces.sites))
-        self._springs = self.data.laws.springs(conditions.take(normal)) if some else None
-
-    def _given_forces(self, conditions: SiteConditions, p: Array | float = 0.0) -> Array:
+    def _given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of the opening."""
-        free, normal = conditions.kind == Condition.NO_FLUX, len(self.spaces.sites)
-        flux = np.where(free, conditions.value, 0.0)
-        if self._springs is not None:
-            flux[:normal] += self._springs.pressure(np.broadcast_to(p, self.sites)[:normal])
-        flux[normal:] -= self.friction.resisted(np.broadcast_to(p, self.sites)[normal:])
+        flux = np.where(posed.conditions.kind == Condition.NO_FLUX, posed.conditions.value, 0.0)
+        p = np.broadcast_to(p, self.sites)
+        if posed.springs is not None:
+            self._normal.of(flux)[:] += posed.springs.pressure(self._normal.of(p))
+        self._slip.of(flux)[:] -= self.friction.resisted(self._slip.of(p))
         return np.asarray(self._signs * self.measure * flux)
 
     def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
@@ -307,29 +310,23 @@ class ElasticBackend(PlainBackend):
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        new = not conditions.same(self._imposed, self.comm)
-        x = self._at_rest(conditions, load, lift)
+        if new := not self._is_last(conditions):
+            self._last, self._state = self._pose(conditions, held=True), State.POSED
+        assert self._last is not None
+        x = self._at_rest(self._last, load, lift)
         if self.tools:
             if new:
-                self._respond(conditions, np.zeros(self.sites, dtype=bool))
+                self._respond(self._last)
             x.array_w[:] += self.tools.follow(self._factors.forces(x), loaded=False)[1]
         return x
 
-    def _at_rest(
-        self, conditions: SiteConditions, load: Array, lift: Array | float, start: Array | None = None
-    ) -> PETSc.Vec:
+    def _at_rest(self, posed: Posed, load: Array, lift: Array | float, start: Array | None = None) -> PETSc.Vec:
         """`solve_homogeneous` with tools at rest; iterations begin at the start (collective)."""
         x, given = self._x.duplicate(), self._x.duplicate()
         given.array_w[:] = lift
         x.array_w[:], load = 0.0 if start is None else start - given.array_r, load - self._operator.image(given)
-        if not conditions.same(self._imposed, self.comm):
-            self._applied = None
-            self._take_springs(conditions)
-            self._law = self._at_sites(conditions)
         load[self._unknowns] += self._pulls(load)
-        if not self._factors.solve(load, x, self._law):
-            self._factors.solve_anew(load, x, self._law)
-        self._imposed = conditions
+        self._factors.solve_by_any(load, x, posed.imposed)
         x.axpy(1.0, given)
         given.destroy()
         return x
@@ -341,41 +338,30 @@ class ElasticBackend(PlainBackend):
             LinearSolveFailure: If the linear solver fails.
         """
         if not self.tools:
-            if not conditions.same(self._imposed, self.comm):
-                self._take_springs(conditions)
-            if (traces := self._factors.at_sites(load, self._at_sites(conditions))) is not None:
+            posed = self._last if self._is_last(conditions) else self._pose(conditions, held=True)
+            assert posed is not None
+            if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
                 return np.asarray(self._signs * traces[1] / self.measure)
         return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
-    def follow_bounds(self, conditions: SiteConditions, forces: Array, slope: Array, share: float) -> Array:
+    def follow_bounds(self, forces: Array, slope: Array, share: float) -> Array:
         """Move the solution by the response to forces per area at the sites with friction (collective).
 
-        σ_t also grows with the pressure of its vertex, with a slope. It is for the time after a solve by CG under the
-        same conditions, and leaves a share. The result is the change of the flux at all sites.
+        σ_t also grows with the pressure of its vertex, with a slope. It is for the time after a solve by CG, and leaves
+        a share. The result is the change of the flux at all sites.
         """
-        load, x = np.zeros(len(self.system.load)), self._x.duplicate()
-        load[self.spaces.slip_sites] = self.spaces.slip_measure * forces
+        assert self._last is not None
+        load, x, shares = np.zeros(len(self.system.load)), self._x.duplicate(), np.zeros(self.sites)
+        load[self._slip.unknown], self._slip.of(shares)[:] = self._slip.measure * forces, slope
         x.set(0.0)
-        shares = np.append(np.zeros(len(self.spaces.sites)), slope)
-        self._factors.coupled(load, x, replace(self._at_sites(conditions), shares=shares), share)
+        self._factors.coupled(load, x, replace(self._last.imposed, shares=shares), share)
         self._x.axpy(1.0, x)
-        self._applied = None
+        self._state = State.POSED
         return self.flux(x, np.zeros_like(load))
 
     def turn(self, friction: FrictionBounds) -> None:
-        """Take another linear law of friction in space."""
-        self.friction = friction
-        self._applied = self._imposed = None
-
-    @property
-    def is_contact(self) -> bool:
-        """Whether there is no other law in the normal direction than contact."""
-        return not self.data.laws.of_parts
-
-    @property
-    def _signs(self) -> Array:
-        """−1 for normal sites, where p and the flux are those of −u_n and −σ_nn, and 1 for those with friction."""
-        return np.where(np.arange(self.sites) < len(self.spaces.sites), -1.0, 1.0)
+        """Take another law of friction."""
+        self.friction, self._state = friction, State.START
 
     def _pulls(self, load: Array) -> Array:
         """What the linear law in space takes from this right side, of which the pressure is what is left."""
@@ -384,51 +370,52 @@ class ElasticBackend(PlainBackend):
     @property
     def _shares(self) -> Array:
         """How much of the pressure of its vertex the shear of a site follows; 0 for normal sites."""
-        return np.append(np.zeros(len(self.spaces.sites)), self.friction.slopes)
+        return np.append(np.zeros(len(self._normal)), self.friction.slopes)
 
-    def _at_sites(self, conditions: SiteConditions, weak: Array | float = 0.0) -> Imposed:
+    def _at_sites(self, conditions: SiteConditions, springs: Springs | None, weak: Array) -> Imposed:
         """What is imposed at the sites: also springs of laws, weak ones, and those of friction in space."""
-        number, (sites, width) = len(self.spaces.sites), self._near.shape
-        springs = np.where(self._near == np.arange(sites)[:, None], np.reshape(weak, (-1, 1)), 0.0)
-        measure = self.measure[:, None]
-        if self._springs is not None:
-            springs[:number] += self._springs.stiffness.reshape(-1, width) * measure[:number]
-        if self._turns:
-            springs[number:, :2] += self.friction.stiffness.reshape(-1, 2) * measure[number:]
-        return Imposed(conditions.kind == Condition.ZERO_TRACE, springs, self._shares)
+        sites, width = self._near.shape
+        stiffness = np.where(self._near == np.arange(sites)[:, None], weak[:, None], 0.0)
+        if springs is not None:
+            self._normal.of(stiffness)[:] += springs.stiffness.reshape(-1, width) * self._normal.measure[:, None]
+        if self.friction.slipping is not None:
+            turning = self.friction.stiffness.reshape(-1, 2) * self._slip.measure[:, None]
+            self._slip.of(stiffness)[:, :2] += turning
+        return Imposed(conditions.kind == Condition.ZERO_TRACE, stiffness, self._shares)
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
         stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self.data.lift)
         if refine:
-            stresses, displacements = self._refined(conditions, stresses, displacements)
+            stresses, displacements = self._refined(stresses, displacements)
         p, flux = self._cleaned(conditions, self._beside_tools(self._x), self.data.reactions(spaces, stresses))
         self.sizes.take(displacements, stresses)
         return Iterate(p, flux, self._iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
 
-    def _refined(self, conditions: SiteConditions, stresses: Array, displacements: Array) -> tuple[Array, Array]:
+    def _refined(self, stresses: Array, displacements: Array) -> tuple[Array, Array]:
         """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
 
         The stress that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much
         less than rounding. Corrections are small, so that their own errors are. Where weak springs hold it, forces
         are those without them: a correction is a step of the proximal point method, after which they pull no more.
         """
-        contact, spaces = conditions.kind == Condition.ZERO_TRACE, self.spaces
+        assert self._last is not None
+        posed, slip, conditions = self._last, self._slip, self._last.conditions
+        essential = self._factors.essential(conditions.kind == Condition.ZERO_TRACE)
         correction, before = self._x.duplicate(), np.inf
         for _ in range(REFINEMENTS):
             forces = self.system.forces(stresses)
             left = self.system.tractions - self.system.of_supports(self._x.array_r) - forces
             p = self._beside_tools(self._x)
-            left[self._unknowns] += self._given_forces(conditions, p) + self._signs * self._weak.pull(conditions, p)
-            pressure = spaces.pressure_of(self.flux(self._x, self.system.load))
-            left[spaces.slip_sites] += spaces.slip_measure * self.friction.pressed(pressure)
-            left[self._factors.essential(contact)] = 0.0
+            left[self._unknowns] += self._given_forces(posed, p) + self._signs * self._weak.pull(conditions, p)
+            pressure = self.flux(self._x, self.system.load)[slip.pressing]
+            left[slip.unknown] += slip.measure * self.friction.pressed(pressure)
+            left[essential] = 0.0
             size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
             if size <= TIE * scale or not size < before:
                 break
             correction.set(0.0)
-            if not self._factors.solve(left, correction, self._law):
-                self._factors.solve_anew(left, correction, self._law)
+            self._factors.solve_by_any(left, correction, posed.imposed)
             before = size
             more, moved = self.system.recover(self.system.everywhere(correction.array_r), with_f=False)
             stresses, displacements = stresses + more, displacements + moved

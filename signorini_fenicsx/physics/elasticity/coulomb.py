@@ -103,7 +103,7 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
     if (
         not outcome.converged
         or backend.iterates
-        or not backend.is_contact
+        or backend.data.laws.of_parts
         or backend.spaces.dim == 3
         or backend.tools
         or comm.allreduce(backend.sites) > MOST_SITES
@@ -188,11 +188,11 @@ def _step(
 ) -> Array:
     """The step of `newton`; one GMRES finds it where CG solves for contact, and the solution follows."""
     friction, (directions, slope) = backend.friction, law
-    if not backend.iterates or not backend.is_contact or backend.tools:
+    if not backend.iterates or backend.data.laws.of_parts or backend.tools:
         return newton(backend, conditions, law, left, share)
     left = np.where(friction.coulomb[:, None], left, 0.0)
     forces, slopes = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))
-    flux = backend.follow_bounds(conditions, forces, slopes, share)
+    flux = backend.follow_bounds(forces, slopes, share)
     return left + slope * backend.spaces.pressure_of(flux)
 
 

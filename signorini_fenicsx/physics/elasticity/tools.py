@@ -199,7 +199,7 @@ class Moving:
         self._comm, self._load = spaces.mesh.comm, loads_of(tools)
         self.moves, self.rho = moves_at_sites(spaces, tools), np.zeros(len(self._load))
         self._responses: Array | None = None
-        self._stiffness = np.empty((0, 0))
+        self._stiffness, self._moved = np.empty((0, 0)), np.zeros(1)
 
     def __bool__(self) -> bool:
         """Whether there is a motion."""
@@ -225,6 +225,16 @@ class Moving:
         self._responses = np.stack([np.array(column.array_r) for column in columns], axis=1)
         forces = np.stack([pulls(column) for column in columns], axis=1)
         self._stiffness = self._comm.allreduce(self.moves.T @ forces)
+
+    def forget(self) -> Array:
+        """The part of x by the motion in the last solve, which is taken away from it."""
+        moved, self._moved = self._moved, np.zeros(1)
+        return moved
+
+    def take(self, forces: Array) -> Array:
+        """Take the motion under the given forces, see `follow`; the part of x by it (collective)."""
+        self.rho, self._moved = self.follow(forces, loaded=True)
+        return self._moved
 
     def follow(self, forces: Array, *, loaded: bool) -> tuple[Array, Array]:
         """The step of the tools, and that of x with them (collective).
