@@ -95,10 +95,10 @@ class Chains:
         beta = np.where(kind == Condition.ROBIN, slope, 1.0)
         return SiteConditions(kind, beta, 0.0 if self.plain else value)
 
-    def segments(self, conditions: SiteConditions, p: Array | None = None) -> Indices:
+    def segments(self, conditions: SiteConditions, pair: tuple[Array, Array] | None = None) -> Indices:
         """The segment of each chain whose condition this is; the first of its kind if none is quite the same.
 
-        Of several on one line it is the first, or with p given that on which p is.
+        Of several on one line it is the first, or with p and σ·n given that on which p is, on a vertical line σ·n.
         """
         exists = np.insert(np.isfinite(self.p), 0, True, axis=1)  # others have more corners
         same = exists & (self.kinds == conditions.kind[:, None])
@@ -106,10 +106,12 @@ class Chains:
         robin = self.kinds == Condition.ROBIN
         alike = same & (self.value == value) & (~robin | (self.slope == beta))
         first = np.argmax(2 * alike + same, axis=1)
-        if p is None:
+        if pair is None:
             return first
-        of_p = (self.p < p[:, None]).sum(axis=1)
-        return np.where(_chosen(alike, of_p), of_p, first)
+        p, flux = (each[:, None] for each in pair)
+        of_p, of_flux = (self.p < p).sum(axis=1), (self.flux > flux).sum(axis=1)
+        passed = np.where(conditions.kind == Condition.ZERO_TRACE, of_flux, of_p)
+        return np.where(_chosen(alike, passed), passed, first)
 
     def nearest(self, kind: Kinds, p: Array, flux: Array) -> Indices:
         """The segment of each chain that has this kind and whose line is nearest to p and σ·n."""

@@ -249,10 +249,9 @@ class River(Law):
     word = "river"
 
     def graph(self, values: Values) -> Graph:
-        """The corner at the bed is the reference."""
+        """The reference is where the river and the soil have one level: at the bed κ∇u·n may be huge."""
         r, level, bed, q = (values[name] for name in ("r", "level", "bed", "q"))
-        corner = bed, q + r * (level - bed)
-        return Graph(corner, [corner], beyond=r)
+        return Graph((level, q), [(bed, q + r * (level - bed))], beyond=r)
 
     def refused(self, values: Values) -> Iterator[tuple[str, Array]]:
         """An r that is not positive, a bed above the level."""
@@ -366,10 +365,27 @@ class Corners(Law):
         return [f"segment {i}" for i in range(len(self.corners) + 1)]
 
     def graph(self, values: Values) -> Graph:
-        """The first corner is the reference."""
+        """The reference is the point between the corners where least flows: far from it digits would be lost.
+
+        It is the first corner, if κ∇u·n varies.
+        """
         corners = [(values[f"corners.{i}.0"], values[f"corners.{i}.1"]) for i in range(len(self.corners))]
         before, beyond = (values.get(name, np.inf) for name in ("before", "beyond"))
-        return Graph(corners[0], corners, before, beyond)
+        return Graph(self._reference(corners), corners, before, beyond)
+
+    @property
+    def has_numbers(self) -> bool:
+        """Whether κ∇u·n, in regions s, of all corners are numbers: then they are the same everywhere."""
+        return all(isinstance(flux, int | float) for _, flux in self.corners)
+
+    def _reference(self, corners: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+        if len(corners) == 1 or not self.has_numbers:
+            return corners[0]
+        (u, first), last = corners[0], corners[-1][1]
+        for (begin, flux), (end, following) in pairwise(corners):
+            share = np.clip(np.divide(flux, flux - following, out=np.zeros_like(flux), where=flux != following), 0, 1)
+            u = np.where(share == 1, end, u + share * (end - begin))
+        return u, np.clip(0.0, np.minimum(first, last), np.maximum(first, last))
 
     def level_of(self, segment: int) -> str | None:
         """The name of u of a segment that is vertical everywhere."""
@@ -379,8 +395,8 @@ class Corners(Law):
         return f"corners.{max(segment - 1, 0)}.0" if vertical else None
 
     def level(self, first: int, last: int, values: Values) -> Array:
-        """The u at which κ∇u·n is nearest to 0 on some segments in a row, also of complex data."""
-        corners = self.graph(values).corners[max(first - 1, 0) : last + 1]
+        """The u at which κ∇u·n, in regions s, is nearest to 0 on some segments in a row, also of complex data."""
+        corners = self.falling(values).corners[max(first - 1, 0) : last + 1]
         u, top = corners[0]
         if first == 0 and self.before != VERTICAL:
             u = u + np.minimum(top, 0.0) / values["before"]

@@ -265,11 +265,11 @@ class Solution(AnySolution):
 
     def segments(self) -> Segments:
         """The segment of its law that each Γ_S facet is on, and each cell if there are laws in Ω."""
-        laws, of_cells = self.data.inside, self.outcome.iterate.cells
-        cells = None
-        if laws is not None and of_cells is not None:
-            cells = laws.chains.segments(of_cells, owned_values(self.u) - laws.means)
-        return Segments(self.spaces, self.law.segments(self.outcome.conditions, self.outcome.iterate.p), cells)
+        laws, iterate, cells = self.data.inside, self.outcome.iterate, None
+        if laws is not None and iterate.cells is not None:
+            pair = owned_values(self.u) - laws.means, owned_values(self.force())
+            cells = laws.chains.segments(iterate.cells, pair)
+        return Segments(self.spaces, self.law.segments(self.outcome.conditions, (iterate.p, iterate.flux)), cells)
 
     @cached_property
     def contact(self) -> InContact:

@@ -66,7 +66,9 @@ class Linearised:
         self._conditions = solution.outcome.conditions
         self._normal, self._slip = spaces.site_kinds
         self._held = self._conditions.kind == Condition.ZERO_TRACE
-        self._segment = backend.chains.segments(self._conditions, solution.outcome.iterate.p)
+        self._segment = backend.chains.segments(
+            self._conditions, (solution.outcome.iterate.p, solution.outcome.iterate.flux)
+        )
         self._signs: Array = backend.friction.directions(self._slip.of(self._segment))  # of the bound, in σ_t
         shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
         weights = np.broadcast_to(data.quadrature.weights, (spaces.dim + 1, len(data.quadrature.weights)))

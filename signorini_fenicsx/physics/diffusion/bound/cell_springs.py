@@ -2,8 +2,8 @@
 
 On a cell on a segment s = βu − q the density of `inside` is about ½β(v − t)², with t where s_T is on the segment. A
 rigid segment, one that is very steep and long, holds v at t; as on Γ_S v is then near the segment beside it. On other
-cells v is kept off rigid segments. It may cross vertical ones: where they are as short as a jump of a content usually
-is, that costs less than to bend v.
+cells v is kept off the nearest rigid segments. It may cross vertical ones: where they are as short as a jump of a
+content usually is, that costs less than to bend v.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
-from signorini_fenicsx.physics.diffusion.bound.laws import pieces_beside
+from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Springs
@@ -43,7 +43,7 @@ class Pieces:
         piece: The segment near which v is: that of the cell, or the one beside it where that is rigid.
         held: Mask of the cells on rigid segments.
         springy: Mask of the cells on sloped segments that are less steep.
-        rigid: The segments that are, shape (cells, segments + 2), with none before and beyond.
+        rigid: The segments that are, shape (cells, segments).
     """
 
     inside: Inside
@@ -61,7 +61,7 @@ class Pieces:
         rigid = stiff & sloped & (-np.diff(chains.ends[1], axis=1) > largest)
         held, springy = rigid[rows, segment], (sloped & ~stiff & (chains.slope > 0))[rows, segment]
         piece = pieces_beside(chains, segment, -inside.s, rigid)
-        return cls(inside, piece, held, springy, np.pad(rigid, ((0, 0), (1, 1))))
+        return cls(inside, piece, held, springy, rigid)
 
     def rest(self, at: CellPoints, slope: Array, value: Array) -> Array:
         """The t of segments in points of cells; value itself of vertical ones."""
@@ -107,13 +107,16 @@ class Pieces:
         nodes, rows, segment = cell_dofs(space), np.arange(len(self.piece)), self.inside.segment
         low, high = np.full(nodes.shape, -np.inf), np.full(nodes.shape, np.inf)
         ends = np.array(basix.topology(space.mesh.basix_cell())[1])
-        only = self.held & self.rigid[rows, self.piece + 1]
+        only = self.held & self.rigid[rows, self.piece]
+        last, (before, beyond) = self.rigid.shape[1] - 1, held_beyond(self.piece, self.rigid)
+        sides = (
+            (low, before >= 0, self.piece > segment, np.maximum(before, 0), 3),
+            (high, beyond <= last, self.piece < segment, np.minimum(beyond, last), 2),
+        )
         for at, law in self._nodes(space):
-            own, corners = at.cells, self.inside.on_segment(law, at, self.piece)[2:]
-            t = self.rest(at, *self.inside.on_segment(law, at, segment)[:2])
-            sides = (low, 0, self.piece > segment), (high, 2, self.piece < segment)
-            for (limit, beside, past), corner in zip(sides, corners, strict=True):
-                some = (self.rigid[rows, self.piece + beside] | only)[own]
+            own, t = at.cells, self.rest(at, *self.inside.on_segment(law, at, segment)[:2])
+            for limit, near, past, nearest, end in sides:
+                some, corner = (near | only)[own], self.inside.on_segment(law, at, nearest)[end]
                 values = np.where((self.held & (past | only))[own, None], t, corner)[some]
                 values[:, -len(ends) :] = 2 * values[:, -len(ends) :] - values[:, ends].mean(axis=2)
                 limit[own[some]] = values

@@ -22,7 +22,7 @@ u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D �
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -45,7 +45,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
 from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
-from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray, add_load, coefficients
+from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray, add_load
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     ROUNDING,
     Bound,
@@ -55,6 +55,7 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     jumps_obey,
     level_of,
 )
+from signorini_fenicsx.physics.diffusion.bound.levels import levels
 from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
@@ -148,7 +149,7 @@ def law_trace(
     jumps.undone(v)
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
         ray.move_inside(v, limits_of_ray, edges, on_dirichlet)
-    return _with_exact_data(on, data, v, u_D, inside, hindrance=hindrance)
+    return _with_exact_data(on, data, _with_levels(on, data, v, u_D, pieces), inside, hindrance=hindrance)
 
 
 def _hold(
@@ -277,17 +278,20 @@ def _hindrance(v: fem.Function, nodes: Indices, ends: list[Array], fixed: Sequen
     return next((words for words, is_hindered in zip(HINDRANCES, hindered, strict=True) if is_hindered), "")
 
 
-def _with_exact_data(
-    on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, inside: Inside, *, hindrance: str
-) -> Trace:
-    """The trace with u_D, levels and bounds themselves instead of their interpolants (collective)."""
-    spaces = on.spaces
-    mesh, linear = spaces.mesh, fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
-    facet_dim = mesh.topology.dim - 1
+def _with_levels(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, pieces: Pieces | None) -> LawTrace:
+    """The trace with u_D and levels themselves instead of their interpolants (collective)."""
+    mesh, linear = on.spaces.mesh, fenicsx.function_space(on.spaces.mesh, ("Lagrange", 1))
     near_dirichlet, moved = fem.Function(linear), fem.Function(linear)
-    on_dirichlet = fem.locate_dofs_topological(linear, facet_dim, spaces.dirichlet_facets)
-    near_dirichlet.x.array[on_dirichlet] = 1.0
-    trace = LawTrace((data.u_D, u_D), v, near_dirichlet, moved, _levels(on, v, linear), [])
+    facets = on.spaces.dirichlet_facets
+    near_dirichlet.x.array[fem.locate_dofs_topological(linear, mesh.topology.dim - 1, facets)] = 1.0
+    return LawTrace((data.u_D, u_D), v, near_dirichlet, moved, levels(on, pieces, v, linear), [])
+
+
+def _with_exact_data(on: OnGammaS, data: Data, trace: LawTrace, inside: Inside, *, hindrance: str) -> Trace:
+    """The trace with bounds themselves instead of their interpolants (collective)."""
+    spaces, mesh, near_dirichlet = on.spaces, on.spaces.mesh, trace.near_dirichlet
+    linear, facet_dim = near_dirichlet.function_space, mesh.topology.dim - 1
+    on_dirichlet = np.flatnonzero(near_dirichlet.x.array)
     changed = [near for _, _, near in trace.levels]
     touching = _cells_with(changed, linear)
     if data.u_D.number is None or trace.levels:
@@ -324,7 +328,7 @@ def _with_exact_data(
             _move_jumps(trace, on)
         hindrance = hindrance or ("" if jumps_obey(trace, on.goal.parts, spaces) else OF_JUMPS)
     return Trace(
-        v=v,
+        v=trace.v,
         exact=trace.jet if trace.bounds or changed else None,
         on_gamma_s=partial(trace.on_gamma_s, spaces),
         cells=_cells_with(changed, linear),
@@ -377,61 +381,3 @@ def _bounds(on: OnGammaS, part: PartLaw) -> list[Datum | None]:
     counts = on.spaces.mesh.comm.allreduce(yielding).tolist()
     levels = [None if count > 0 else level_of(part, end, end) for end, count in zip(ends, counts, strict=True)]
     return [bound or level for bound, level in zip(part.bounds, levels, strict=True)]
-
-
-def _levels(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> list[tuple[Datum, fem.Function, fem.Function]]:
-    """The data b that hold u or its jump and are no numbers, their I_hb, and the χ of each (collective)."""
-    levels = []
-    for datum, interpolant, held in (*_held_values(on, v, linear), *_held_jumps(on, v.function_space, linear)):
-        near, quadratic = fem.Function(linear), fem.Function(v.function_space)
-        near.x.array[:], quadratic.x.array[:] = held, interpolant
-        levels.append((datum, quadratic, near))
-    return levels
-
-
-def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> Iterator[tuple[Datum, Array, Array]]:
-    """The data b that hold u on steep segments, with I_hb and χ (collective).
-
-    χ is 1 in vertices of Γ_S all of whose facets they hold. That of a bound is 1 in vertices of all facets where v is
-    I_hb, but for those of other parts: v is b on these facets then, and large forces there cost nothing.
-    """
-    spaces, space = on.spaces, v.function_space
-    corners, nodes = (facet_nodes(each, spaces.facets) for each in (linear, space))
-    steep = on.steep[np.arange(len(on.segment)), on.segment]
-    for part in on.goal.parts:
-        rows = np.intersect1d(part.rows, spaces.outer_rows)
-        for first, last in _runs(on.steep[rows], spaces.mesh.comm):
-            datum = level_of(part, first, last)
-            if datum is not None and datum.number is None:
-                interpolant = coefficients(datum, space, all_edges(space))
-                held = steep & (first <= on.segment) & (on.segment <= last)
-                bounds = any(datum is bound for bound in part.bounds)
-                if bounds:
-                    apart = np.abs(v.x.array - interpolant) > ROUNDING * np.abs(interpolant).max(initial=0.0)
-                    held = ~apart[nodes].any(axis=1)
-                inside, outside = np.zeros(len(steep)), np.ones(len(steep))
-                inside[rows], outside[rows] = held[rows], 0.0 if bounds else ~held[rows]
-                touched, left = (largest_around(linear, corners, where) for where in (inside, outside))
-                yield datum, interpolant, np.where(left > 0, 0.0, touched)
-
-
-def _runs(steep: Mask, comm: MPI.Comm) -> Iterator[tuple[int, int]]:
-    """The first and the last of all segments in a row that are steep on some facet (collective)."""
-    column = np.zeros(steep.shape[1] + 2, dtype=np.int64)
-    column[1:-1] = comm.allreduce(steep.sum(axis=0)) > 0
-    begins, ends = (np.flatnonzero(np.diff(column) == step) for step in (1, -1))
-    yield from zip(begins.tolist(), (ends - 1).tolist(), strict=True)
-
-
-def _held_jumps(
-    on: OnGammaS, space: fem.FunctionSpace, linear: fem.FunctionSpace
-) -> Iterator[tuple[Datum, Array, Array]]:
-    """The only bounds b of jumps inside the domain, with I_hb; χ is 1 in all nodes with a jump (collective)."""
-    jumps = Jumps.of(linear, on.spaces)
-    for part in on.goal.parts if jumps.basis is not None else ():
-        bounds = [bound for bound in part.bounds if bound is not None]
-        if len(bounds) == 1 and bounds[0].number is None:
-            rows = np.intersect1d(part.rows, on.spaces.inner.rows)
-            is_held = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
-            interpolant = coefficients(bounds[0], space, all_edges(space))
-            yield bounds[0], interpolant, np.where((is_held > 0) & jumps.jump, 1.0, 0.0)

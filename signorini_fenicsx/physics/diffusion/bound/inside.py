@@ -13,12 +13,13 @@ The variational inequalities of u and ũ, each tested with the other one, give |
 is that of f − f_h + s_T − η. The density Φ(v) + Φ*(η) − ηv is an area between the graph and the line s = η, see `laws`.
 
 *Where u is on a bound*, an end of the graph that is vertical, η may take f as it is: f̃ = f in the cells where s = s_T +
-f − f_h is in the range of an obstacle in all points. So in contact f may jump and is not paid for. Only the range of f
-is needed there, which intervals enclose, and the gap is bounded with the largest |s| of each cell, the force λ.
+f − f_h is in the range of an obstacle in all points, or of such an end. So in contact f may jump and is not paid for.
+Only the range of f is needed there, which intervals enclose, and the gap is bounded with the largest |s| of each cell,
+the force λ.
 
 *Elsewhere* η makes ∫Φ*(η) − ηv + ½ω|η − t|² least among those with the mean s_T, ω = (δ_T/π)², so that the sum of 2
-gap and osc² is small. t is s_T plus the linear part of f − f_h, which a steep segment so takes as it is. With r = t +
-(v + m)/ω and w = (I + ω∂Φ)⁻¹(ωr) it is η = r − w/ω; the number m gives the mean.
+gap and osc² is small. t is s_T plus the quadratic part of f − f_h, which a steep segment so takes as it is. With r =
+t + (v + m)/ω and w = (I + ω∂Φ)⁻¹(ωr) it is η = r − w/ω; the number m gives the mean.
 
 v is between the bounds. There it is a function that is quadratic on each cell, by Bernstein coefficients between those
 of I_hψ, and then cut off by ψ itself. In vertices off Γ_D all of whose cells touch it is moved beyond ψ by as much as
@@ -40,11 +41,11 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, sums_at
-from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.laws import Obstacle
+from signorini_fenicsx.contact.laws import Corners, Obstacle
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
@@ -54,7 +55,7 @@ from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
 from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
-from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, at_points, projected
+from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LAW, Projection, at_points, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
@@ -79,7 +80,7 @@ def selected(laws: CellLaws, cells: SiteConditions, s: Array, u: Array, metric: 
     steep segments it is s itself, as on vertical ones: there the error of u counts, and that of s costs little.
     """
     chains, rows = laws.chains, np.arange(len(s))
-    segment = chains.segments(cells, u - laws.means)
+    segment = chains.segments(cells, (u - laws.means, -s))
     beta, load = laws.as_linear(cells)
     first, last = segment == 0, segment == chains.count
     least = np.where(first, -np.inf, -chains.flux[rows, np.maximum(segment - 1, 0)])
@@ -91,7 +92,7 @@ def selected(laws: CellLaws, cells: SiteConditions, s: Array, u: Array, metric: 
 def room(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array:
     """By how much s of each owned cell may grow or fall where its law holds u; 0 elsewhere."""
     chains, rows = laws.chains, np.arange(len(s))
-    segment = chains.segments(cells, u - laws.means)
+    segment = chains.segments(cells, (u - laws.means, -s))
     above = np.where(segment == chains.count, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)] - s)
     below = np.where(segment == 0, np.inf, s + chains.flux[rows, np.maximum(segment - 1, 0)])
     return np.where(cells.kind == Condition.ZERO_TRACE, np.minimum(above, below), 0.0)
@@ -224,7 +225,7 @@ class Inside:
         u = owned_values(level)
         s = CellFlux.of(spaces, y).divergence + owned_values(data.source(level))
         s = selected(laws, cells, s, u, metric)
-        segment = laws.chains.segments(cells, u - laws.means)
+        segment = laws.chains.segments(cells, (u - laws.means, -s))
         rays = tuple(_rays(spaces, laws, segment))
         for part in laws.of_regions:
             resolution.by_quadrature |= {
@@ -243,19 +244,26 @@ class Inside:
 
     def _take_f(self, data: Data, resolution: Resolution) -> None:
         """Let η take f where it can, in place (collective)."""
-        f_h = data.means_of_f
-        others = np.zeros(len(self.s), dtype=bool)
+        f_h, rows = data.means_of_f, np.arange(len(self.s))
+        number, others = np.zeros(len(self.s), dtype=np.int64), np.zeros(len(self.s), dtype=bool)
         for part in self.parts:
-            others[part.rows] |= type(part.law) is not Obstacle
+            number[part.rows] += 1
+        for part in self.parts:
+            if type(part.law) is not Obstacle:
+                others[part.rows] |= (number[part.rows] > 1) | (
+                    type(part.law) is not Corners or not part.law.has_numbers
+                )
         for ray in self.rays:
             cells = np.flatnonzero(ray.touched & (self.largest > 0) & ~others)
-            end = f_h + ray.sign * self.largest
+            s_end = -self.chains.flux[rows, np.where(ray.sign > 0, 0, self.chains.count - 1)]
+            end = f_h + ray.sign * (self.largest - np.maximum(-ray.sign * s_end, 0.0))
             limit = end[cells] if ray.sign > 0 else np.full(len(cells), np.inf)
             f = resolution.range_of("f", data.f, cells, limit)
             far, near = (f.hi, f.lo) if ray.sign > 0 else (-f.lo, -f.hi)
             taken = far <= ray.sign * end[cells]
             self.takes_f[cells] = taken
-            self.largest[cells] = np.where(taken, ray.sign * end[cells] - near, self.largest[cells])
+            grown = self.largest[cells] + ray.sign * f_h[cells] - near
+            self.largest[cells] = np.where(taken, grown, self.largest[cells])
 
     @property
     def forces(self) -> Array:
@@ -271,7 +279,7 @@ class Inside:
             return np.zeros(len(self.s)), None
         number, dim, cell = len(self.s), mesh.topology.dim, mesh.basix_cell()
         squares, missed = np.zeros(number), np.zeros(number)
-        load = Projection(np.zeros((number, dim)), np.zeros(number))
+        load = Projection(np.zeros((number, orthonormal(cell, HIGH[dim]).dim - 1)), np.zeros(number))
         near = np.isin(np.arange(number), trace.cells)
         for parts, cells in self.groups():
             for close in (False, True):
@@ -283,7 +291,7 @@ class Inside:
                     v = trace.jet(at, near=close)[:, :, 0]
                     eta = self._eta(law, v, self.s[own, None] + self._varying(at), metric, at)
                     missed[own] = self.s[own] - at.means(eta)
-                    part = projected(self.s[own, None] - missed[own, None] - eta, cell, OF_LOAD, points, weights)
+                    part = projected(self.s[own, None] - missed[own, None] - eta, cell, HIGH[dim], points, weights)
                     load.coefficients[own], load.rest[own] = part.coefficients, part.rest
                     pressed = self.largest[own] > 0
                     sides = np.sign(self.forces[own])
@@ -326,12 +334,12 @@ class Inside:
         return [values.reshape(at.shape) for values in of_sites]
 
     def _varying(self, at: CellPoints) -> Array:
-        """The linear part of f − f_h in points of some cells, 0 where f̃ = f."""
+        """The quadratic part of f − f_h in points of some cells, 0 where f̃ = f."""
         if self.f is None or self.f.number is not None:
             return np.zeros(at.shape)
         f, cell = self.f.values(at), at.mesh.basix_cell()
-        part = projected(f - at.means(f)[:, None], cell, OF_LOAD, at.points, at.weights)
-        return np.where(self.takes_f[at.cells, None], 0.0, at_points(part, cell, OF_LOAD, at.points))
+        part = projected(f - at.means(f)[:, None], cell, OF_LAW, at.points, at.weights)
+        return np.where(self.takes_f[at.cells, None], 0.0, at_points(part, cell, OF_LAW, at.points))
 
     def _eta(self, law: Chains, v: Array, target: Array, metric: CellMetric, at: CellPoints) -> Array:
         """The η of the module in points of some cells, shape (cells, points), for values of t there."""

@@ -79,9 +79,12 @@ class Level(Datum):
         return float(self._level(numbers)) if len(numbers) == len(self.part.data) else None
 
     @property
-    def polynomial(self) -> None:
-        """None: it is a quotient."""
-        return
+    def polynomial(self) -> int | None:
+        """The largest degree of the data; None if it is a quotient, or one of them is no polynomial."""
+        degrees = [datum.polynomial for datum in self.part.data.values()]
+        known = [degree for degree in degrees if degree is not None]
+        whole = isinstance(self.part.law, Corners) and self.part.law.has_numbers and len(known) == len(degrees)
+        return max(known) if whole else None
 
     def _look(self, points: Points, *, slope: bool) -> Array:
         jets = {name: datum.jet(points, gradient=slope) for name, datum in self.part.data.items()}

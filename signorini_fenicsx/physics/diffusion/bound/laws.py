@@ -178,6 +178,13 @@ def pieces_beside(law: Chains, segment: Indices, flux: Array, rigid: Mask) -> In
     return np.where(rigid[rows, segment], beside, segment)
 
 
+def held_beyond(piece: Indices, held: Mask) -> tuple[Indices, Indices]:
+    """The nearest held segment before the piece of each site, −1 if none is, and beyond it, their number if none is."""
+    column, number = np.arange(held.shape[1]), held.shape[1]
+    before, beyond = held & (column < piece[:, None]), held & (column > piece[:, None])
+    return np.where(before, column, -1).max(axis=1), np.where(beyond, column, number).min(axis=1)
+
+
 @dataclass(frozen=True)
 class LawGap:
     """What the laws add to the gap and to the oscillation.

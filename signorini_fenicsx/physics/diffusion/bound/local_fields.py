@@ -36,8 +36,9 @@ from signorini_fenicsx.base.small_matrices import times
 from signorini_fenicsx.discrete.points import FacetPoints, facet_type
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 
-OF_LOAD, OF_FLUX = 1, 2
-"""Degrees of Π and of all Π_e. τ has degree 2 in cells at Γ_N and Γ_S; in all other cells degree 1 is enough."""
+OF_LOAD, OF_LAW, OF_FLUX = 1, 2, 2
+"""Degrees of Π, of what laws in Ω take of a load, and of all Π_e. τ has degree 2 in cells at Γ_N and
+Γ_S; in all other cells degree 1 is enough."""
 SINGULAR = 1e-10
 HIGH = {2: 5, 3: 3}
 """Degree of Π by dimension where a load is known and the rest after OF_LOAD is a large part of what a cell adds,"""

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.points import facet_type
-from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, pieces_beside
+from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
@@ -49,7 +49,7 @@ class OnGammaS:
     def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
         """The terms on Γ_S for a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
-        segment = law.segments(solution.outcome.conditions, solution.outcome.iterate.p)
+        segment = law.segments(solution.outcome.conditions, (solution.outcome.iterate.p, solution.outcome.iterate.flux))
         flux = spaces.normal_flux(y)
         height = metric.volume[spaces.cells] / spaces.facet_measure
         resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
@@ -97,22 +97,21 @@ class OnGammaS:
         """Between which u v has to be, and should be for the sake of its piece, in the nodes of facets.
 
         Returns:
-            The least and the largest u that the law allows, and those of the piece where a steep segment is beside:
-            from its corner, or where that is the rigid segment of the facet from where v is held on it.
+            The least and the largest u that the law allows, and those between the nearest steep segments before and
+            beyond the piece: to their corners, or where that is the rigid segment of the facet to where it holds v.
         """
         low, high = nodes.extent()[:2]
         rows, piece = np.arange(len(self.piece)), self.piece
-        steep = np.pad(self.steep, ((0, 0), (1, 1)))
-        left, right = steep[rows, piece], steep[rows, piece + 2]
-        begin, end = nodes.traces(piece)
+        last, (before, beyond) = self.steep.shape[1] - 1, held_beyond(piece, self.steep)
+        begin, end = nodes.traces(np.maximum(before, 0))[1], nodes.traces(np.minimum(beyond, last))[0]
         only = self.rigid[rows, piece]  # no other segment is beside
         value, held, _ = self.held(nodes)
         begin, end = (
             np.where((held & (beside | only))[:, None], value, corner)
             for beside, corner in ((piece > self.segment, begin), (piece < self.segment, end))
         )
-        soft_low = np.where((left | only)[:, None], begin, -np.inf)
-        soft_high = np.where((right | only)[:, None], end, np.inf)
+        soft_low = np.where(((before >= 0) | only)[:, None], begin, -np.inf)
+        soft_high = np.where(((beyond <= last) | only)[:, None], end, np.inf)
         return [low, high, np.maximum(low, soft_low), np.minimum(high, soft_high)]
 
     def loads(self, at: LawPoints) -> Array:

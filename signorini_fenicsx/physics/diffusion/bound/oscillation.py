@@ -34,6 +34,7 @@ from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_FLUX,
+    OF_LAW,
     OF_LOAD,
     FacetLoad,
     Projection,
@@ -107,7 +108,8 @@ def load_oscillation(
         g_N, missed = on_facets("g_N", data.g_N, on_neumann, g_h, metric, resolution)
         mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
         facet_loads.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
-    load, cell = _load(spaces, data, metric, resolution, takes_f), mesh.basix_cell()
+    of_load, cell = OF_LOAD if of_laws is None else OF_LAW, mesh.basix_cell()
+    load = _load(spaces, data, metric, resolution, takes_f, of_load)
     if of_laws is not None:
         load = of_laws if load is None else load.plus(of_laws)
     if memory is not None and data.memory is not None:
@@ -213,20 +215,25 @@ def _projected(
     )
 
 
-def _load(spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, takes_f: Mask) -> Projection | None:
-    """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective)."""
+def _load(
+    spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, takes_f: Mask, of_load: int
+) -> Projection | None:
+    """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective).
+
+    Where f is enclosed, its projection has the degree `of_load`, 1 or 2.
+    """
     if data.f.number is not None:
         return None
     cell, f_h = spaces.mesh.basix_cell(), data.means_of_f
     degree = quadrature_degree(data.f, power=2)
     enclosed = resolution.encloses("f", data.f)
-    of_load = OF_LOAD if enclosed else HIGH[spaces.mesh.topology.dim]
+    of_load = of_load if enclosed else HIGH[spaces.mesh.topology.dim]
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree, of_load)
     load = load.without(takes_f)
     cells = owned_cells(spaces.mesh)[~takes_f]
     if not enclosed:
         return load
-    p = quadratic_of(resolution.vertices, f_h[:, None] + at_points(load, cell, OF_LOAD, quadratic_nodes(cell)))
+    p = quadratic_of(resolution.vertices, f_h[:, None] + at_points(load, cell, of_load, quadratic_nodes(cell)))
     volume = 1 / math.factorial(metric.jacobian.shape[1])
     seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
     load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume

@@ -177,7 +177,8 @@ def _content(instant: Instant, u: Continuous, load: Projection | None, own: Admi
         cells = points.cells
         stored = at_points(capacity, points) * u(points) + theta[cells, None]
         if load is not None and steps.storage:
-            of_cells = Projection(load.coefficients[cells] * stores[cells, None], load.rest[cells])
+            linear = load.coefficients[cells, : own.metric.jacobian.shape[1]] * stores[cells, None]
+            of_cells = Projection(linear, load.rest[cells])
             stored -= of_projection(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
         return stored
 
