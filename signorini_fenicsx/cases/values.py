@@ -1,6 +1,7 @@
 """Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -140,12 +141,12 @@ def _matrix_or_text(value: object) -> object:
     raise ValueError("must be an expression, a matrix such as [[2, 0], [0, 1]], or a table with one per region")
 
 
-def text_by_region(value: object) -> object:
-    """A number or text, or a table with one per region."""
-    by_region = value if isinstance(value, dict) else {"": value}
-    texts = {region: text_of(entry) for region, entry in by_region.items()}
+def text_by_region(value: object, place: str = "region") -> object:
+    """A number or text, or a table with one per region, or another place."""
+    by_place = value if isinstance(value, dict) else {"": value}
+    texts = {name: text_of(entry) for name, entry in by_place.items()}
     if not texts or not all(isinstance(text, str) for text in texts.values()):
-        raise ValueError("must be an expression, or a table with one per region")
+        raise ValueError(f"must be an expression, or a table with one per {place}")
     return texts if isinstance(value, dict) else texts[""]
 
 
@@ -188,6 +189,7 @@ Entries = Annotated[list[Any], BeforeValidator(_entries)]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
 ExpressionByPart = Annotated[dict[str, str], _by_part(_expression, 'one expression per part, such as {top = "0.1"}')]
 ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]
+ExpressionOrByPart = Annotated[str | dict[str, str], BeforeValidator(partial(text_by_region, place="part"))]
 Conductivity = Annotated[ConductivityText, _in_regions(_matrix_or_text)]
 Moduli = Annotated[str | list[str] | dict[str, str | list[str]], _in_regions(_modulus)]
 Stiffnesses = Annotated[dict[str, Text], _by_part(_stiffness, "a stiffness per part, such as {bottom = [10, 5]}")]

@@ -256,7 +256,8 @@ def _rows_of_parts(mesh: FileMesh, rows: Indices) -> dict[str, Indices]:
 
 def key_of(section: str) -> str:
     """How a case file names the list of the parts with one kind of condition."""
-    return section if section.startswith("law.") else f"[boundary] {section}"
+    place, _, key = section.rpartition(".")
+    return section if place.startswith("law.") else f"[{place or 'boundary'}] {key}"
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:

@@ -12,9 +12,10 @@ from signorini_fenicsx.cases.first_case import GIVEN, HELD, law_sections, lists_
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import PartsInside
 from signorini_fenicsx.cases.plot import Plot
-from signorini_fenicsx.cases.values import ExpressionByRegion, choice, text_by_region
-from signorini_fenicsx.contact.law import EVERYWHERE
-from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.cases.values import ExpressionByRegion, ExpressionOrByPart, choice, text_by_region
+from signorini_fenicsx.contact.law import EVERYWHERE, Law
+from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Neumann, Signorini
+from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import Boundary as Posed
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET
@@ -37,19 +38,46 @@ def _capacity(value: object) -> object:
     return dict(graph.model_extra or {})
 
 
-class ProblemTexts(data_section(Problem, exact=None, laws=None)):  # type: ignore[misc]
+OF_LIST = {"u_D": "dirichlet", "g_N": "neumann", "psi": "signorini", "q_S": "signorini"}
+"""The data that may be given by part, and the key of `[boundary]` that lists the parts."""
+NOTHING = exactly(0)
+"""The value on parts without one."""
+
+
+class ProblemTexts(data_section(Problem, exact=None, laws=None, **dict.fromkeys(OF_LIST, ExpressionOrByPart))):  # type: ignore[misc]
     """`[problem]`: the data of a `Problem` as text in x, y, z.
 
-    κ is a text, a matrix, or one of them per region; f and c are texts, or one per region.
+    κ is a text, a matrix, or one of them per region; f and c are texts, or one per region; u_D, g_N, ψ and q_S are
+    texts, or one per part, and 0 on parts without one.
     """
 
-    def read(self, names: str) -> Problem:
-        """The data as trees in these variables.
+    @property
+    def by_part(self) -> dict[str, dict[str, str]]:
+        """The data that are given by part."""
+        return {key: getattr(self, key) for key in OF_LIST if isinstance(getattr(self, key), dict)}
+
+    def read(self, names: str, boundary: "Boundary") -> Problem:
+        """The data as trees in these variables, those that differ between parts as laws.
 
         Raises:
             InputError: If an expression cannot be read.
         """
-        return Problem(**{key: parsed(value, names, f"[problem] {key}") for key, value in self})
+        data = {key: parsed(value, names, f"[problem] {key}") for key, value in self}
+
+        def on(key: str, part: str) -> Any:
+            return data[key].get(part, NOTHING) if isinstance(data[key], Mapping) else data[key]
+
+        laws: list[Law] = []
+        held = boundary.dirichlet or ["", *self.by_part.get("u_D", ())]
+        for kind, keys, parts in (
+            (Dirichlet, ("u_D",), held),
+            (Neumann, ("g_N",), boundary.neumann or [""]),
+            (Signorini, ("psi", "q_S"), boundary.signorini or [""]),
+        ):
+            first, *others = ([on(key, part) for key in keys] for part in parts)
+            laws += [kind([part], *own) for part, own in zip(parts[1:], others, strict=True) if own != first]
+            data |= dict(zip(keys, first, strict=True))
+        return Problem(**data, laws=laws)
 
 
 class Boundary(PartsInside):
@@ -124,6 +152,10 @@ class Case(CaseFile):
         self.parts.refuse_repetition()
         law = "a [[law]] between the jump of u and σ·n"
         self.boundary.check_inner(self.law_parts, self.geometry.file, law)
+        for key, values in self.problem.by_part.items():
+            listed = getattr(self.boundary, OF_LIST[key])
+            for part in [] if listed is None else sorted({*values} - {*listed}):
+                raise ValueError(f"[problem] {key}: '{part}' is no part in [boundary] {OF_LIST[key]}")
         for i, texts in enumerate(self.law):
             if texts.kind == "storage" and self.time is None:
                 raise ValueError(f"law.{i}: the law 'storage' needs [time]")
@@ -148,8 +180,8 @@ class Case(CaseFile):
     @property
     def unproved(self) -> str:
         """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
-        if self.law:
-            return "the proof is for the law of Signorini alone, without [[law]]"
+        if self.law or self.problem.by_part:
+            return "the proof is for the law of Signorini alone, without [[law]] and data by part"
         if self.problem.c != "0":
             return "the proof is for c = 0 alone; leave out [problem] c"
         no_obstacle = self.problem.obstacle is None
@@ -168,12 +200,16 @@ class Case(CaseFile):
     def parts(self) -> PartsWithLaws:
         """The section `[boundary]`, and the parts with a `[[law]]`."""
         laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law) if law.parts}
+        if self.boundary.dirichlet is None and "u_D" in self.problem.by_part:
+            laws["problem.u_D"] = [*self.problem.u_D]
         return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
 
     def posed(self, dim: int) -> tuple[Posed, Problem]:
         """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""
-        parts = self.boundary
-        return Posed([*parts.signorini, *self.law_parts], parts.neumann, parts.inner), self.data(dim)
+        parts, problem = self.boundary, self.data(dim)
+        with_laws = [part for law in problem.laws for part in law.parts]
+        neumann = [part for part in parts.neumann if part not in with_laws]
+        return Posed(list(dict.fromkeys([*parts.signorini, *with_laws])), neumann, parts.inner), problem
 
     def problem_at(self, dim: int, step: int | None) -> Problem:
         """The problem of a step in time, see `CaseFile.problem_at`."""
@@ -190,7 +226,8 @@ class Case(CaseFile):
         """
         names = "xyz"[:dim] + ("" if self.time is None else "t")
         exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
-        return replace(self.problem.read(names), exact=exact, laws=[law.made() for law in self.law])
+        problem = self.problem.read(names, self.boundary)
+        return replace(problem, exact=exact, laws=[*(law.made() for law in self.law), *problem.laws])
 
     @classmethod
     def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:

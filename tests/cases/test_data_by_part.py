@@ -1,0 +1,80 @@
+"""Case files with u_D, g_N, ψ and q_S by part: the problem with these conditions, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from signorini_fenicsx import Diffusion, Dirichlet, Neumann, Signorini, solve
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.physics.diffusion.solution import Solution
+
+BY_PART = """
+[geometry]
+shape = "square"
+mesh = "structured"
+[boundary]
+neumann = ["top", "right"]
+signorini = ["bottom"]
+[problem]
+f = "2 - 10*x"
+u_D = {left = "y/5"}
+g_N = {right = "-0.3*y"}
+psi = {bottom = "-x/20"}
+q_S = 0.05
+[solve]
+h = 0.3
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "case.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_conditions_on_parts(tmp_path: Path):
+    """The problem is that with a condition for each part; without a value it is 0."""
+    solution = solve_case(load_case(written(tmp_path, BY_PART)))
+    conditions = [
+        Dirichlet("left", "y/5"),
+        Neumann("right", "-0.3*y"),
+        Neumann("top"),
+        Signorini("bottom", psi="-x/20", q_S=0.05),
+    ]
+    other = solve(solution.spaces.domain, Diffusion(f="2 - 10*x", conditions=conditions))
+    assert isinstance(solution, Solution)
+    assert solution.u.x.array == pytest.approx(other.u.x.array, abs=1e-12)
+    assert np.ptp(solution.u.x.array) > 0.1
+    assert solution.certify().guaranteed
+
+
+def test_exact_column(tmp_path: Path):
+    """The solution is 5 + 0.1(1 − y) between u = 5 on top and the flux 0.1 through the bottom, Γ_D being listed."""
+    text = BY_PART.replace(
+        '["top", "right"]\nsignorini = ["bottom"]', '["left", "right", "bottom"]\ndirichlet = ["top"]'
+    )
+    text = text.replace("2 - 10*x", "0").replace('{left = "y/5"}', "{top = 5}").replace("right =", "bottom =")
+    text = text.replace('"-0.3*y"', "0.1").replace('psi = {bottom = "-x/20"}\n', "").replace("q_S = 0.05\n", "")
+    solution = solve_case(load_case(written(tmp_path, text)))
+    assert float(solution.certify().bound) < 1e-6
+    assert solution.u.x.array.mean() == pytest.approx(5.05, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("{right =", "{left =", r"\[problem\] g_N: 'left' is no part in \[boundary\] neumann"),
+        ("{bottom =", "{top =", r"\[problem\] psi: 'top' is no part in \[boundary\] signorini"),
+        ("{left =", "{bottom =", r"'bottom' is listed twice: in signorini and in problem.u_D"),
+        ("{left =", "{lid =", r"\[problem\] u_D: unknown part 'lid' of square"),
+        ('{left = "y/5"}', "{}", r"\[problem\] u_D: must be an expression, or a table with one per part"),
+        ('"-0.3*y"', '"-0.3*q"', r"\[problem\] g_N.right: expression '-0.3\*q': unknown name 'q'"),
+    ],
+)
+def test_refusals(tmp_path: Path, old: str, new: str, message: str):
+    """The sentence names the place."""
+    with pytest.raises(InputError, match=message):
+        load_case(written(tmp_path, BY_PART.replace(old, new)))
