@@ -74,7 +74,7 @@ class Certificate:
         oscillation: osc, of loads in cells and on facets, and of their means that quadrature may have missed.
         remainder: Bound of ‖y − σ_h‖, which comes from the linear solver or a penalty, including rounding; in
             elasticity also what quadrature may have missed of linear parts of loads.
-        relative: bound/‖σ_h‖.
+        relative: bound/‖σ_h‖, of bodies whose stiffness varies within cells with this norm by quadrature.
         proved: Whether all data are enclosed and resolved, so that the bound is proved, for the solution `of`.
         by_quadrature: The data that are not enclosed: those given in Python, and loads without Γ_D.
         unresolved: Data that are not resolved, each with a place; the same on all ranks.

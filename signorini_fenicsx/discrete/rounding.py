@@ -2,7 +2,8 @@
 
 A bound is computed from the floats that the texts of its data give. Where large numbers cancel in a text, as in
 1e16 + x − 1e16, these may have nothing to do with it. Enclosures by intervals contain each rounding: in a single point
-their width is what rounding may have changed.
+their width is what rounding may have changed. These are samples, no proof everywhere; but enclosures of what is no
+polynomial contain its rounding on whole cells, and that of a polynomial hardly varies within one.
 """
 
 from __future__ import annotations

@@ -212,13 +212,13 @@ def test_bounds_of_random_problems():
 @pytest.mark.parametrize("seed", [23, 40])
 def test_corners_that_quadratics_miss(seed: int):
     """Where parts meet and where contact ends within a facet the bound is near; by quadratics 1.72 and 1.66 times."""
-    assert 1 < measured(seed, touching=False).ratio < 1.4
+    assert 1 < measured(seed, "one").ratio < 1.4
 
 
 @pytest.mark.parametrize("seed", [5, 102])
 def test_random_bodies(seed: int):
     """Two bodies of other E along a slanted side, with and without friction: the bound is above the error, and near."""
-    row = measured(seed, touching=True)
+    row = measured(seed, "bodies")
     assert not row.wrong
     assert 1 < row.ratio < 1.3
 

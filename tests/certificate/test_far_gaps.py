@@ -44,6 +44,16 @@ def test_a_gap_that_cannot_close(far: str):
     assert bound.guaranteed
 
 
+@pytest.mark.parametrize("gap", ["0.02*(x - 0.3)^2", "0.02*abs(x - 0.69)"])
+def test_open_facets_beside_given_displacements(gap: str):
+    """Where the body moves off the foundation, what stands for the gap is not below a displacement that is given."""
+    conditions = [Contact("y1", gap), Neumann("x1", [-0.15, 0]), Dirichlet(["x0", "y0"], [0, 0])]
+    solution = solve(box(COMM, 3, [0.0, 0.0], [1.0, 1.0]), Elasticity(1.0, 0.3, f=[0.7, 0.3], conditions=conditions))
+    certificate = certify(solution)
+    assert certificate.bound < 0.021
+    assert certificate.guaranteed
+
+
 def membrane(n: int, psi: str, *, inside: bool = True) -> tuple[Solution, Certificate]:
     """A membrane on [−1, 1]² with 2 n² cells, under a load over an obstacle, or with its lower edge on it."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(-1, -1), (1, 1)], [n, n])

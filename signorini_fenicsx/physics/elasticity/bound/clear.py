@@ -2,17 +2,21 @@
 
 v has to stay off the foundation, so it need not know a gap that it does not come near. Where the stress has no pressure
 on a facet, its part of the gap identity is 0 for any v with v_n ≤ g. So a number c ≤ g in the place of g does: with
-u_n < c ≤ g the best v is as good, and what g is beyond c, which may be steep or large, is in no polynomial.
+u_n < c ≤ g the best v is as good, and what g is beyond c, which may be steep or large, is in no polynomial. c may not
+be below v_n where that is given. A g that is a quadratic stays, unless its coefficients are below c.
 """
 
 from __future__ import annotations
 
+import basix.ufl
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import AnyIndices, Array
 from signorini_fenicsx.discrete.points import facet_lattice
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.enclosures import surely_above
+from signorini_fenicsx.physics.elasticity.boundary_nodes import ALONG, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -20,11 +24,14 @@ from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 PARTS = 4
 """Parts of the edges of facets, for the points in which the gap is looked at first."""
 
+OF_V = 2
+"""Degree of v."""
+
 
 def floors(spaces: ElasticSpaces, data: ElasticData, pressure: Array, displacement: Array) -> Array:
     """A number on each facet of Γ_C between u_n and the gap, proved to be below it by `enclosures`; −∞ where none is.
 
-    It is for contact alone, and gaps by texts; a gap that is one number needs none (collective).
+    It is for contact alone, and gaps by texts; a gap that is one number needs none, and quadratics rarely (collective).
 
     Args:
         spaces: The spaces.
@@ -41,9 +48,13 @@ def floors(spaces: ElasticSpaces, data: ElasticData, pressure: Array, displaceme
     u_n = np.einsum("nai,ni->na", u, contact.normals).max(axis=1)
     other = displacement[across.cells[:, None], behind[across.local]]
     u_n[inner] -= np.einsum("nai,ni->na", other, contact.normals[inner]).min(axis=1)
+    given, least = _at_nodes(spaces, data)
+    u_n = np.maximum(u_n, given)
     at, corners = (facet_lattice(spaces.mesh, contact.facets, parts) for parts in (PARTS, 1))
     wanted = (u_n + gap.values(at).min(axis=1)) / 2
     is_open = (pressure == 0).all(axis=1) & (wanted > u_n)
+    if gap.polynomial is not None and gap.polynomial <= OF_V:
+        is_open &= least < wanted
     for law in data.laws.of_parts:
         is_open[law.rows] = False
     raised = gap.values(corners)
@@ -56,3 +67,28 @@ def floors(spaces: ElasticSpaces, data: ElasticData, pressure: Array, displaceme
             sure = surely_above(tree, contact.vertices[rows], spaces.frame, low)
             found[rows[sure]] = wanted[rows[sure]]
     return found
+
+
+def _at_nodes(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, Array]:
+    """On each facet of Γ_C the largest v_n that is given at a node, −∞ for none, and the least coefficient of the gap.
+
+    Collective.
+    """
+    bernstein, mesh = basix.LagrangeVariant.bernstein, spaces.split.mesh
+    element = basix.ufl.element("P", mesh.basix_cell(), OF_V, bernstein, shape=(spaces.dim,))
+    space = fenicsx.function_space(mesh, element)
+    on, given = contact_coefficients(spaces, spaces.split, space), given_nodes(spaces, data, spaces.split, space)
+    found = np.full((2, len(spaces.contact.facets)), -np.inf)
+
+    def along(nodes: AnyIndices, normals: Array) -> Array:
+        directions = np.einsum("nkij,ni->nkj", given.frames[nodes], normals)
+        free = np.where(given.given[nodes], 0.0, directions**2).sum(axis=2)
+        return np.stack([(directions * given.values[nodes]).sum(axis=2), free])
+
+    value, free = along(on.nodes, on.facets.normals)
+    of_other = along(on.across, on.facets.normals[on.touched])
+    value[on.touched] -= of_other[0]
+    free[on.touched] += of_other[1]
+    found[0, on.rows] = np.where(free <= ALONG, value, -np.inf).max(axis=1, initial=-np.inf)
+    found[1, on.rows] = on.of(spaces.mesh, data.gap).min(axis=1, initial=np.inf)
+    return found[0], found[1]
