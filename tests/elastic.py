@@ -97,14 +97,14 @@ def complementary_energy(solution: ElasticSolution) -> np.ndarray:
     )
     dual = (dim + 1) * np.eye(dim) - 1
     pull = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)  # |e|/d σ_nn at the vertices
-    linear -= data.lift[spaces.sites] @ pull
+    linear -= data.lift[spaces.site_kinds["normal"].unknown] @ pull
     solver = piqp.DenseSolver()
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-11
     rows, low, high = pull, np.full(len(pull), -np.inf), np.zeros(len(pull))
     if data.friction:
         along = np.einsum("fair,fi->far", facets[spaces.rough.blocks], spaces.tangents[:, 0])
         rub = np.einsum("ab,fbr->far", dual, along).reshape(-1, number * basis)
-        bound = spaces.slip_measure * data.friction.bound.ravel()
+        bound = spaces.site_kinds["slip"].measure * data.friction.bound.ravel()
         rows, low, high = np.vstack([pull, rub]), np.append(low, -bound), np.append(high, bound)
     solver.setup(hessian, linear, equal, right, rows, low, high)
     assert solver.solve() == piqp.PIQP_SOLVED

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.conditions import SiteConditions
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,10 @@ class Iterate(Pairs):
     Attributes:
         sigma: Flux in RT0; of a body the stress.
         u: Scalar in P0; of a body the displacement.
-        cells: Conditions of the owned cells; None without laws in Ω.
     """
 
     sigma: fem.Function
     u: fem.Function
-    cells: SiteConditions | None = None
-
-    @property
-    def contact(self) -> Mask | None:
-        """Mask of the owned cells where a law holds u, as an obstacle in contact does; None without laws in Ω."""
-        return None if self.cells is None else self.cells.kind == Condition.ZERO_TRACE
 
 
 class Inexact(Protocol):
@@ -207,7 +200,7 @@ class Backend[I: Pairs](Protocol):
         ...
 
     def in_mixed_spaces(self, iterate: I, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """σ_h, u_h, p_h and facet conditions that belong to an iterate and its conditions (collective)."""
+        """σ_h, u_h, p_h and conditions of facets and cells that belong to an iterate (collective)."""
         ...
 
 

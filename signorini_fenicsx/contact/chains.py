@@ -268,8 +268,6 @@ class Chains:
         """The chains of some sites."""
         return replace(self, p=self.p[sites], flux=self.flux[sites], slope=self.slope[sites], value=self.value[sites])
 
-    take = __getitem__
-
     def followed_by(self, others: Chains) -> Chains:
         """These chains, and behind them others, of sites of another kind."""
         number = len(self.p) + len(others.p)

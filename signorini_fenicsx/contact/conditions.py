@@ -81,20 +81,6 @@ class SiteConditions:
         beta, value = (x[sites] if isinstance(x, np.ndarray) else x for x in (self.beta, self.value))
         return SiteConditions(self.kind[sites], beta, value)
 
-    take = __getitem__
-
-    def and_cells(self, cells: SiteConditions | None) -> SiteConditions:
-        """The conditions of facets, and behind them those of cells; None without laws in Ω."""
-        if cells is None:
-            return self
-        beta, value = (
-            np.append(*(np.broadcast_to(x, each.kind.shape) for x, each in zip(pair, (self, cells), strict=True)))
-            if any(isinstance(x, np.ndarray) for x in pair)
-            else pair[0]
-            for pair in ((self.beta, cells.beta), (self.value, cells.value))
-        )
-        return SiteConditions(np.append(self.kind, cells.kind), beta, value)
-
     def values_where(self, sites: Mask) -> Array:
         """Values v on some sites."""
         return np.broadcast_to(self.value, self.kind.shape)[sites]

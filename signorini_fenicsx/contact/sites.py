@@ -39,6 +39,7 @@ class Kind:
         measure: |e| or |T| of each site, of a facet's vertex its share of |e|.
         shape: How many sites a facet or a cell has, () for one: (d,) for its vertices, (d, d − 1) with tangents.
         unknown: The unknown of each site in the linear system; empty if sites are none.
+        sign: The p of a site grows with its unknown, or falls.
         pressing: For each vertex with friction its site in the normal direction, shape (facets with friction, d).
         first: Number of sites of the kinds before.
     """
@@ -49,6 +50,7 @@ class Kind:
     measure: Array
     shape: tuple[int, ...] = ()
     unknown: AnyIndices = field(default_factory=_nothing)
+    sign: float = 1.0
     pressing: Indices = field(default_factory=_nothing)
     first: int = 0
 
@@ -68,9 +70,9 @@ class Kind:
         """The values of these sites by facet or cell, of an array of all sites, shape (rows, *shape, …)."""
         return self.of(values).reshape(len(self.rows), *self.shape, *values.shape[1:])
 
-    def spread(self, rows: np.ndarray) -> np.ndarray:
-        """Rows of its facets as rows of all facets of Γ_S, 0 on the others; the same for cells."""
-        everywhere = np.zeros((self.count, *rows.shape[1:]), dtype=rows.dtype)
+    def spread(self, rows: np.ndarray, others: float = 0.0) -> np.ndarray:
+        """Rows of its facets as rows of all facets of Γ_S, with one number on the others; the same for cells."""
+        everywhere = np.full((self.count, *rows.shape[1:]), others)
         everywhere[self.rows] = rows
         return everywhere
 
@@ -81,6 +83,7 @@ class Sites:
     Attributes:
         unknown: Those of the kinds, see `Kind.unknown`.
         measure: That of each site.
+        sign: Likewise.
     """
 
     def __init__(self, *kinds: Kind):
@@ -90,9 +93,21 @@ class Sites:
         self.unknown, self.measure = (
             np.concatenate([getattr(kind, name) for kind in kinds]) for name in ("unknown", "measure")
         )
+        self.sign: Array = np.repeat([kind.sign for kind in kinds], [len(kind) for kind in kinds])
+
+    def spread(self, values: np.ndarray) -> list[np.ndarray]:
+        """Values of all sites but cells as rows of all facets of Γ_S, one array for each kind."""
+        return [kind.spread(kind.rows_of(values)) for kind in self if kind.name != "cell"]
+
+    def gathered(self, *rows: np.ndarray) -> np.ndarray:
+        """The values of sites from rows as `spread` gives them."""
+        return np.concatenate([of_kind[kind.rows].ravel() for kind, of_kind in zip(self, rows, strict=False)])
 
     def __iter__(self) -> Iterator[Kind]:
         return iter(self._kinds.values())
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._kinds
 
     def __getitem__(self, name: str) -> Kind:
         return self._kinds[name]

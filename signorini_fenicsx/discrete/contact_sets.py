@@ -1,9 +1,12 @@
 """Sets of facets of Γ_S, on meshes that need not match: how much they overlap and how far they are apart."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Self
+from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import basix
 import dolfinx.geometry
 import dolfinx.mesh
 import numpy as np
@@ -17,7 +20,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_nodes, function_of, owned_values
 from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.meshes.sampling import curve_gap, of_unit_size, sampled
+from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, curve_gap, of_unit_size, sampled
 
 OVERLAP_DEGREE = 10
 """Quadrature degree for the part of a facet that the other set covers; it is found to about 1/6 of the facet."""
@@ -54,51 +57,43 @@ class FacetSet:
 
 @dataclass(frozen=True)
 class Segments:
-    """The segment of its law that each facet of Γ_S is on, from which another mesh can start.
+    """The segment of its law that each site is on, from which a problem can start, on another mesh too.
 
     Attributes:
         spaces: Where they are.
-        segment: Number of its segment for each of `spaces.facets`.
-        cells: The same for each owned cell, if there are laws in Ω; otherwise None.
+        segment: Number of its segment for each site of `spaces.site_kinds`; without laws in Ω none of cells.
+        carried: What else the vertices of facets hand on, by name, shape (facets, d, …): with friction the "bound" of
+            the shear and, where it is known, the "slip", u_t in space of those that slip.
     """
 
     spaces: MeshSpaces
     segment: Indices
-    cells: Indices | None = None
+    carried: Mapping[str, Array] = field(default_factory=dict)
 
-    @classmethod
-    def of_sites(cls, spaces: MeshSpaces, segment: Indices) -> Self:
-        """The segments of facets and, if there are more, of the cells behind them (collective)."""
-        number = len(spaces.facets)
-        more = spaces.mesh.comm.allreduce(len(segment) > number, MPI.LOR)
-        return cls(spaces, segment[:number], segment[number:] if more else None)
+    def of(self, name: str) -> Indices:
+        """Those of one kind of sites."""
+        segment: Indices = self.spaces.site_kinds[name].of(self.segment)
+        return segment
 
-    def on(self, spaces: MeshSpaces) -> Indices:
-        """The segments for the sites of another mesh of the domain: that at the midpoint of each (collective)."""
+    def on(self, spaces: MeshSpaces) -> Segments:
+        """The segments on another mesh of the domain, by `near_facets`, of a cell that at its centroid (collective)."""
         if spaces is self.spaces:
-            return self.segment if self.cells is None else np.append(self.segment, self.cells)
-        segments = np.empty(0, dtype=np.int64)
-        if spaces.part_names:
-            segments = self._sample(self.spaces.multiplier(self.segment, "segment"), spaces.Lambda.mesh)
-        segments = segments[: len(spaces.facets)]
-        if self.cells is None:
-            return segments
-        usual = self._usual(self.cells)
-        numbers = function_of(self.spaces.Q, self.cells - usual)
-        near = self._near_others(self.cells != usual, spaces.mesh)
-        return np.append(segments, self._sample(numbers, spaces.mesh, near) + usual)
+            return self
+        rows = self.spaces.site_kinds.spread(self.segment)
+        found = near_facets([*rows, *self.carried.values()], self.spaces, spaces)
+        segment = np.rint(spaces.site_kinds.gathered(*found[: len(rows)])).astype(np.int64)
+        if spaces.mesh.comm.allreduce("cell" in self.spaces.site_kinds and len(self.of("cell")) > 0, MPI.LOR):
+            segment = np.append(segment, self._in_cells(spaces))
+        return Segments(spaces, segment, dict(zip(self.carried, found[len(rows) :], strict=True)))
 
-    def _usual(self, segment: Indices) -> int:
-        """The segment that most cells of all ranks are on (collective)."""
-        comm = self.spaces.mesh.comm
-        most = comm.allreduce(int(segment.max(initial=0)), MPI.MAX)
-        return int(np.argmax(comm.allreduce(np.bincount(segment, minlength=most + 1))))
-
-    def _sample(
-        self, numbers: fem.Function, mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[np.int32] | None = None
-    ) -> Indices:
-        (sample,) = sampled([numbers], mesh, self.spaces.domain, degree=0, cells=cells)
-        return np.rint(owned_values(sample)).astype(np.int64)
+    def _in_cells(self, spaces: MeshSpaces) -> Indices:
+        """The segment at the centroid of each cell of another mesh (collective)."""
+        comm, cells = spaces.mesh.comm, self.of("cell")
+        most = comm.allreduce(int(cells.max(initial=0)), MPI.MAX)
+        usual = int(np.argmax(comm.allreduce(np.bincount(cells, minlength=most + 1))))
+        near, numbers = self._near_others(cells != usual, spaces.mesh), function_of(self.spaces.Q, cells - usual)
+        (sample,) = sampled([numbers], spaces.mesh, self.spaces.domain, degree=0, cells=near)
+        return np.rint(owned_values(sample)).astype(np.int64) + usual
 
     def _near_others(self, others: Mask, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
         """Owned cells of another mesh with their centroid in the box around all cells of a mask (collective).
@@ -114,9 +109,36 @@ class Segments:
         return np.flatnonzero(np.all((low <= centroids) & (centroids <= high), axis=1)).astype(np.int32)
 
 
-def transferred(contact: FacetSet, spaces: MeshSpaces) -> Mask:
-    """Which facets of Γ_S are in a set of another mesh of the domain: those whose midpoints are (collective)."""
-    return Segments(contact.spaces, contact.inside.astype(np.int64)).on(spaces) > 0
+def near_facets(values: Sequence[Array], source: MeshSpaces, target: MeshSpaces) -> list[Array]:
+    """What values on the facets of Γ_S of one mesh are on those of another mesh of the domain (collective).
+
+    One value of a facet is that at its midpoint. Of values at vertices each facet takes as many as it has vertices, in
+    points inside it, each near a vertex, where it is plain on which facet of the other mesh they are.
+
+    Args:
+        values: One per facet, shape (facets,), or at vertices as linear functions, shape (facets, d, …); not both.
+        source: The spaces on their mesh.
+        target: Those on the other mesh.
+    """
+    if not target.part_names:
+        return list(values)
+    gamma, dim, by_vertex = target.Lambda.mesh, target.mesh.topology.dim, values[0].ndim > 1
+    make, degree = (source.linear_multiplier, QUADRATURE_DEGREE) if by_vertex else (source.multiplier, 0)
+    samples = sampled([make(each) for each in values], gamma, source.domain, degree=degree)
+    points = basix.make_quadrature(gamma.basix_cell(), degree)[0]
+    hats = np.column_stack([1 - points.sum(axis=1), points])
+    size = target.Lambda.dofmap.index_map.size_local
+    facets = target.Lambda.dofmap.list[:size, 0]
+    places = np.einsum("qa,fai->fqi", hats, gamma.geometry.x[gamma.geometry.dofmaps[0][:size], :dim])
+    nearest = np.square(places[:, None] - target.corners[facets][:, :, None]).sum(axis=3).argmin(axis=2)
+    found = []
+    for sample in samples:
+        shape = sample.ufl_shape
+        at_points = sample.x.array.reshape(-1, *shape)[sample.function_space.dofmap.list[:size]]
+        rows = np.empty((size, dim, *shape))
+        rows[facets] = np.take_along_axis(at_points, nearest.reshape(*nearest.shape, *[1] * len(shape)), axis=1)
+        found.append(rows if by_vertex else rows[:, 0])
+    return found
 
 
 def jaccard(coarse: FacetSet, fine: FacetSet) -> float:

@@ -26,6 +26,7 @@ from signorini_fenicsx.base.owned import (
     owned_cells,
 )
 from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.contact.sites import Kind, Sites
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.expressions.cutting import Frame
@@ -115,6 +116,12 @@ class MeshSpaces:
     def outer_rows(self) -> npt.NDArray[np.intp]:
         """The rows of `facets` that are on the boundary of the domain, not inside it."""
         return np.setdiff1d(np.arange(len(self.facets)), self.inner.rows)
+
+    @cached_property
+    def site_kinds(self) -> Sites:
+        """The facets of Γ_S, and the owned cells for laws in Ω (collective when first used)."""
+        measures = {"facet": self.facet_measure, "cell": self.cell_measures}
+        return Sites(*(Kind(name, len(e), np.arange(len(e)), e) for name, e in measures.items()))
 
     def note(self, sentence: str) -> None:
         """Add a notice, once."""

@@ -53,22 +53,16 @@ class FacetTable(SiteTable):
 
     Attributes:
         measure: |e|.
-        u: u_h in the cell behind the facet; for a facet inside the domain the jump of u_h.
-        p: Trace p_h, or the jump p_h.
-        flux: σ_h·n.
-        psi: Mean of ψ.
-        q_S: Mean of q_S.
+        p: Trace p_h, or the jump p_h; of a body the mean gap.
+        flux: σ_h·n, or the mean pressure.
         condition: Final condition.
-        segment: Final segment, a row of `BoundaryLaws.names`.
+        segment: Final segment, an index into the names of the segments of all laws.
         vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
     """
 
     measure: Array
-    u: Array
     p: Array
     flux: Array
-    psi: Array
-    q_S: Array
     condition: npt.NDArray[np.int64]
     segment: Indices
     vertices: Indices

@@ -118,7 +118,7 @@ class _Sets:
             sets = _Sets(self._rule, task)
             if task.whole:
                 outcome = sets.found()
-                sets._start = outcome.conditions.and_cells(outcome.iterate.cells) if outcome.converged else None
+                sets._start = outcome.conditions if outcome.converged else None
             else:
                 sets.predicted()
             PETSc.garbage_cleanup(task.spaces.mesh.comm)  # in parallel PETSc frees objects only here
@@ -147,7 +147,7 @@ class _Sets:
             follow=follow,
         )
         self._before = outcome.iterate
-        self._segment = self._law.segments(outcome.conditions.and_cells(outcome.iterate.cells))
+        self._segment = self._law.segments(outcome.conditions)
         return outcome
 
     def _made_precise(self, outcome: Outcome, *, check: bool = False) -> Outcome:
@@ -162,7 +162,7 @@ class _Sets:
             kkt = task.kkt(outcome.iterate, self._rule.penalty)
         if (violation := kkt.violation()) is None or backend.precise is None:
             return replace(outcome, kkt=kkt)
-        start = outcome.conditions.and_cells(outcome.iterate.cells)
+        start = outcome.conditions
         again = iterate_sets(backend.precise(), self._rule, self._parameters, start=start, history=self._history)
         remark = f"by the saddle point, because the facet system left {violation}"
         return replace(again, reason=f"{again.reason}, {remark}")

@@ -94,8 +94,7 @@ def evolve(
     solver: Solver = place if isinstance(place, Solver) else Solver(domain, (boundary, sorted_problem))
     comm = solver.spaces.mesh.comm
     steps: Steps = solver.steps(sorted_problem, evolution, start)
-    on_mesh = start is not None and start.spaces is solver.spaces
-    before = Past(0, [], start.segments() if on_mesh else start) if past is None else past(steps)
+    before = Past(0, [], start) if past is None else past(steps)
     left, segments = [*before.left, steps.start()][:2], before.segments
     for step in range(before.step + 1, evolution.steps + 1):
         solved = solver.solve(

@@ -74,7 +74,6 @@ def test_fluxes_of_iterates(name: str):
     solution = solve_case(case, MPI.COMM_SELF)
     backend = HybridBackend(solution.spaces, solution.data, tuning=Tuning(direct_up_to=0))
     conditions = solution.outcome.conditions
-    conditions = conditions.and_cells(solution.outcome.iterate.cells)
     done = backend.solve(conditions)
     p, flux = backend.solve_until(conditions, lambda p, flux: False)
     np.testing.assert_allclose(p, done.p, atol=1e-13)

@@ -94,7 +94,7 @@ def test_nearest_to_graph():
         v = np.clip(rng.uniform(-3, 3, (1, points)), low_p, high_p)
         s = -np.clip(rng.uniform(-4, 4, 1), low, high)
         omega, target = rng.uniform(0.1, 2, 1), s[:, None] + rng.normal(0, 0.5, (1, points))
-        laws = law.take(np.zeros(points, dtype=int))
+        laws = law[np.zeros(points, dtype=int)]
         eta = nearest_to_graph(laws, v, s, target, omega, weights)
         assert weights @ eta[0] == pytest.approx(weights.sum() * s[0], abs=1e-9)
 

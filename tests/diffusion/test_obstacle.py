@@ -260,7 +260,7 @@ def test_contact_on_another_mesh():
         numbers = fem.Function(coarse.Q)
         numbers.x.array[:] = segment
         (everywhere,) = sampled([numbers], fine.mesh, coarse.domain, degree=0)
-        found = Segments.of_sites(coarse, segment).on(fine)
+        found = Segments(coarse, segment).on(fine).segment
         assert np.array_equal(found, np.rint(everywhere.x.array))
 
 

@@ -131,7 +131,7 @@ def test_the_copy_in_blocks_takes_new_conditions():
     boundary, problem = Elasticity(1.0, 0.3, conditions=conditions).on(domain)
     spaces = build_elastic_spaces(domain, boundary, problem.rough)
     operator = ConstrainedMatrix(ElasticSystem(spaces, elastic_data(spaces, problem)).matrix, PETSc.Mat.Option.SPD)
-    copy, sites = operator.in_blocks(), spaces.sites
+    copy, sites = operator.in_blocks(), spaces.site_kinds["normal"].unknown
     assert copy.getBlockSizes() == (4, 4)
     x, expected, found = (operator.matrix.createVecLeft() for _ in range(3))
     x.array_w[:] = np.random.default_rng(COMM.rank).random(len(x.array_r))

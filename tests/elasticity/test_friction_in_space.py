@@ -373,7 +373,7 @@ def test_picture_of_shear_and_slip(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
     body = gathered_scene(turned_cube())
     assert body is not None
-    draw_files_of_body(tmp_path, body)
+    draw_files_of_body(tmp_path, body, rubs=True)
     (sheet,) = drawn
     views = {axes.get_title()[4:]: axes.images[0].get_array() for axes in sheet.axes if axes.get_title()}
     assert [title.split()[0] for title in views] == ["pressure", "gap", "contact", "shear", "slip"]

@@ -31,7 +31,7 @@ def ellipse(x: Array, width: float) -> Array:
 
 def on_contact(solution: ElasticSolution) -> tuple[Array, Array]:
     """X and the measure at the vertices of Γ_C."""
-    return solution.spaces.contact.vertices[:, :, 0], solution.spaces.site_measure.reshape(-1, 2)
+    return solution.spaces.contact.vertices[:, :, 0], solution.spaces.site_kinds["normal"].measure.reshape(-1, 2)
 
 
 def test_cattaneo_and_mindlin():

@@ -15,7 +15,7 @@ def _overview(scene):
 
 
 def _draw_steps(folder, scene, tables, times, rows):
-    _line(scene.title, times, [table.u.max() for table in tables]).save(folder / "settling.png")
+    _line(scene.title, times, [table.p.max() for table in tables]).save(folder / "settling.png")
 
 
 PICTURES = Pictures(

@@ -130,18 +130,15 @@ class Rested(Solution):
             along=along_parts(spaces, part, x),
             x=x,
             measure=spaces.facet_measure,
-            u=self.p,
             p=self.p,
             flux=none,
-            psi=none,
-            q_S=none,
             condition=self.outcome.conditions.kind.astype(np.int64),
             segment=none.astype(np.int64),
             vertices=facet_vertices(spaces.mesh, spaces.facets),
         )
 
     def columns(self, table):
-        return {"x": table.x[:, 0], "u": table.u}
+        return {"x": table.x[:, 0], "u": table.p}
 
     def drawn(self):
         u, dim = self.u.x.array, self.spaces.mesh.geometry.dim

@@ -106,8 +106,9 @@ def shaded(scene: Scene) -> list[Group]:
 
 
 def columns_of(scene: Scene, panel: str) -> dict[str, tuple[str, dict[str, Any]]]:
-    """The columns of a panel; under laws with segments of their own there are no ψ and q_S."""
-    return {name: column for name, column in PANELS[panel].items() if not (scene.segments and name in BOUNDS)}
+    """The columns of a panel that the table has; under laws with segments of their own there are no ψ and q_S."""
+    known = vars(scene.facets).keys() - (BOUNDS if scene.segments else ())
+    return {name: column for name, column in PANELS[panel].items() if name in known}
 
 
 def handles(scene: Scene, *, shades: bool = True) -> list:

@@ -33,11 +33,11 @@ class Water:
     @classmethod
     def of(cls, scene: Scene) -> Water | None:
         """The water of a problem whose ψ is −y, None for other problems."""
-        y = scene.facets.x[:, 1]
-        if len(y) == 0:
+        y, psi = scene.facets.x[:, 1], vars(scene.facets).get("psi")
+        if psi is None or len(y) == 0:
             return None
         size = float(np.ptp(scene.fields.points[:, 1]))
-        if not np.allclose(scene.facets.psi, -y, rtol=0, atol=1e-6 * size) or np.ptp(y) < 0.05 * size:
+        if not np.allclose(psi, -y, rtol=0, atol=1e-6 * size) or np.ptp(y) < 0.05 * size:
             return None
         boundary = scene.boundary
         is_dirichlet = boundary.kind == DIRICHLET

@@ -162,13 +162,13 @@ def _with(spaces: Spaces, chains: Chains, part: PartLaw, own: Chains, first: Mas
     """
     number, again = len(chains.p), part.rows[~first]
     try:
-        total, empty = chains.take(again).plus(own.take(np.flatnonzero(~first))), False
+        total, empty = chains[again].plus(own[np.flatnonzero(~first)]), False
     except ValueError:
-        total, empty = own.take(slice(0, 0)), True
+        total, empty = own[:0], True
     if spaces.mesh.comm.allreduce(empty, MPI.LOR):
         raise InputError(f"{part.name} ({part.law.name}): with the laws before it no u is left in some cells")
     others = np.setdiff1d(np.arange(number), part.rows)
-    parts = [(others, chains.take(others)), (part.rows[first], own.take(np.flatnonzero(first))), (again, total)]
+    parts = [(others, chains[others]), (part.rows[first], own[np.flatnonzero(first)]), (again, total)]
     all_chains = joined(parts, number)
     most = spaces.mesh.comm.allreduce(int(all_chains.count.max(initial=1)), MPI.MAX)
     return replace(

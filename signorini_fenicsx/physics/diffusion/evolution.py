@@ -173,9 +173,9 @@ class DiffusionSteps:
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, the segments on which the step has ended, and θ if there is storage."""
         on = solution.segments()
-        cells = {} if on.cells is None else {"own": on.cells}
+        cells = {} if solution.data.inside is None else {"own": on.of("cell")}
         theta = {"theta": self.theta(solution)} if self.storage else {}
-        return {"u": owned_values(solution.u), **cells, **theta, "facet_own": on.segment}
+        return {"u": owned_values(solution.u), **cells, **theta, "facet_own": on.of("facet")}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
@@ -183,8 +183,8 @@ class DiffusionSteps:
         for earlier in range(step, max(step - 2, 0), -1):
             theta = kept(earlier, "theta").ravel() if self.storage else np.zeros_like(self.capacity)
             left.append(self._content(kept(earlier, "u").ravel(), theta))
-        cells = kept(step, "own") if self._problem.has_laws_inside else None
-        return Past(step, left, Segments(self.spaces, kept(step, "facet_own"), cells))
+        keys = ("facet_own", "own") if self._problem.has_laws_inside else ("facet_own",)
+        return Past(step, left, Segments(self.spaces, np.concatenate([kept(step, key) for key in keys])))
 
     def memory(self, step: int, before: Sequence[fem.Function]) -> fem.Function:
         """The sum Σ_k w_k w_(n−k) in P0, from the last content and those before it."""

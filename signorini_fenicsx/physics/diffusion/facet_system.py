@@ -179,8 +179,8 @@ class FacetSystem:
         """Impose conditions on `matrix`, unless they are those of last time (collective)."""
         if conditions.same(self._imposed, self.spaces.mesh.comm):
             return
-        self._impose_in_cells(conditions.take(slice(self._facets.stop, None)))
-        fixed, (_, springs) = self._fixed(conditions.take(self._facets)), self.held_and_springs(conditions)
+        self._impose_in_cells(conditions[self._facets.stop :])
+        fixed, (_, springs) = self._fixed(conditions[self._facets]), self.held_and_springs(conditions)
         self.operator.impose(fixed, self.trace_dofs, springs)
         self._imposed = conditions
 
@@ -196,7 +196,7 @@ class FacetSystem:
 
         Collective if the conditions have values.
         """
-        fixed = self._fixed(conditions.take(self._facets))
+        fixed = self._fixed(conditions[self._facets])
         self.b.array_w[:], held = self.posed(conditions)
         self.b.array_w[fixed] = self.x.array_w[fixed] = held[fixed]
         return fixed
@@ -210,7 +210,7 @@ class FacetSystem:
             The right side for the rest of the solution, and the values of fixed unknowns, 0 elsewhere; both for the
             owned unknowns.
         """
-        conditions, load, held = conditions.take(self._facets), self._load.copy(), np.zeros(len(self._load))
+        conditions, load, held = conditions[self._facets], self._load.copy(), np.zeros(len(self._load))
         if conditions.has_values:
             is_held = conditions.kind == Condition.ZERO_TRACE
             held[self.trace_dofs[is_held]] = conditions.values_where(is_held)
@@ -242,13 +242,12 @@ class FacetSystem:
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
         spaces.carry_across(sigma)
-        cells = None
         if self._data.inside is not None:
-            cells = conditions.take(slice(self._facets.stop, None))
+            cells = conditions[self._facets.stop :]
             held, value = cells.kind == Condition.ZERO_TRACE, self._data.inside.as_linear(cells)[1]
             of_cells[held] = value[held]
         u = function_of(spaces.Q, of_cells, "u")
-        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u, cells=cells)
+        return Iterate(p=p, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u)
 
     def respond(
         self,
@@ -271,7 +270,7 @@ class FacetSystem:
         sums = self.sides.forces(sums_at(self.space.dofmap.index_map, cell_dofs(self.space), -through))
         b, x = (vector.duplicate() for vector in (self.b, self.x))
         b.array_w[:] = sums[:owned] + loads.forces
-        b.array_w[self._fixed(conditions.take(self._facets))] = 0.0
+        b.array_w[self._fixed(conditions[self._facets])] = 0.0
         x.set(0.0)
         solve(b, x)
         trace, u_cr = x.array_r.copy(), fem.Function(self.space)
@@ -311,7 +310,7 @@ class FacetSystem:
 
     def held_and_springs(self, conditions: SiteConditions) -> tuple[Mask, Array]:
         """Which facets of Γ_S are held under these conditions, and β|e| at each of the others."""
-        on_facets = conditions.take(self._facets)
+        on_facets = conditions[self._facets]
         robin = on_facets.kind == Condition.ROBIN
         added = np.zeros(len(robin))
         added[robin] = on_facets.beta_where(robin) * self.spaces.facet_measure[robin]

@@ -122,11 +122,6 @@ class FacetBackend(PlainBackend, ABC):
         sums = [np.sort(x, axis=1).sum(axis=1) for x in (corners[self.facets], cells)]  # the same bits on any rank
         return np.vstack([np.insert(rows, 0, kind, axis=1) for kind, rows in enumerate(sums)])
 
-    def in_mixed_spaces(self, iterate: Iterate, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
-        """The iterate and its conditions on the facets alone; σ and u are in the mixed spaces already."""
-        of_facets = replace(iterate, p=iterate.p[self.facets], flux=iterate.flux[self.facets])
-        return of_facets, conditions.take(self.facets)
-
 
 def _trace_of_flux(spaces: Spaces, kappa: Expr, sigma: Expr) -> Form:
     return flux_product(sigma, ufl.TestFunction(spaces.V), ufl.dx, kappa)

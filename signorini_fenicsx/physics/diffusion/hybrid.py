@@ -243,5 +243,5 @@ class HybridBackend(FacetBackend):
         essential = self._system.apply(conditions)
         if self._solver.levels is not None:
             with self._solver.options():
-                self._solver.levels.update(conditions.take(self.facets), essential)
+                self._solver.levels.update(conditions[self.facets], essential)
         return essential

@@ -13,7 +13,7 @@ from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.data import project_data
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.residuals import conditions_of_cells, kkt_residuals
+from signorini_fenicsx.physics.diffusion.residuals import kkt_residuals, with_cells
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored
@@ -53,9 +53,9 @@ def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) 
         data = data.after(function_of(spaces.Q, stored.in_cells(spaces, "memory"), "memory"))
     trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
-    conditions = law.conditions(law.nearest(condition.astype(np.int8), trace, flux))
-    cells = conditions_of_cells(spaces, data, sigma, u)
-    iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u, cells=cells)
+    iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u)
+    segment = law.nearest(condition.astype(np.int8), trace, flux)
+    iterate, conditions = with_cells(spaces, data, iterate, segment, options.method.penalty, options.eps)
     return Solution(
         boundary=boundary,
         problem=problem,

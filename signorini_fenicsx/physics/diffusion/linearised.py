@@ -64,16 +64,10 @@ class Linearised:
         """
         self._solution, self._backend = solution, backend
         self._spaces, self._data = solution.spaces, solution.data
-        cells = solution.outcome.iterate.cells
-        self._conditions: SiteConditions = solution.outcome.conditions.and_cells(cells)
-        self._held_cells = np.zeros(len(self._spaces.cell_measures), dtype=bool)
-        if cells is not None:
-            self._held_cells = cells.kind == Condition.ZERO_TRACE
-        self._law = solution.law if cells is None else self._data.chains
-        segments = solution.segments()
-        self._segment = segments.segment
-        if segments.cells is not None:
-            self._segment = np.append(self._segment, segments.cells)
+        self._conditions: SiteConditions = solution.outcome.conditions
+        self._held_cells = self._spaces.site_kinds["cell"].of(self._conditions.kind) == Condition.ZERO_TRACE
+        self._law = solution.law
+        self._segment = solution.segments().segment
         self.seen = dict(_seen(self._spaces, solution))
         self._beside = self._segments_beside(tolerance)
         self.biactive = self._beside != 0
@@ -91,12 +85,8 @@ class Linearised:
     def _segments_beside(self, tolerance: float) -> Indices:
         """Which way the other segment is of each site that is on a corner; 0 at other sites (collective)."""
         iterate = self._solution.outcome.iterate
-        p, flux = iterate.p, iterate.flux
-        if self._data.inside is not None:
-            p = np.append(p, owned_values(self._solution.u) - self._data.inside.means)
-            flux = np.append(flux, owned_values(self._solution.force()))
         of_p, of_flux = (np.where(scale > 0, scale, 1.0) for scale in self._backend.scales(iterate))
-        return self._law.beside(self._segment, p, flux, (of_p, of_flux), tolerance)
+        return self._law.beside(self._segment, iterate.p, iterate.flux, (of_p, of_flux), tolerance)
 
     def _lines(self, step: Indices) -> list[Lines]:
         """The lines of all laws on the segments that are so many beyond those that the sites are on (collective)."""

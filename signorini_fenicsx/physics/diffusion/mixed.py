@@ -118,8 +118,8 @@ class MixedBackend(FacetBackend):
         spaces, b, x, residual = self.spaces, self._b, self._x, self._residual
         self._impose(conditions)
         given_flux, given_trace = (conditions.kind == kind for kind in (Condition.NO_FLUX, Condition.ZERO_TRACE))
-        inside, held, in_cells = self.data.inside, given_trace[self.cells], conditions.take(self.cells)
-        on_facets, given = conditions.take(self.facets), given_flux[self.facets]
+        inside, held, in_cells = self.data.inside, given_trace[self.cells], conditions[self.cells]
+        on_facets, given = conditions[self.facets], given_flux[self.facets]
         load = np.empty(0) if inside is None else inside.as_linear(in_cells)[1]
         essential = np.append(spaces.flux_dofs[given], self._of_cells(held))
         values = (flux[self.facets] * spaces.facet_measure / spaces.basis_flux)[given]
@@ -160,7 +160,6 @@ class MixedBackend(FacetBackend):
             linear_iterations=self._solver.ksp.getIterationNumber(),
             sigma=sigma,
             u=u,
-            cells=None if inside is None else in_cells,
         )
 
     def _of_cells(self, cells: Mask) -> npt.NDArray[np.int32]:
@@ -171,9 +170,9 @@ class MixedBackend(FacetBackend):
         """Make the matrix that of these conditions (collective)."""
         if conditions.same(self._imposed, self.comm):
             return
-        spaces, in_cells = self.spaces, conditions.take(self.cells)
+        spaces, in_cells = self.spaces, conditions[self.cells]
         of_cells, sloped = (self._of_cells(in_cells.kind == kind) for kind in (Condition.ZERO_TRACE, Condition.ROBIN))
-        self._imposed, conditions = conditions, conditions.take(self.facets)
+        self._imposed, conditions = conditions, conditions[self.facets]
         no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
         # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
         added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta_where(robin)

@@ -1,17 +1,18 @@
 """Residuals of the discrete Signorini problem that do not depend on units."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
-from signorini_fenicsx.contact.residuals import Residuals, relative
+from signorini_fenicsx.contact.residuals import Residuals, relative, squares_off
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws
@@ -98,13 +99,15 @@ def kkt_residuals(
     in_cells = CellFlux.of(spaces, sigma)
     scales = _scales(spaces, in_cells, u, data)
 
-    e, k = spaces.facet_measure, data.conductivities(spaces)[spaces.cells]
-    trace, flux = p.x.array[: len(e)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
+    k, h, (facet, cell) = data.conductivities(spaces), spaces.cell_diameters, spaces.site_kinds
+    trace, flux = p.x.array[: len(facet)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     if penalty is not None:
         trace, flux = penalty.shift(trace, flux, eps)
-    low, inward, smaller = data.laws.chains.distances(trace, flux, k / length)
-    sums = [[e @ (values / w) ** 2 for w in (k, 1)] for values in (k * low / length, inward, smaller)]
-    squares = length * np.array(sums) + _of_laws_inside(spaces, data, in_cells, u)
+    weights, k_e = length * facet.measure, k[spaces.cells]
+    squares = squares_off(data.laws.chains, (trace, flux), k_e / length, weights, k_e, 1.0)
+    if data.inside is not None:
+        *pair, unit = _pairs_of_cells(spaces, data, data.inside, in_cells, u)
+        squares += squares_off(data.inside.chains, pair, unit, cell.measure * h**2, k, 1.0)
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
     return KKTResiduals(
         primal=relative(primal, scales),
@@ -132,14 +135,16 @@ def far_bound(spaces: Spaces, data: Data, u: fem.Function) -> str:
     )
 
 
-def conditions_of_cells(spaces: Spaces, data: Data, sigma: fem.Function, u: fem.Function) -> SiteConditions | None:
-    """The condition of each owned cell to which the fields are nearest, None without laws in Ω (collective)."""
-    if data.inside is None:
-        return None
-    above, force, unit = _pairs_of_cells(spaces, data, data.inside, CellFlux.of(spaces, sigma), u)
-    chains = data.inside.chains
-    pair = above, force
-    return chains.conditions(np.argmin(chains.off_segments(pair, pair, unit), axis=1))
+def with_cells(
+    spaces: Spaces, data: Data, iterate: Iterate, segment: Indices, penalty: Penalty | None = None, eps: float = 1.0
+) -> tuple[Iterate, SiteConditions]:
+    """An iterate of facets, and their segments, with those of cells to which its fields are nearest (collective)."""
+    if data.inside is not None:
+        sigma, law = CellFlux.of(spaces, iterate.sigma), data.inside.chains
+        above, force, unit = _pairs_of_cells(spaces, data, data.inside, sigma, iterate.u)
+        segment = np.append(segment, np.argmin(law.off_segments((above, force), (above, force), unit), axis=1))
+        iterate = replace(iterate, p=np.append(iterate.p, above), flux=np.append(iterate.flux, force))
+    return iterate, data.chains.with_penalty(penalty, eps).conditions(segment)
 
 
 def _pairs_of_cells(
@@ -148,17 +153,6 @@ def _pairs_of_cells(
     """The value of u less its reference and −s per owned cell, and how many units of s one of u is: k/(L h_T)."""
     force = -sigma.divergence - owned_values(data.source(u))
     return owned_values(u) - laws.means, force, data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
-
-
-def _of_laws_inside(spaces: Spaces, data: Data, sigma: CellFlux, u: fem.Function) -> Array:
-    """Squares of what the cells of this rank add to primal, dual and complementarity."""
-    if data.inside is None:
-        return np.zeros((3, 2))
-    above, force, unit = _pairs_of_cells(spaces, data, data.inside, sigma, u)
-    low, inward, smaller = data.inside.chains.distances(above, force, unit)
-    k, h = data.conductivities(spaces), spaces.cell_diameters
-    parts = unit * h * low, h * inward, h * smaller
-    return np.array([[spaces.cell_measures @ (values / w) ** 2 for w in (k, 1.0)] for values in parts])
 
 
 def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:

@@ -70,8 +70,7 @@ def seepage(solution: Solution) -> Seepage | None:
 
 def _downstream(solution: Solution) -> Array:
     """Height, −∂w/∂x and whether the cell behind is wet, for each facet of the face, from below (collective)."""
-    spaces, contact = solution.spaces, solution.outcome.iterate.contact
-    assert contact is not None
+    spaces, contact = solution.spaces, solution.held_cells
     middle = in_facets(spaces.mesh, spaces.domain.facets["right"], np.array([[0.5]]))
     slope = solution.cell_flux.at(middle)[:, 0, 0]
     rows = np.column_stack([middle.x[:, 0, 1], -slope, ~contact[middle.cells]])
@@ -85,8 +84,7 @@ def _phreatic_line(solution: Solution) -> Array:
     Near the line w = d²/2 with the distance d from it. So ∇w has the length d and points away from the line, and x −
     ∇w(x) is on the line.
     """
-    spaces, contact = solution.spaces, solution.outcome.iterate.contact
-    assert contact is not None
+    spaces, contact = solution.spaces, solution.held_cells
     space = spaces.crouzeix_raviart
     dofs = cell_dofs(space)
     dry = sums_at(space.dofmap.index_map, dofs[contact])

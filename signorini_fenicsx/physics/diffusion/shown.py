@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import dolfinx.mesh
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cells_behind, owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
@@ -36,10 +38,10 @@ def fields(solution: Solution) -> Fields:
     on_facets = [
         Field("p", solution.p.x.array[: len(spaces.facets)]),
         Field("flux", spaces.normal_flux(solution.sigma)),
-        Field("condition", solution.outcome.conditions.kind, names=CONDITIONS),
+        Field("condition", spaces.site_kinds["facet"].of(solution.outcome.conditions.kind), names=CONDITIONS),
     ]
     if laws.listed:
-        on_facets.append(Field("segment", laws.labels(solution.segments().segment), names=laws.names()))
+        on_facets.append(Field("segment", laws.labels(solution.segments().of("facet")), names=laws.names()))
     return {IN_CELLS: [*on_cells, *_inside(solution)], "multiplier": on_facets}
 
 
@@ -48,21 +50,35 @@ def _inside(solution: Solution) -> list[Field]:
     laws = solution.data.inside
     if laws is None:
         return []
-    force, contact = owned_values(solution.force()), solution.outcome.iterate.contact
-    if laws.is_obstacle and contact is not None:
-        return [Field("contact", contact, names=("free", "contact")), Field("force", force)]
-    segments = solution.segments().cells
-    return [] if segments is None else [Field("segment", segments), Field("s", -force)]
+    force = owned_values(solution.force())
+    if laws.is_obstacle:
+        return [Field("contact", solution.held_cells, names=("free", "contact")), Field("force", force)]
+    return [Field("segment", solution.segments().of("cell")), Field("s", -force)]
 
 
-def table(solution: Solution) -> FacetTable:
+@dataclass(frozen=True)
+class GammaTable(FacetTable):
+    """One row per facet of Γ_S, with what the laws say of it.
+
+    Attributes:
+        u: u_h in the cell behind the facet; for a facet inside the domain the jump of u_h.
+        psi: Mean of ψ.
+        q_S: Mean of q_S.
+    """
+
+    u: Array
+    psi: Array
+    q_S: Array
+
+
+def table(solution: Solution) -> GammaTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces = solution.spaces
     part = spaces.part_of_facet.astype(np.int64)
     size, u = len(spaces.facets), solution.u.x.array[spaces.cells]
     u[spaces.inner.rows] -= solution.u.x.array[cells_behind(spaces.mesh, spaces.inner.facets)]
     midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
-    return FacetTable(
+    return GammaTable(
         part=part,
         along=along_parts(spaces, part, midpoints),
         x=midpoints,
@@ -72,13 +88,13 @@ def table(solution: Solution) -> FacetTable:
         flux=spaces.normal_flux(solution.sigma),
         psi=solution.data.psi_h,
         q_S=solution.data.q_Sh,
-        condition=solution.outcome.conditions.kind.astype(np.int64),
-        segment=solution.data.laws.labels(solution.segments().segment),
+        condition=spaces.site_kinds["facet"].of(solution.outcome.conditions.kind).astype(np.int64),
+        segment=solution.data.laws.labels(solution.segments().of("facet")),
         vertices=facet_vertices(spaces.mesh, spaces.facets),
     )
 
 
-def columns(solution: Solution, table: FacetTable) -> Columns:
+def columns(solution: Solution, table: GammaTable) -> Columns:
     """The columns of `facets.csv`; `segment` is among them if there are other laws than Signorini's."""
     laws = solution.data.laws
     return {
@@ -129,8 +145,8 @@ def drawn(solution: Solution) -> Drawn:
         facets=table(solution),
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
         divergence=solution.cell_flux.divergence,
-        contact=solution.outcome.iterate.contact,
-        states=solution.segments().cells,
+        contact=None if laws_inside is None else solution.held_cells,
+        states=None if laws_inside is None else solution.segments().of("cell"),
         edges="edge of the contact" if is_obstacle else "fronts",
         columns=_columns_of_cells(solution),
         segments=laws.names() if laws.listed else (),

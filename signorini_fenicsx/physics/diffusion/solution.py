@@ -15,14 +15,14 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.base.arrays import Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.forms.norms import l2
@@ -186,22 +186,32 @@ class Solution(AnySolution):
             return None
         norms = exact_errors(spaces, data, exact, self.cell_flux, self.u, self.p)
         norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
-        contact = self.outcome.iterate.contact
-        if data.inside is None or contact is None or not data.inside.bounds_alone:
+        if data.inside is None or not data.inside.bounds_alone:
             return norms
-        return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, contact)}
+        return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, self.held_cells)}
 
     def contact_set(self) -> FacetSet:
         """The Γ_S facets in contact, by their final condition: where a law holds u that leaves it open."""
-        holds = self.outcome.conditions.kind == self.method.contact
+        holds = self.spaces.site_kinds["facet"].of(self.outcome.conditions.kind) == self.method.contact
         return FacetSet(self.spaces, holds & self.data.laws.leave_open)
+
+    @property
+    def cell_conditions(self) -> SiteConditions:
+        """Conditions of the owned cells; of none without laws in Ω."""
+        conditions: SiteConditions = self.spaces.site_kinds["cell"].of(self.outcome.conditions)
+        return conditions
+
+    @property
+    def held_cells(self) -> Mask:
+        """Mask of the owned cells where a law holds u, as an obstacle in contact does; empty without laws in Ω."""
+        return self.cell_conditions.kind == Condition.ZERO_TRACE
 
     @collector_off()
     def free_boundary(self) -> npt.NDArray[np.int32]:
         """The owned facets between cells on different segments of their laws in Ω (collective)."""
-        space, segment = self.spaces.crouzeix_raviart, self.segments().cells
-        if segment is None:
+        if self.data.inside is None:
             return np.empty(0, dtype=np.int32)
+        space, segment = self.spaces.crouzeix_raviart, self.segments().of("cell")
         of_cells, index_map = np.column_stack([np.ones(len(segment)), segment, segment**2]), space.dofmap.index_map
         sums = sums_at(index_map, cell_dofs(space), of_cells[:, None])
         number, total, squares = sums[: index_map.size_local].T
@@ -213,11 +223,10 @@ class Solution(AnySolution):
 
         It is exactly what the law says in cells on flat and sloped segments, such as 0 off an obstacle.
         """
-        spaces, cells, laws = self.spaces, self.outcome.iterate.cells, self.data.inside
-        force = fem.Function(spaces.Q, name="force")
-        if cells is not None and laws is not None:
+        laws, force = self.data.inside, fem.Function(self.spaces.Q, name="force")
+        if laws is not None:
             divergence = self.cell_flux.divergence
-            beta, load = laws.as_linear(cells)
+            beta, load = laws.as_linear(self.cell_conditions)
             held = np.isinf(beta)
             by_law = load - np.where(held, 0.0, beta) * owned_values(self.u)
             set_owned(force, np.where(held, -divergence - owned_values(self.data.source(self.u)), by_law))
@@ -238,11 +247,9 @@ class Solution(AnySolution):
 
     def segments_of_law(self, part: PartLaw) -> Indices:
         """The segment of one law in Ω that each of its cells is on (collective)."""
-        laws, cells, own = self.data.inside, self.segments().cells, part.rows
-        assert laws is not None
-        assert cells is not None
-        if len(laws.of_regions) == 1:
-            return cells[own]
+        laws, own = self.data.inside, part.rows
+        if laws is not None and len(laws.of_regions) == 1:
+            return self.segments().of("cell")[own]
         chains = np.concatenate([part.chains(points).p for points in part.quadrature(self.spaces, 1)])
         u = owned_values(self.u)[own, None]
         near = SAME * np.maximum(np.abs(u), np.abs(chains))
@@ -252,24 +259,20 @@ class Solution(AnySolution):
     @collector_off()
     def on_obstacle(self) -> dict[str, float]:
         """Number and measure of the cells in contact with the obstacle, and ∫λ_h (collective)."""
-        comm, measures, contact = self.spaces.mesh.comm, self.spaces.cell_measures, self.outcome.iterate.contact
-        inside = np.zeros(len(measures), dtype=bool) if contact is None else contact
-        local = np.array([np.count_nonzero(inside), measures[inside].sum(), measures @ owned_values(self.force())])
+        comm, measures, held = self.spaces.mesh.comm, self.spaces.cell_measures, np.flatnonzero(self.held_cells)
+        local = np.array([len(held), measures[held].sum(), measures @ owned_values(self.force())])
         cells, measure, force = comm.allreduce(local).tolist()
         return {"contact_cells": int(cells), "contact_measure": measure, "force": force}
 
     @property
     def law(self) -> Chains:
-        """The law that each Γ_S facet has in the end: with a penalty, that of the penalty."""
-        return self.data.laws.chains.with_penalty(self.method.penalty, self.options.eps)
+        """The law that each site has in the end: with a penalty, that of the penalty."""
+        return self.data.chains.with_penalty(self.method.penalty, self.options.eps)
 
     def segments(self) -> Segments:
         """The segment of its law that each Γ_S facet is on, and each cell if there are laws in Ω."""
-        laws, iterate, cells = self.data.inside, self.outcome.iterate, None
-        if laws is not None and iterate.cells is not None:
-            pair = owned_values(self.u) - laws.means, owned_values(self.force())
-            cells = laws.chains.segments(iterate.cells, pair)
-        return Segments(self.spaces, self.law.segments(self.outcome.conditions, (iterate.p, iterate.flux)), cells)
+        iterate = self.outcome.iterate
+        return Segments(self.spaces, self.law.segments(self.outcome.conditions, (iterate.p, iterate.flux)))
 
     @cached_property
     def contact(self) -> InContact:
@@ -290,7 +293,7 @@ class Solution(AnySolution):
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
-        spaces, laws, segment = self.spaces, self.data.laws.of_parts, self.segments().segment
+        spaces, laws, segment = self.spaces, self.data.laws.of_parts, self.segments().of("facet")
         return by_part(spaces, laws, segment, spaces.part_of_facet, spaces.facet_measure, "facets")
 
     @collector_off()
@@ -329,9 +332,10 @@ class Solution(AnySolution):
 
     def contradiction(self) -> str | None:
         """Whether σ·n and p do not have the values that the conditions prescribe, see `Solved.contradiction`."""
-        spaces, conditions, iterate = self.spaces, self.outcome.conditions, self.outcome.iterate
+        spaces, facet, iterate = self.spaces, self.spaces.site_kinds["facet"], self.outcome.iterate
+        conditions = facet.of(self.outcome.conditions)
         squares = [
-            spaces.facet_measure @ np.where(conditions.kind == condition, values - conditions.value, 0.0) ** 2
+            facet.measure @ np.where(conditions.kind == condition, facet.of(values) - conditions.value, 0.0) ** 2
             for values, condition in ((iterate.flux, Condition.NO_FLUX), (iterate.p, Condition.ZERO_TRACE))
         ]
         left = spaces.length * spaces.mesh.comm.allreduce(np.array(squares))

@@ -174,11 +174,13 @@ class DiffusionRun:
                     return replace(outcome, kkt=kkt)
                 task = replace(self.task, data=nearer)
                 again = self.options.method.run(task)
-                touched = (nearer.psi_h != self.task.data.psi_h) & (again.conditions.kind != Condition.NO_FLUX)
+                facet = task.spaces.site_kinds["facet"]
+                touched = facet.of(again.conditions.kind != Condition.NO_FLUX) & (nearer.psi_h != self.task.data.psi_h)
                 if not again.converged or task.spaces.mesh.comm.allreduce(int(touched.sum())) > 0:
                     return replace(outcome, kkt=kkt)
-                self.trace = again.iterate.p + nearer.psi_h
-                as_given = replace(again.iterate, p=self.trace - self.task.data.psi_h)
+                self.trace, p = facet.of(again.iterate.p) + nearer.psi_h, again.iterate.p.copy()
+                facet.of(p)[:] = self.trace - self.task.data.psi_h
+                as_given = replace(again.iterate, p=p)
                 kkt = again.kkt or task.kkt(again.iterate, self.options.method.penalty)
                 return replace(again, iterate=as_given, kkt=kkt)
         except LoopInterruption as interruption:
@@ -189,9 +191,10 @@ class DiffusionRun:
 
         Signorini's conditions hold there with both: what matters is that u is above ψ, and that the flux is q_S.
         """
-        spaces, data, p = self.task.spaces, self.task.data, outcome.iterate.p
+        spaces, data, facet = self.task.spaces, self.task.data, self.task.spaces.site_kinds["facet"]
         reach = spaces.mesh.comm.allreduce(float(np.abs(outcome.iterate.u.x.array).max(initial=0.0)), MPI.MAX)
-        far = (outcome.conditions.kind == Condition.NO_FLUX) & (p > FARTHER * reach)
+        p = facet.of(outcome.iterate.p)
+        far = facet.of(outcome.conditions.kind == Condition.NO_FLUX) & (p > FARTHER * reach)
         if not data.chains.plain or spaces.mesh.comm.allreduce(int(far.sum())) == 0:
             return None
         return data.with_bound(spaces, np.where(far, data.psi_h + p - reach, data.psi_h))
@@ -209,7 +212,8 @@ class DiffusionRun:
 
     def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> Solution:
         """The solution (collective)."""
-        spaces, trace = self.task.spaces, outcome.iterate.p + self.data.psi_h
+        spaces = self.task.spaces
+        trace = spaces.site_kinds["facet"].of(outcome.iterate.p) + self.data.psi_h
         if self.trace is not None:
             trace = self.trace + (self.data.psi_h - self.task.data.psi_h)  # the difference is the constant
         self.system.kept.solved(outcome, self.task.data)

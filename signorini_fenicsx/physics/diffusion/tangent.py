@@ -62,8 +62,7 @@ class Tangent(FacetBackend):
         if self.data.inside is not None:
             p, flux = np.append(p, owned_values(u)), np.append(flux, self._minus_s(sigma, owned_values(u)))
         p, flux = conditions.clean(p, flux, self.data.conductance)
-        cells = None if self.data.inside is None else conditions.take(self.cells)
-        return Iterate(p=p, flux=flux, linear_iterations=1, sigma=sigma, u=u, cells=cells)
+        return Iterate(p=p, flux=flux, linear_iterations=1, sigma=sigma, u=u)
 
     def _minus_s(self, sigma: fem.Function, u: Array) -> Array:
         """The change of −s = −∇·σ − f + cu in each cell."""

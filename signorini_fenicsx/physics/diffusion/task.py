@@ -58,7 +58,7 @@ class DiffusionTask(Task):
 
     def begin(self, _backend: object, start: Segments) -> Indices:
         """The segments on another mesh: for a facet that at its midpoint, for a cell that of the cell there."""
-        return start.on(self.spaces)
+        return start.on(self.spaces).segment
 
     def own_start(self, backend: Backend[Iterate]) -> SiteConditions | None:
         """The steepest segments if there is no Γ_D: an algorithm's own start may be a Neumann problem."""
@@ -66,7 +66,7 @@ class DiffusionTask(Task):
 
     def found(self, _backend: object, segment: Indices) -> Segments:
         """The segments (collective)."""
-        return Segments.of_sites(self.spaces, segment)
+        return Segments(self.spaces, segment)
 
     def floating(self) -> Floating | None:
         """The components that have neither facets of Γ_D nor cells with a term cu (collective)."""
@@ -74,7 +74,7 @@ class DiffusionTask(Task):
 
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
         """KKT residuals of an iterate (collective)."""
-        p = self.spaces.multiplier(iterate.p + self.data.psi_h)
+        p = self.spaces.multiplier(self.spaces.site_kinds["facet"].of(iterate.p) + self.data.psi_h)
         return kkt_residuals(self.spaces, self.data, iterate.sigma, iterate.u, p, penalty, self.eps)
 
 

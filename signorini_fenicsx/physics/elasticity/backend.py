@@ -93,10 +93,8 @@ class ElasticBackend(PlainBackend):
             InputError: If PETSc refuses an option.
         """
         self.spaces, self.data, self.comm = spaces, data, spaces.mesh.comm
-        self._unknowns, self.measure = spaces.site_kinds.unknown, spaces.site_kinds.measure
-        self._normal, self._slip = spaces.site_kinds
-        self._signs = np.repeat([-1.0, 1.0], [len(self._normal), len(self._slip)])  # p and the flux are −u_n and −σ_nn
-        self.sites = len(self._unknowns)
+        self._normal, self._slip = sites = spaces.site_kinds
+        self.sites, self._unknowns, self.measure, self._signs = len(sites), sites.unknown, sites.measure, sites.sign
         self.friction = data.friction
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
@@ -120,7 +118,7 @@ class ElasticBackend(PlainBackend):
     @property
     def chains(self) -> Chains:
         """The law of each site, of friction by its present bounds."""
-        return law_of_sites(self.spaces, self.data.laws.chains, self.friction)
+        return law_of_sites(self.data.laws.chains, self.friction)
 
     def data_found(self) -> ElasticData:
         """The data with the last bounds of friction, and with the tools where they have moved to (collective)."""

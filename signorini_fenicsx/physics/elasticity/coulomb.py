@@ -69,7 +69,7 @@ def balanced[S: FoundSets](
             step = np.zeros_like(following.bound)
         elif left < least or share <= SHORTEST:
             accepted, least, share = present, left, 1.0
-            segments = present.chains.segments(outcome.conditions.take(slice(len(spaces.sites), None)))
+            segments = present.chains.segments(spaces.site_kinds["slip"].of(outcome.conditions))
             law = present.directions(segments), present.slope(spaces.pressure_of(outcome.iterate.flux))
             enough = EXACT
             if roughly:
@@ -111,23 +111,22 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
         return outcome.ended(
             f"the bound of the friction still changes by {min(changes):.1e} after {len(changes)} steps"
         )
-    normal, kind = len(spaces.sites), outcome.conditions.kind
+    normal, slip = spaces.site_kinds
     coulomb = np.repeat(friction.coulomb, 2)
-    segments = backend.friction.chains.segments(outcome.conditions.take(slice(normal, None)))
+    segments = backend.friction.chains.segments(slip.of(outcome.conditions))
     slips = np.array([State.MINUS, State.STICK, State.PLUS])[segments]
     state = np.concatenate(
         [
-            np.where(kind[:normal] == Condition.ZERO_TRACE, State.PRESSED, State.OPEN),
+            np.where(normal.of(outcome.conditions.kind) == Condition.ZERO_TRACE, State.PRESSED, State.OPEN),
             np.where(coulomb, State.FREE, slips),
         ]
     )
     first = comm.exscan(backend.sites) or 0
-    vertex = (spaces.rough_rows[:, None] * spaces.dim + np.arange(spaces.dim)).ravel()
-    zeros = np.zeros(normal)
+    zeros = np.zeros(len(normal))
     own = (
         *_reactions(backend),
         _shares(backend),
-        np.concatenate([np.full(normal, -1), first + vertex]),
+        np.concatenate([np.full(len(normal), -1), first + slip.pressing.ravel()]),
         np.concatenate([zeros, np.where(coulomb, friction.mu.ravel(), 0.0)]),
         np.concatenate([zeros, np.where(coulomb, 0.0, friction.bound.ravel())]),
         state,
@@ -146,7 +145,7 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
     state, p, flux = end[0][own_sites], end[1][own_sites], end[2][own_sites]
     backend.friction = friction.following(backend.spaces.pressure_of(flux))
     segments = np.select([state == State.OPEN, state == State.STICK, state == State.PLUS], [1, 1, 2], 0)
-    segments[normal:][(state[normal:] == State.FREE) & (p[normal:] > 0)] = 2
+    slip.of(segments)[slip.of((state == State.FREE) & (p > 0))] = 2
     outcome = tresca(segments)
     changes.append(backend.friction.change(backend.friction.following(pressure(backend, outcome.iterate)), spaces))
     if changes[-1] > CHANGE:
@@ -159,8 +158,7 @@ def _reactions(backend: ElasticBackend) -> tuple[Array, Array]:
 
     The matrix has the sites of all ranks one rank after another. Costs a linear solve for each.
     """
-    spaces, none = backend.spaces, np.zeros_like(backend.system.load)
-    unknowns = np.concatenate([spaces.sites, spaces.slip_sites])
+    sites, none = backend.spaces.site_kinds, np.zeros_like(backend.system.load)
     held = SiteConditions.everywhere(Condition.ZERO_TRACE, backend.sites)
     force = backend.flux(backend.solve_homogeneous(held, backend.system.load), backend.system.load)
     columns = [np.empty((backend.sites, 0))]
@@ -168,7 +166,7 @@ def _reactions(backend: ElasticBackend) -> tuple[Array, Array]:
         for site in range(count):
             lift = none.copy()
             if rank == backend.comm.rank:
-                lift[unknowns[site]] = -1.0 if site < len(spaces.sites) else 1.0
+                lift[sites.unknown[site]] = sites.sign[site]
             columns.append(backend.flux(backend.solve_homogeneous(held, none, lift), none)[:, None])
     return np.concatenate(columns, axis=1), force
 
@@ -213,11 +211,11 @@ def newton(
         share: GMRES stops at this share of it.
     """
     friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
-    directions, slope = law
+    (directions, slope), slip = law, spaces.site_kinds["slip"]
 
     def without_response(values: Array) -> Array:
         load = none.copy()
-        load[spaces.slip_sites] = directions * spaces.slip_measure * np.repeat(values, spaces.dim - 1)
+        load[slip.unknown] = directions * slip.measure * np.repeat(values, spaces.dim - 1)
         pressure = spaces.pressure_of(backend.response(conditions, load))
         return values - (slope * pressure.reshape(slope.shape)).ravel()
 

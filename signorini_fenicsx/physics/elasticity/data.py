@@ -216,13 +216,14 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     load = la.vector(lift.function_space.dofmap.index_map, dim**2)
     laws = normal_laws(spaces, problem.normal)
     fixed = _set_given(spaces, u_D, gap, lift)
-    lift.x.array[spaces.sites] -= laws.opening
+    normal, slip = spaces.site_kinds
+    lift.x.array[normal.unknown] -= laws.opening
     tractions = traction_moments(spaces, g_N)
     pulled = add_pulls(spaces, pulls, tractions)
     add_tractions(spaces, tractions, pulled, load)
-    load.array[spaces.sites] -= spaces.site_measure * laws.pressure
-    slipped = np.zeros(len(spaces.slip_sites)) if before.slipped is None else before.slipped
-    lift.x.array[spaces.slip_sites] = slipped
+    load.array[normal.unknown] -= normal.measure * laws.pressure
+    slipped = np.zeros(len(slip)) if before.slipped is None else before.slipped
+    lift.x.array[slip.unknown] = slipped
     lift.x.scatter_forward()
     data = ElasticData(
         f=f,
@@ -395,5 +396,6 @@ def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Fu
     for index, part in enumerate(spaces.part_names):
         check_nodes(spaces, "gap", gap, spaces.contact.facets[spaces.part_of_facet == index], f"on part '{part}'")
     moments = facet_moments(spaces, "gap", gap, spaces.contact, "on Γ_C")
-    lift.x.array[spaces.sites] = moments.ravel() / spaces.site_measure
+    normal = spaces.site_kinds["normal"]
+    lift.x.array[normal.unknown] = moments.ravel() / normal.measure
     return np.concatenate(unknowns)

@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from ufl import Form
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.physics.elasticity.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
-from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.evolution import Evolution, Past
 
@@ -38,7 +39,7 @@ class ElasticSteps:
 
     def start(self) -> Array:
         """No slip, at the sites with friction."""
-        return np.zeros(len(self.spaces.slip_sites))
+        return np.zeros(len(self.spaces.site_kinds["slip"]))
 
     def problem(self, step: int) -> ElasticProblem:
         """The problem at the time of a step."""
@@ -70,27 +71,15 @@ class ElasticSteps:
 
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
         """For each vertex of Γ_C its segments, its slip as a vector and the bound of the shear."""
-        spaces, own, dim = self.spaces, solution.segments(), self.spaces.dim
-        normal, along = np.split(own.segment, [len(spaces.sites)])
-        on_facets = {
-            "own": normal.reshape(-1, dim),
-            "own_slip": spread(spaces, along.reshape(-1, dim, dim - 1)),
-            "slip": spread(spaces, solution.slip_vectors),
-            "bound": spread(spaces, own.bound),
-        }
+        kinds, own = self.spaces.site_kinds, solution.segments()
+        normal, along = kinds.spread(own.segment)
+        slip = kinds["slip"].spread(solution.slip_vectors)
+        on_facets = {"own": normal.astype(np.int64), "own_slip": along, "slip": slip, **own.carried}
         return {f"facet_{key}": rows for key, rows in on_facets.items()}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
-        spaces, rough = self.spaces, self.spaces.rough_rows
+        spaces = self.spaces
         own, along, slip, bound = (kept(step, f"facet_{key}") for key in ("own", "own_slip", "slip", "bound"))
-        segment = np.concatenate([own.ravel(), along[rough].ravel()]).astype(np.int64)
-        return Past(step, [spaces.in_frames(slip[rough])], ElasticSegments(spaces, segment, bound[rough]))
-
-
-def spread(spaces: ElasticSpaces, rows: Array | Indices) -> Array:
-    """Rows of the facets with friction as rows of all of Γ_C, 0 where there is none."""
-    on_contact = np.zeros((len(spaces.facets), *rows.shape[1:]))
-    if len(rows):
-        on_contact[spaces.rough_rows] = rows
-    return on_contact
+        segments = Segments(spaces, spaces.site_kinds.gathered(own, along).astype(np.int64), {"bound": bound})
+        return Past(step, [spaces.in_frames(slip[spaces.rough_rows])], segments)

@@ -263,7 +263,7 @@ def shortened(vectors: Array, longest: Array) -> Array:
     return shorter
 
 
-def law_of_sites(spaces: ElasticSpaces, normal: Chains, friction: FrictionBounds) -> Chains:
+def law_of_sites(normal: Chains, friction: FrictionBounds) -> Chains:
     """The law of each site of an elastic problem: in the normal direction, then friction by these bounds."""
     return normal.followed_by(friction.chains) if friction else normal
 

@@ -12,7 +12,6 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.elasticity.data import elastic_data
-from signorini_fenicsx.physics.elasticity.evolution import spread
 from signorini_fenicsx.physics.elasticity.friction import FromBefore, Slipping, law_of_sites
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
@@ -34,21 +33,17 @@ LAYOUT: Layout = {
 
 def _on_facets(solution: ElasticSolution) -> Arrays:
     spaces, touching = solution.spaces, solution.touching
-    friction = np.zeros((3, *touching.shape))
-    for values, rough in zip(friction, (solution.slip, solution.states, solution.data.friction.bound), strict=True):
-        values[spaces.rough_rows] = rough
-    slip, state, bound = friction
-    in_space = {}
+    spread, in_space = spaces.site_kinds["slip"].spread, {}
+    slip, state, bound = map(spread, (solution.slip, solution.states, solution.data.friction.bound))
     if solution.data.friction and spaces.dim == 3:
-        in_space["slip_vector"] = np.zeros((*touching.shape, 3))
-        in_space["slip_vector"][spaces.rough_rows] = solution.slip_vectors
+        in_space["slip_vector"] = spread(solution.slip_vectors)
         state = np.where(state == STATES.index("stick"), state, 0)
     slipped = {}
     if spaces.mesh.comm.allreduce(bool(solution.data.slipped.any()), MPI.LOR):
         by_vertex = solution.data.slipped.reshape(-1, spaces.dim, spaces.dim - 1)
         in_plane = spaces.dim == 2
         key, rows = ("slipped", by_vertex[:, :, 0]) if in_plane else ("slipped_vector", spaces.along(by_vertex))
-        slipped[key] = spread(spaces, rows)
+        slipped[key] = spread(rows)
     return {
         "vertices": facet_vertices(spaces.mesh, spaces.contact.facets),
         "p": solution.outcome.iterate.p[: touching.size].reshape(touching.shape),
@@ -92,7 +87,7 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
         after = (along - data.slipped).reshape(shear.shape)
         slipping = _slipping(state[rough] == STATES.index("stick"), shear, after)
         data = replace(data, friction=replace(data.friction, slipping=slipping))
-    chains = law_of_sites(spaces, data.laws.chains, data.friction)
+    chains = law_of_sites(data.laws.chains, data.friction)
     reactions = data.reactions(spaces, stresses)
     pressure = spaces.site_kinds["normal"].of(reactions)
     normal = data.laws.chains.nearest(condition.ravel().astype(np.int8), p.ravel(), pressure)

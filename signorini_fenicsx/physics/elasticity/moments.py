@@ -71,8 +71,9 @@ def on_boundary(
                 ):
                     yield "lift", f"u_D.{number}.{r}.{part}", moments
     contact = spaces.contact
-    places = spaces.sites.reshape(-1, spaces.dim).astype(np.int64)
-    matrices = np.eye(spaces.dim) / spaces.site_measure.reshape(places.shape)[:, :, None]
+    normal = spaces.site_kinds["normal"]
+    places = normal.rows_of(normal.unknown).astype(np.int64)
+    matrices = np.eye(spaces.dim) / normal.rows_of(normal.measure)[:, :, None]
     for part, moments in _of_datum(spaces, data.gap, contact, places, matrices):
         yield "lift", f"gap.{part}", moments
     yield from _tractions(spaces, data)

@@ -199,7 +199,7 @@ def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[int, Law]]) -> Norma
     Raises:
         InputError: If data are not what their law allows; the message says where.
     """
-    dim, number = spaces.dim, len(spaces.sites)
+    dim, number = spaces.dim, len(spaces.site_kinds["normal"])
     plain = Chains.at_corner(number)
     opening, pressure = np.zeros(number), np.zeros(number)
     if not laws:
@@ -218,7 +218,7 @@ def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[int, Law]]) -> Norma
         of_parts.append(part)
         taken[rows] = True
     others = np.flatnonzero(np.repeat(~taken, dim))
-    all_of_them = joined([*chains, (others, plain.take(others))], number)
+    all_of_them = joined([*chains, (others, plain[others])], number)
     return NormalLaws(tuple(of_parts), all_of_them, opening, pressure, _shared(all_of_them, dim), dim)
 
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.contact.residuals import Residuals
+from signorini_fenicsx.contact.residuals import Residuals, squares_off
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, hats_in_subcells, to_entries
 from signorini_fenicsx.physics.elasticity.material import mean_compliances
@@ -75,8 +75,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[spaces.contact.cells], dim) / length
     (normal, slip), flux = spaces.site_kinds, data.reactions(spaces, stresses)
-    low, inward, smaller = data.laws.chains.distances(normal.of(p), normal.of(flux), k)
-    squares = np.array([normal.measure @ values**2 for values in (k * low, inward, smaller)])
+    squares = squares_off(data.laws.chains, (normal.of(p), normal.of(flux)), k, normal.measure, 1.0)[:, 0]
     unit, weights = k[slip.pressing], (spaces.rough.measure / dim)[:, None]
     off = data.friction.residuals(slip.rows_of(p), slip.rows_of(flux), unit)
     squares[1:] += [(weights * each**2).sum() for each in off]

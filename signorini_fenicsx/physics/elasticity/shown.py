@@ -160,12 +160,9 @@ def _middles(contact: BoundaryFacets) -> Array:
 
 def _friction_vectors(solution: ElasticSolution) -> Array:
     """σ_t and linear u_t as vectors in space at the vertices on Γ_C, shape (2, facets, d, 3); NaN without friction."""
-    spaces = solution.spaces
-    vectors = np.full((2, len(spaces.contact.facets), spaces.dim, 3), np.nan)
-    rough = np.stack([solution.shear_vectors, linear_from_means(solution.slip_vectors)])
-    vectors[:, spaces.rough_rows, :, : spaces.dim] = rough
-    vectors[:, spaces.rough_rows, :, spaces.dim :] = 0.0
-    return vectors
+    rough, missing = (solution.shear_vectors, linear_from_means(solution.slip_vectors)), 3 - solution.spaces.dim
+    in_space = (np.pad(vectors, ((0, 0), (0, 0), (0, missing))) for vectors in rough)
+    return np.stack([solution.spaces.site_kinds["slip"].spread(vectors, np.nan) for vectors in in_space])
 
 
 def columns(solution: ElasticSolution, table: ContactTable) -> Columns:
@@ -218,7 +215,7 @@ def _forward(contact: BoundaryFacets, along: Array) -> npt.NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class BodyFacets(FacetTable):
-    """Γ_C: for p the mean gap, for σ·n the mean pressure.
+    """One row per facet of Γ_C.
 
     Attributes:
         normals: The outer unit normals, shape (facets, d).
@@ -259,9 +256,9 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     spaces, contact = solution.spaces, solution.spaces.contact
     part = spaces.part_of_facet.astype(np.int64)
     middle = _middles(contact)
-    none = np.zeros(len(middle))
     apart = np.zeros((len(middle), spaces.dim))
-    means = (solution.data.lift[spaces.sites] + solution.data.laws.opening).reshape(apart.shape)
+    normal = spaces.site_kinds["normal"]
+    means = normal.rows_of(solution.data.lift[normal.unknown] + solution.data.laws.opening)
     apart[spaces.inner.rows] = linear_from_means(means)[spaces.inner.rows]
     nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
     numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)
@@ -272,11 +269,8 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
         along=along_parts(spaces, part, middle),
         x=middle,
         measure=contact.measure,
-        u=none,
         p=solution.gap.mean(axis=1),
         flux=solution.pressure.mean(axis=1),
-        psi=none,
-        q_S=none,
         condition=solution.contact_set().inside.astype(np.int64),
         segment=_labels(solution).reshape(-1, spaces.dim).min(axis=1),
         vertices=np.take_along_axis(numbers, ascending, axis=1),

@@ -79,8 +79,8 @@ def slipped(
     @np.errstate(over="ignore", invalid="ignore")  # where nothing holds a tool; the next matrix is singular then
     def follow(iterate: Pairs) -> bool:
         nonlocal share, last, known, base
-        friction, normal = backend.friction, len(backend.spaces.sites)
-        slip, shear = (each[normal:].reshape(-1, 3, 2) for each in (iterate.p, iterate.flux))
+        friction = backend.friction
+        slip, shear = map(backend.spaces.site_kinds["slip"].rows_of, (iterate.p, iterate.flux))
         pressed = friction.following(pressure(backend, iterate))
         after = _following(backend, pressed, slip, shear)
         size, largest = _off(backend, after, iterate)
@@ -121,7 +121,7 @@ def slipped(
         if changes and np.isfinite(changes[-1]):
             reason += f"; σ_t is still off Coulomb's law by {changes[-1]:.1e} of the largest bound"
         return outcome.ended(reason)
-    slip = outcome.iterate.p[len(backend.spaces.sites) :].reshape(-1, 3, 2)
+    slip = backend.spaces.site_kinds["slip"].rows_of(outcome.iterate.p)
     backend.turn(backend.friction.following(pressure(backend, outcome.iterate)).turned(slip))
     law = backend.chains
     return replace(outcome, conditions=law.conditions(law.segments(outcome.conditions)))
@@ -155,7 +155,7 @@ def _following(
 
 def _stiffness(backend: ElasticBackend) -> Array:
     """The stiffness of the vertices with friction alone, the mean over both components, shape (facets, 3)."""
-    return np.asarray(backend.stiffness[len(backend.spaces.sites) :].reshape(-1, 3, 2).mean(axis=2))
+    return np.asarray(backend.spaces.site_kinds["slip"].rows_of(backend.stiffness).mean(axis=2))
 
 
 def _off(backend: ElasticBackend, friction: FrictionBounds, iterate: Pairs) -> tuple[list[float], float]:
@@ -163,11 +163,10 @@ def _off(backend: ElasticBackend, friction: FrictionBounds, iterate: Pairs) -> t
 
     Collective.
     """
-    sites = len(backend.spaces.sites)
-    slip, shear = (each[sites:].reshape(-1, 3, 2) for each in (iterate.p, iterate.flux))
-    unit = backend.stiffness[:sites]
-    law = backend.chains.take(slice(sites))
-    outside, beyond, beside = law.distances(iterate.p[:sites], iterate.flux[:sites], unit)
+    normal, along = backend.spaces.site_kinds
+    slip, shear = map(along.rows_of, (iterate.p, iterate.flux))
+    unit, law = map(normal.of, (backend.stiffness, backend.chains))
+    outside, beyond, beside = law.distances(normal.of(iterate.p), normal.of(iterate.flux), unit)
     contact = np.concatenate([unit * np.abs(outside), np.abs(beyond), beside])
     _, off = friction.residuals(slip, shear, _stiffness(backend))
     reached = np.where(friction.sticks, 0.0, friction.bound)

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part, by_state, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity import shown
@@ -39,23 +39,6 @@ from signorini_fenicsx.solving.solved import InContact
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
-
-
-@dataclass(frozen=True)
-class ElasticSegments:
-    """The segments of all sites, and the bounds of the shear, from which a problem on the same mesh can start.
-
-    Attributes:
-        spaces: Where they are.
-        segment: Number of its segment for each site.
-        bound: The bounds, see `FrictionBounds.bound`.
-        slip: u_t in space where the vertices slip, 0 where they stick, shape (facets, 3, 2); None for no slip at first.
-    """
-
-    spaces: ElasticSpaces
-    segment: Indices
-    bound: Array
-    slip: Array | None = None
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -205,10 +188,11 @@ class ElasticSolution(Solution):
         segments = self.data.friction.chains.segments(tangential).reshape(self.data.friction.bound.shape)
         return np.where(self.data.friction.bound > 0, segments, np.where(self._scalar(self._after) < 0, 0, 2))
 
-    def segments(self) -> ElasticSegments:
-        """The segments from which the next step in time starts."""
-        chains = law_of_sites(self.spaces, self.data.laws.chains, self.data.friction)
-        return ElasticSegments(self.spaces, chains.segments(self.outcome.conditions), self.data.friction.bound)
+    def segments(self) -> Segments:
+        """The segments from which the next step in time starts, with the bounds of the shear."""
+        chains = law_of_sites(self.data.laws.chains, self.data.friction)
+        bound = self.spaces.site_kinds["slip"].spread(self.data.friction.bound)
+        return Segments(self.spaces, chains.segments(self.outcome.conditions), {"bound": bound})
 
     @property
     def _states_or_open(self) -> Indices:
@@ -218,12 +202,9 @@ class ElasticSolution(Solution):
 
     def on_all_contact(self) -> tuple[Array, Array, Array]:
         """σ_t, linear u_t and the index into `STATES` at the vertices on Γ_C; NaN where there is no friction."""
-        of_vertices = np.full((3, *self.touching.shape), np.nan)
         vectors = self.slips.reshape(-1, self.spaces.dim, self.spaces.dim - 1)
-        linear_slip = self._scalar(linear_from_means(vectors))
-        for values, rough in zip(of_vertices, (self.shear, linear_slip, self._states_or_open), strict=True):
-            values[self.spaces.rough_rows] = rough
-        shear, slip, state = of_vertices
+        rough = self.shear, self._scalar(linear_from_means(vectors)), self._states_or_open
+        shear, slip, state = (self.spaces.site_kinds["slip"].spread(values, np.nan) for values in rough)
         return shear, slip, state
 
     def contact_set(self) -> FacetSet:
@@ -234,7 +215,7 @@ class ElasticSolution(Solution):
     def contact(self) -> InContact:
         """Number of facets with a vertex in contact, and the vertices' share of Γ_C (collective when first used)."""
         touching = self.touching
-        local = np.array([touching.any(axis=1).sum(), self.spaces.site_measure[touching.ravel()].sum()])
+        local = np.array([touching.any(axis=1).sum(), self.spaces.site_kinds["normal"].measure[touching.ravel()].sum()])
         count, measure = self.spaces.mesh.comm.allreduce(local).tolist()
         return InContact(int(count), measure)
 
@@ -261,7 +242,7 @@ class ElasticSolution(Solution):
         """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
         spaces, laws = self.spaces, self.data.laws.of_parts
         part_of_site = np.repeat(spaces.part_of_facet, spaces.dim)
-        return by_part(spaces, laws, self.segment, part_of_site, spaces.site_measure, "vertices")
+        return by_part(spaces, laws, self.segment, part_of_site, spaces.site_kinds["normal"].measure, "vertices")
 
     @cached_property
     def balance(self) -> tuple[Array, float]:
@@ -297,7 +278,7 @@ class ElasticSolution(Solution):
             squares[1] += (subcell_squares(stresses) * measure[:, None] / size).sum()
             squares[2] += (measure * (own + of_sum)).sum() / (size * (size + 1))
         energy, sigma, displacement = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
-        force = spaces.mesh.comm.allreduce(float(spaces.site_measure @ self.pressure.ravel()))
+        force = spaces.mesh.comm.allreduce(float(spaces.site_kinds["normal"].measure @ self.pressure.ravel()))
         return {"energy": energy, "sigma_L2": sigma, "u_L2": displacement, "contact_force": force}
 
     @collector_off()
@@ -342,7 +323,7 @@ class ElasticSolution(Solution):
         largest = max(spaces.mesh.comm.allgather(float(largest)))
         if not self.data.laws.of_parts:
             return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
-        chains = self.data.laws.chains.take(slice(None, None, spaces.dim))  # of the first vertex of each facet
+        chains = self.data.laws.chains[:: spaces.dim]  # of the first vertex of each facet
         opening = open_by - self.data.laws.opening.reshape(-1, spaces.dim).mean(axis=1) - EXACT_CONTACT * largest
         behind = (chains.p < opening[:, None]).sum(axis=1)
         return FacetSet(spaces, np.take_along_axis(chains.slope, behind[:, None], axis=1)[:, 0] > 0)

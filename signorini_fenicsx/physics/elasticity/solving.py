@@ -15,6 +15,7 @@ from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.set_rules import SetRule
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.discrete.unjoined import note_facing
 from signorini_fenicsx.meshes.domain import Domain
@@ -29,7 +30,7 @@ from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, Elasti
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT
 from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
 from signorini_fenicsx.physics.elasticity.slipping import is_large
-from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.physics.elasticity.task import ElasticTask
 from signorini_fenicsx.solving.evolution import Evolution
@@ -74,7 +75,7 @@ class System:
                 raise InputError(f"{key}: elastic contact has no such option")
         if _with_parts_of_laws(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
-        check_start(spaces.domain, wish.start, ElasticSolution, ElasticSegments)
+        check_start(spaces.domain, wish.start, ElasticSolution, Segments)
         data = elastic_data(spaces, problem, wish.memory)
         check_against_foundation(spaces, data)
         motions = check_rigid_motions(spaces, data)
@@ -223,7 +224,7 @@ def _coarser(remesh: Remesh, given: tuple[ElasticBoundary, ElasticProblem], wish
 def _most_iterations(spaces: ElasticSpaces, data: ElasticData, method: Method) -> int:
     """Iterations allowed unless the options say otherwise (collective)."""
     comm, in_space = spaces.mesh.comm, data.friction.slipping is not None
-    sites = comm.allreduce(len(spaces.sites) + len(spaces.slip_sites))
+    sites = comm.allreduce(len(spaces.site_kinds))
     longer = is_large(comm, data.friction) if in_space else data.friction
     # in space the law turns in each step
     return method.most_iterations(1, 0 if in_space else sites) * (MORE_WITH_FRICTION if longer else 1)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
-import basix
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +19,6 @@ from signorini_fenicsx.contact.sites import Kind, Sites
 from signorini_fenicsx.discrete.hybrid_system import Sides
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces, cells_and_dofs
 from signorini_fenicsx.meshes.domain import AXES, Domain
-from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, sampled
 from signorini_fenicsx.physics.elasticity.johnson_mercier import facet_normals, opposite
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticBoundary
 from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh, split_mesh
@@ -214,70 +212,26 @@ class ElasticSpaces(MeshSpaces):
         return 8 * float(np.finfo(float).eps) * self.length
 
     @cached_property
-    def sites(self) -> npt.NDArray[np.int32]:
-        """The unknown of each site: the normal ones of Γ_C, facet by facet."""
-        return self.unknowns(self.contact, 0).ravel()
-
-    @cached_property
-    def site_measure(self) -> Array:
-        """|e|/d of each site."""
-        return np.repeat(self.contact.measure / self.dim, self.dim)
-
-    @cached_property
     def rough(self) -> BoundaryFacets:
         """The facets of Γ_C with friction."""
         return self.boundary_facets(self.contact.facets[self.rough_rows])
-
-    @cached_property
-    def slip_sites(self) -> npt.NDArray[np.int32]:
-        """The unknowns of each vertex with friction, one in the plane and two in space, facet by facet."""
-        return np.stack([self.unknowns(self.rough, k) for k in range(1, self.dim)], axis=2).ravel()
-
-    @cached_property
-    def slip_measure(self) -> Array:
-        """|e|/d of each site with friction."""
-        return np.repeat(self.rough.measure / self.dim, self.dim * (self.dim - 1))
 
     @cached_property
     def tangents(self) -> Array:
         """Tangents of the facets with friction, n turned to the left or two in space, shape (facets, d − 1, d)."""
         return _frames(self.rough.normals)[:, 1:]
 
-    def near_vertices(self, functions: Sequence[fem.Function], source: Domain) -> list[Array]:
-        """Functions on Γ_C of another mesh near the vertices of these facets, shape (facets, d, …) each (collective).
-
-        Each facet has as many points as vertices, in its inside, where it is plain on which facet of the other mesh
-        they are.
-
-        Args:
-            functions: The functions.
-            source: The domain of the other mesh.
-        """
-        gamma, dim = self.Lambda.mesh, self.dim
-        samples = sampled(functions, gamma, source, degree=QUADRATURE_DEGREE)
-        points = basix.make_quadrature(gamma.basix_cell(), QUADRATURE_DEGREE)[0]
-        hats = np.column_stack([1 - points.sum(axis=1), points])
-        size = self.Lambda.dofmap.index_map.size_local
-        facets = self.Lambda.dofmap.list[:size, 0]
-        nodes = gamma.geometry.x[gamma.geometry.dofmaps[0][:size], :dim]
-        places = np.einsum("qa,fai->fqi", hats, nodes)
-        nearest = np.square(places[:, None] - self.contact.vertices[facets][:, :, None]).sum(axis=3).argmin(axis=2)
-        at_vertices = []
-        for sample in samples:
-            shape = sample.ufl_shape
-            at_points = sample.x.array.reshape(-1, *shape)[sample.function_space.dofmap.list[:size]]
-            values = np.empty((size, dim, *shape))
-            values[facets] = np.take_along_axis(at_points, nearest.reshape(*nearest.shape, *[1] * len(shape)), axis=1)
-            at_vertices.append(values)
-        return at_vertices
-
     @cached_property
     def site_kinds(self) -> Sites:
         """The facet vertices of Γ_C in the normal direction, and those with friction once more for each tangent."""
         number, dim, rows = len(self.facets), self.dim, self.rough_rows
+        normal, slip = self.unknowns(self.contact, 0), [self.unknowns(self.rough, k) for k in range(1, dim)]
+        share, rough = np.repeat(self.contact.measure / dim, dim), np.repeat(self.rough.measure / dim, dim * (dim - 1))
         pressing = dim * rows[:, None] + np.arange(dim)
-        normal = Kind("normal", number, np.arange(number), self.site_measure, (dim,), self.sites)
-        return Sites(normal, Kind("slip", number, rows, self.slip_measure, (dim, dim - 1), self.slip_sites, pressing))
+        return Sites(
+            Kind("normal", number, np.arange(number), share, (dim,), normal.ravel(), sign=-1.0),
+            Kind("slip", number, rows, rough, (dim, dim - 1), np.stack(slip, axis=2).ravel(), pressing=pressing),
+        )
 
     @property
     def places(self) -> Array:

@@ -15,15 +15,14 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
 from signorini_fenicsx.contact.history import FoundSets, Outcome
 from signorini_fenicsx.contact.kept_backend import KeptBackend
-from signorini_fenicsx.discrete.contact_sets import transferred
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Loop, Task
 from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.coulomb import CHANGE, balanced, by_path
 from signorini_fenicsx.physics.elasticity.data import ElasticData
-from signorini_fenicsx.physics.elasticity.evolution import spread
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt
 from signorini_fenicsx.physics.elasticity.slipping import slipped
-from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 
 PREDICT_FROM = 15_000
@@ -64,30 +63,31 @@ class ElasticTask(Task):
         chains = backend.chains
         return None if self._near is None else chains.conditions(_sticking(chains, self._near))
 
-    def begin(self, backend: ElasticBackend, start: ElasticSolution | ElasticSegments) -> Indices:
-        """Segments and bounds of the shear as they are, of a solution its contact, where nothing slips (collective)."""
-        spaces, comm = self.spaces, self.spaces.mesh.comm
-        if isinstance(start, ElasticSolution):
-            found = transferred(start.contact_set(), spaces)
-            own = None if comm.allreduce(int(found.sum())) > 0 else self._near
-            return _sticking(backend.chains, np.repeat(found, spaces.dim) if own is None else own)
-        start = start if start.spaces is spaces else _carried(start, spaces)
-        slope = np.take_along_axis(backend.chains.slope, start.segment[:, None], axis=1)[: len(spaces.sites)]
-        if self._near is not None and comm.allreduce(int((slope > 0).sum())) == 0:
-            return _sticking(backend.chains, self._near)
-        friction = backend.friction.with_bounds(start.bound)
-        backend.turn(friction.along(start.slip) if start.slip is not None and friction else friction)
-        return start.segment
+    def begin(self, backend: ElasticBackend, start: ElasticSolution | Segments) -> Indices:
+        """Segments and bounds of the shear of a start, or what has to hold the body (collective)."""
+        spaces, law, rough = self.spaces, backend.chains, self.spaces.rough_rows
+        start = (start.segments() if isinstance(start, ElasticSolution) else start).on(spaces)
+        segment = np.minimum(start.segment, law.count)
+        holds = spaces.site_kinds["normal"].of(law.slope[np.arange(len(segment)), segment] > 0)
+        if self._near is not None and not backend.comm.allreduce(bool(holds.any()), MPI.LOR):
+            return _sticking(law, self._near)
+        friction = backend.friction.with_bounds(start.carried["bound"][rough])
+        if friction and "slip" in start.carried:
+            friction = friction.along(spaces.in_frames(start.carried["slip"][rough]).reshape(-1, 3, 2))
+        backend.turn(friction)
+        return segment
 
-    def found(self, backend: ElasticBackend, segment: Indices) -> ElasticSegments:
+    def found(self, backend: ElasticBackend, segment: Indices) -> Segments:
         """The segments, the bounds of the shear, and with given ones in space what slips.
 
         Coulomb's bounds are found sooner from no slip than from that under bounds that are not quite right.
         """
-        friction, slip = backend.friction, None
+        friction, spaces = backend.friction, self.spaces
+        carried = {"bound": friction.bound}
         if friction.slipping is not None and not friction.by_pressure:
-            slip = friction.slipping.direction * friction.slipping.size[:, :, None]
-        return ElasticSegments(self.spaces, segment, friction.bound, slip)
+            carried["slip"] = spaces.along(friction.slipping.direction * friction.slipping.size[:, :, None])
+        spread = spaces.site_kinds["slip"].spread
+        return Segments(spaces, segment, {name: spread(rows) for name, rows in carried.items()})
 
     def settled[F: FoundSets](self, backend: ElasticBackend, settle: Callable[[], F]) -> F:
         """Settle the sets, with Coulomb's friction once for each bound of the shear (collective)."""
@@ -120,13 +120,14 @@ class ElasticTask(Task):
         spaces, comm = self.spaces, self.spaces.mesh.comm
         if self.motions.shape[1] == 0:
             return None
-        into, along = np.split(self.motions, [len(spaces.sites)])
+        normal, slip = spaces.site_kinds
+        into, along = normal.of(self.motions), slip.of(self.motions)
         slips = comm.allreduce(along.T @ along)
 
         def held(near: Mask) -> Array:
             return np.asarray(comm.allreduce(into[near].T @ into[near]) + slips)
 
-        gap = self.data.lift[spaces.sites]
+        gap = self.data.lift[normal.unknown]
         everything, least = held(np.ones(len(gap), dtype=bool)), comm.allreduce(gap.min(initial=np.inf), MPI.MIN)
         reach = REACH * float(np.ptp(spaces.domain.box(), axis=0).max())
         while True:
@@ -140,18 +141,3 @@ def _sticking(chains: Chains, touching: Mask) -> Indices:
     """The segments with these facet vertices in contact; nothing slips."""
     steep = np.append(touching, np.ones(len(chains.p) - len(touching), dtype=bool))
     return np.where(steep, chains.steepest(), chains.beside_reference(steep=False))
-
-
-def _carried(start: ElasticSegments, spaces: ElasticSpaces) -> ElasticSegments:
-    """The segments and the bounds of the shear on another mesh (collective)."""
-    theirs, dim, slip = start.spaces, spaces.dim, start.slip
-    slips = [] if slip is None else [theirs.along(slip)]
-    normal, along = np.split(start.segment, [len(theirs.sites)])
-    states = along.reshape(-1, dim, dim - 1)[:, :, 0].astype(np.float64)
-    rows = [normal.reshape(-1, dim), *(spread(theirs, values) for values in (states, start.bound, *slips))]
-    functions = [theirs.linear_multiplier(np.asarray(values, dtype=np.float64)) for values in rows]
-    on_normal, *on_rough = spaces.near_vertices(functions, theirs.domain)
-    states, bounds, *slips = (values[spaces.rough_rows] for values in on_rough)
-    segment = np.rint(np.append(on_normal, np.repeat(states, dim - 1))).astype(np.int64)
-    in_frames = [spaces.in_frames(values).reshape(-1, dim, dim - 1) for values in slips]
-    return ElasticSegments(spaces, segment, bounds, *in_frames)

@@ -62,7 +62,7 @@ def admissible_flux(
         y, y cell by cell, u*, ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be corrected,
         and why it cannot.
     """
-    spaces, data, cells = solution.spaces, solution.data, solution.outcome.iterate.cells
+    spaces, data, cells = solution.spaces, solution.data, solution.cell_conditions
     comm, volume = spaces.mesh.comm, metric.volume
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
@@ -77,7 +77,7 @@ def admissible_flux(
     for _ in range(CORRECTIONS):
         s, may = flux.divergence + owned_values(data.source(u)), None
         off = s
-        if data.inside is not None and cells is not None:
+        if data.inside is not None:
             off = s - selected(data.inside, cells, s, owned_values(u), metric)
             may = room(data.inside, cells, s, owned_values(u))
         left = constant * np.sqrt(comm.allreduce(volume @ off**2))

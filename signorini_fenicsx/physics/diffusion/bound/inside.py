@@ -218,8 +218,8 @@ class Inside:
         cls, solution: Solution, metric: CellMetric, y: fem.Function, level: fem.Function, resolution: Resolution
     ) -> Inside:
         """The laws with a flux, with u* as `level` (collective)."""
-        spaces, data, laws, cells = solution.spaces, solution.data, solution.data.inside, solution.outcome.iterate.cells
-        if laws is None or cells is None:
+        spaces, data, laws, cells = solution.spaces, solution.data, solution.data.inside, solution.cell_conditions
+        if laws is None:
             none = np.zeros((2, len(spaces.cell_measures)))
             return cls(spaces, (), none[0], Chains.at_corner(0), none[0].astype(np.int64), (), none[1], none[1] > 0)
         u = owned_values(level)
@@ -351,7 +351,7 @@ class Inside:
         free = ~pressed & ~follows
         if free.any():
             points = np.repeat(free, v.shape[1])
-            eta[free] = nearest_to_graph(law.take(points), v[free], s[free], target[free], omega[free], at.weights)
+            eta[free] = nearest_to_graph(law[points], v[free], s[free], target[free], omega[free], at.weights)
         return with_mean(eta, low, high, s, at.weights)
 
 

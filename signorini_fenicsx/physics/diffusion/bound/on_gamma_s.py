@@ -49,7 +49,8 @@ class OnGammaS:
     def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
         """The terms on Γ_S for a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
-        segment = law.segments(solution.outcome.conditions, (solution.outcome.iterate.p, solution.outcome.iterate.flux))
+        of, iterate = spaces.site_kinds["facet"].of, solution.outcome.iterate
+        segment = law.segments(of(solution.outcome.conditions), (of(iterate.p), of(iterate.flux)))
         flux = spaces.normal_flux(y)
         height = metric.volume[spaces.cells] / spaces.facet_measure
         resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]

@@ -40,7 +40,7 @@ from signorini_fenicsx.physics.diffusion.classical.gathered import RootRows, mat
 from signorini_fenicsx.physics.diffusion.data import Data
 from signorini_fenicsx.physics.diffusion.jumps import with_one_flux
 from signorini_fenicsx.physics.diffusion.recorder import Recorder
-from signorini_fenicsx.physics.diffusion.residuals import conditions_of_cells
+from signorini_fenicsx.physics.diffusion.residuals import with_cells
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.task import DiffusionTask, nothing_yet
 
@@ -92,13 +92,11 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
     flux = spaces.normal_flux(sigma_h)
     sigma_h.x.array[:] += data.sigma_lift.x.array
     spaces.carry_across(sigma_h)
-    cells_of_laws = conditions_of_cells(spaces, data, sigma_h, u_h)
-    iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h, cells=cells_of_laws)
-    law = data.laws.chains
-    conditions = law.conditions(ALGORITHM_2.following(law, p, flux, 1.0))
+    iterate = Iterate(p=p, flux=flux, linear_iterations=iterations, sigma=sigma_h, u=u_h)
+    iterate, conditions = with_cells(spaces, data, iterate, ALGORITHM_2.following(data.laws.chains, p, flux, 1.0))
 
     recorder = Recorder(spaces, *nothing_yet(spaces), task.on_step)
-    recorder.add(iterate, conditions)
+    recorder.add(iterate, spaces.site_kinds["facet"].of(conditions))
     return Outcome(
         iterate=iterate,
         conditions=conditions,

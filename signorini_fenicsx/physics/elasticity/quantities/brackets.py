@@ -17,6 +17,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.points import Points, facet_quadrature
 from signorini_fenicsx.expressions import TREES
@@ -48,7 +49,7 @@ from signorini_fenicsx.physics.elasticity.quantities.motions import (
     unseen_work,
 )
 from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
-from signorini_fenicsx.physics.elasticity.solution import ElasticSegments, ElasticSolution
+from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside, added, check_part, in_regions
 from signorini_fenicsx.quantities.bracket import Half
@@ -165,7 +166,7 @@ class _Beside(Beside[_Side]):
         fixed = friction.fixed() if friction.by_pressure else None
         return FromBefore(self.solution.data.slipped, fixed)
 
-    def start(self, posed: Posed) -> ElasticSegments | None:
+    def start(self, posed: Posed) -> Segments | None:
         """The segments of the solution; in space none with friction, as directions of slip are no segments."""
         in_space = self.spaces.dim == 3 and bool(self.solution.data.friction)
         return None if in_space else self.solution.segments()
