@@ -23,6 +23,8 @@ SAME = 1e-9
 HALVINGS = 30, 10
 """So often the way from the middle of a simplex to a vertex is halved towards where the values differ most, and again:
 what is then less than half of it is steep, what is more than twice as much is a pole, and no jump."""
+AT_VERTEX = 1e-6
+"""What is nearer to a vertex than this share of the way to it is at the vertex."""
 
 NO_TRACE = "a function with this trace has no finite energy, and there is no bound of the error"
 TIGHTER = "u obeys the tighter side, and its error falls slowly; a mesh with edges along the jump is best"
@@ -100,11 +102,11 @@ def largest_jump(spaces: MeshSpaces, datum: Datum, entities: Entities, *, cells:
 def jumps_inside(tree: Tree, vertices: Array) -> tuple[Array, Array]:
     """The jump of a tree between the middle of each simplex and each of its vertices, 0 for none, and where it is.
 
-    Shapes (n, vertices) and (n, vertices, dim).
+    Shapes (n, vertices) and (n, vertices, dim). A value at the vertex alone is none.
     """
     shape = vertices.shape[:2]
     near = np.repeat(vertices.mean(axis=1), vertices.shape[1], axis=0)
-    far = vertices.reshape(near.shape)
+    far, way = vertices.reshape(near.shape), vertices.reshape(near.shape) - near
     at_near, at_far = (values(tree, x[:, None])[:, 0] for x in (near, far))
     sizes = []
     for number in HALVINGS:
@@ -115,5 +117,6 @@ def jumps_inside(tree: Tree, vertices: Array) -> tuple[Array, Array]:
             far, at_far = np.where(nearer[:, None], middle, far), np.where(nearer, between, at_far)
             near, at_near = np.where(nearer[:, None], near, middle), np.where(nearer, at_near, between)
         sizes.append(np.nan_to_num(np.abs(at_far - at_near), nan=0.0, posinf=0.0))
-    jumps = np.where((sizes[1] > sizes[0] / 2) & (sizes[1] < 2 * sizes[0]), sizes[1], 0.0)
+    within = np.linalg.norm(vertices.reshape(near.shape) - far, axis=1) > AT_VERTEX * np.linalg.norm(way, axis=1)
+    jumps = np.where(within & (sizes[1] > sizes[0] / 2) & (sizes[1] < 2 * sizes[0]), sizes[1], 0.0)
     return jumps.reshape(shape), far.reshape(vertices.shape)

@@ -14,7 +14,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, sums_at
 from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
-from signorini_fenicsx.meshes.cut import along_last_axis, opened
+from signorini_fenicsx.meshes.cut import ANY, along_last_axis, opened
 from signorini_fenicsx.meshes.domain import (
     AXES,
     Domain,
@@ -81,7 +81,7 @@ def domain_of(
         def open_them() -> frozenset[str]:
             assert whole is not None
             unsided = [part for part in inner if part in whole.parts and along_last_axis(whole, part)]
-            cut.append(opened(whole, inner, dict.fromkeys(unsided, tuple(np.sqrt(np.arange(2.0, dim + 2))))))
+            cut.append(opened(whole, inner, dict.fromkeys(unsided, ANY)))
             return frozenset(unsided)
 
         unsided = on_root(mesh.comm, open_them)

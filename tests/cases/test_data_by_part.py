@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from signorini_fenicsx import Diffusion, Dirichlet, Neumann, Signorini, solve
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.inspection import check
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -78,3 +80,57 @@ def test_refusals(tmp_path: Path, old: str, new: str, message: str):
     """The sentence names the place."""
     with pytest.raises(InputError, match=message):
         load_case(written(tmp_path, BY_PART.replace(old, new)))
+
+
+PILE = """
+Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0}; Point(3) = {1, 1, 0}; Point(4) = {0.5, 1, 0}; Point(5) = {0, 1, 0};
+Point(6) = {0.5, 0.5, 0};
+Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 5}; Line(5) = {5, 1}; Line(6) = {4, 6};
+Curve Loop(1) = {1, 2, 3, 4, 5}; Plane Surface(1) = {1}; Curve{6} In Surface{1};
+Physical Curve("upstream") = {4}; Physical Curve("downstream") = {3}; Physical Curve("rest") = {1, 2, 5};
+Physical Curve("pile") = {6}; Physical Surface("soil") = {1};
+"""
+SEEPAGE = """
+[geometry]
+file = "pile.geo"
+[boundary]
+impervious = ["pile"]
+neumann = ["rest"]
+[problem]
+f = 0
+u_D = {upstream = 4}
+[solve]
+h = 0.2
+"""
+
+
+def test_nothing_passes_a_wall(tmp_path: Path):
+    """An impervious wall is a part inside with the flux 0, whichever its side; u may be two values where it ends."""
+    (tmp_path / "pile.geo").write_text(PILE, encoding="utf-8")
+    solution = solve_case(load_case(written(tmp_path, SEEPAGE)))
+    text = (
+        SEEPAGE.replace("impervious", "sides = {pile = [1, 0]}\ninner") + '[[law]]\nparts = ["pile"]\nkind = "friction"'
+    )
+    other = solve_case(load_case(written(tmp_path, text)))
+    assert isinstance(solution, Solution)
+    assert isinstance(other, Solution)
+    assert solution.u.x.array == pytest.approx(other.u.x.array, abs=1e-10)
+    assert solution.certify().guaranteed
+    jumps = solution.p.x.array[solution.spaces.inner.rows]
+    assert np.abs(jumps).max() > 2
+    in_one = SEEPAGE.replace("{upstream = 4}", '"4 if x < 0.5 else 0"')
+    assert not check(load_case(written(tmp_path, in_one)), MPI.COMM_SELF).remarks
+
+
+@pytest.mark.parametrize(
+    ("new", "message"),
+    [
+        ('impervious = ["pile", "downstream"]', "inner: part 'downstream' has 4 facets that are not between two cells"),
+        ('impervious = ["pile"]\nsignorini = ["pile"]', "'pile' is listed twice: in signorini and in impervious"),
+    ],
+)
+def test_walls_that_are_refused(tmp_path: Path, new: str, message: str):
+    """A wall is inside, and has no other condition."""
+    (tmp_path / "pile.geo").write_text(PILE, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        solve_case(load_case(written(tmp_path, SEEPAGE.replace('impervious = ["pile"]', new))))

@@ -17,6 +17,7 @@ from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Neumann, Signorini
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.meshes.cut import ANY, Side
 from signorini_fenicsx.meshes.domain import Boundary as Posed
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET
 from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_sections
@@ -67,7 +68,7 @@ class ProblemTexts(data_section(Problem, exact=None, laws=None, **dict.fromkeys(
         def on(key: str, part: str) -> Any:
             return data[key].get(part, NOTHING) if isinstance(data[key], Mapping) else data[key]
 
-        laws: list[Law] = []
+        laws: list[Law] = [Neumann(boundary.impervious, NOTHING)] if boundary.impervious else []
         held = boundary.dirichlet or ["", *self.by_part.get("u_D", ())]
         for kind, keys, parts in (
             (Dirichlet, ("u_D",), held),
@@ -84,11 +85,19 @@ class Boundary(PartsInside):
     """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
 
     Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
+    Thin walls inside, through which nothing flows, are "impervious".
     """
 
     signorini: list[str] = Field(default=[])
     neumann: list[str] = Field(default=[])
     dirichlet: list[str] | None = None
+    impervious: list[str] = Field(default=[], exclude_if=lambda parts: not parts)
+
+    @property
+    def named(self) -> dict[str, list[str]]:
+        """The lists that are given, by their keys; walls are inner parts."""
+        inner = {"inner": [*self.inner, *self.impervious]} if self.impervious else {}
+        return super().named | inner
 
 
 class PartsWithLaws(Boundary):
@@ -192,6 +201,11 @@ class Case(CaseFile):
         """The parts that have a `[[law]]`."""
         return [part for law in self.law for part in law.parts]
 
+    @property
+    def sides(self) -> Mapping[str, Side]:
+        """The named sides of inner parts; those of walls do not matter."""
+        return self.boundary.sides | dict.fromkeys(self.boundary.impervious, ANY)
+
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word: of a law its kind."""
         return next((law.kind for law in self.law if part in law.parts), self.boundary.condition_of(part))
@@ -209,7 +223,7 @@ class Case(CaseFile):
         parts, problem = self.boundary, self.data(dim)
         with_laws = [part for law in problem.laws for part in law.parts]
         neumann = [part for part in parts.neumann if part not in with_laws]
-        return Posed(list(dict.fromkeys([*parts.signorini, *with_laws])), neumann, parts.inner), problem
+        return Posed(list(dict.fromkeys([*parts.signorini, *with_laws])), neumann, self.inner), problem
 
     def problem_at(self, dim: int, step: int | None) -> Problem:
         """The problem of a step in time, see `CaseFile.problem_at`."""
