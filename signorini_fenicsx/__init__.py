@@ -48,8 +48,8 @@ def __getattr__(name: str) -> object:
         api = importlib.import_module("signorini_fenicsx.api")
         if name == "__all__" or name in api.__all__:
             return getattr(api, name)
-        return importlib.import_module("signorini_fenicsx.old_names").old_name(name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    hint = "; CHANGELOG.md translates the names of 0.4" if name[:1].isalpha() else ""
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
 
 
 def __dir__() -> list[str]:

@@ -89,14 +89,14 @@ from signorini_fenicsx.contact.laws import (
 )
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.old_names import evolve, solve
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Pressure, Support, Tresca
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import Solver
+from signorini_fenicsx.solving.solver import Solver, solve
 
 __all__ = [
     "Contact",

@@ -1,12 +1,9 @@
 """Broken checkpoints: arrays of other widths, types and numbers, texts that do not fit them, strange archives."""
 
-import io
 import json
 import os
 import random
 import shutil
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -42,15 +39,10 @@ def checkpoint(rng: random.Random, folder: Path, valid: Valid) -> Broken:
         if (valid.file.parent / name).exists():
             shutil.copyfile(valid.file.parent / name, folder / name)
     path = folder / "res" / "checkpoint"
-    way = rng.choice([_arrays, _arrays, _arrays, _story, _story, _one_file, _bytes, _archive])
-    if way is _archive or rng.random() < 0.3:
-        arrays = _load(path)
-        shutil.rmtree(path)
-        path = path.with_suffix(".npz")  # as versions up to 0.3 wrote it
-        _save(path, arrays)
-    if path.suffix != ".npz" and way is _bytes:
+    way = rng.choice([_arrays, _arrays, _arrays, _story, _story, _one_file, _bytes])
+    if way is _bytes:
         path = rng.choice(sorted(path.iterdir()))
-    about, refused = (_bytes if way is _one_file and path.suffix == ".npz" else way)(rng, path, valid)
+    about, refused = way(rng, path, valid)
     case = ["example1", "--h", "1/4"] if source == valid.shape else ["mesh.toml"]
     other = os.path.relpath(source, folder)
     words = rng.choice(
@@ -66,18 +58,11 @@ def checkpoint(rng: random.Random, folder: Path, valid: Valid) -> Broken:
 
 def _load(path: Path) -> Arrays:
     """All arrays, with the texts as `about`."""
-    if path.is_dir():
-        arrays = {file.stem: np.load(file) for file in sorted(path.glob("*.npy"))}
-        return arrays | {"about": np.array((path / "about.json").read_text(encoding="utf-8"))}
-    with np.load(path, allow_pickle=False) as file:
-        return {key: file[key] for key in file.files}
+    arrays = {file.stem: np.load(file) for file in sorted(path.glob("*.npy"))}
+    return arrays | {"about": np.array((path / "about.json").read_text(encoding="utf-8"))}
 
 
 def _save(path: Path, arrays: Arrays) -> None:
-    if path.suffix == ".npz":
-        with path.open("wb") as file:
-            np.savez(file, **arrays)
-        return
     shutil.rmtree(path)
     path.mkdir()
     for name, array in arrays.items():
@@ -290,96 +275,3 @@ def _headed(way: str) -> bytes:
     """A short array with one of the strange headers."""
     text = HEADERS[way]
     return b"\x93NUMPY\x02\x00" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\n" + b"\0" * 64
-
-
-def _archive(rng: random.Random, path: Path, valid: Valid) -> tuple[str, bool]:
-    """Archives that NumPy never writes."""
-    members = {name: zipfile.ZipFile(path).read(name) for name in zipfile.ZipFile(path).namelist()}
-    way = rng.choice(
-        [
-            *("empty", "not one", "folder", "device", "loop", "encrypted", "unknown compression", "twice", "bomb"),
-            *("long header", "huge shape", "code in the header", "outside", "compressed", "nothing in it", "wrong sum"),
-        ]
-    )
-    path.unlink()
-    match way:
-        case "empty":
-            path.touch()
-        case "not one":
-            path.write_bytes(b"\x93NUMPY\x01\x00v\x00" + b"x" * 200)
-        case "folder":
-            path.mkdir()
-        case "device":
-            path.symlink_to("/dev/zero")
-        case "loop":
-            path.symlink_to("checkpoint.npz")
-        case "long header" | "huge shape" | "code in the header":
-            _write(path, members | {"u.npy": _headed(way)})
-        case "bomb":
-            shutil.copyfile(_bomb(valid.pencil), path)
-        case "outside":
-            _write(path, members | {"../../../home/hacked.npy": members["u.npy"]})
-        case "compressed":
-            _write(path, members, zipfile.ZIP_LZMA)
-        case "nothing in it":
-            _write(path, {})
-        case _:
-            path.write_bytes(_patched(_written(members, way == "twice"), way))
-    certain = way not in ("outside", "compressed", "twice")
-    return way, certain
-
-
-def _written(members: dict[str, bytes], twice: bool) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as file:
-        for name, data in members.items():
-            file.writestr(name, data)
-        if twice:
-            file.fp.seek(0, 2)
-            info = zipfile.ZipInfo("u.npy")
-            file.NameToInfo.pop("u.npy")
-            file.writestr(info, members["sigma.npy"])
-    return buffer.getvalue()
-
-
-def _patched(data: bytes, way: str) -> bytes:
-    """Change flags, method or check sum of the first member, there and in the archive's directory."""
-    if way == "twice":
-        return data
-    offset, value = {"encrypted": (6, 1), "unknown compression": (8, 77), "wrong sum": (14, 123)}[way]
-    patched, start = bytearray(data), data.index(b"PK\x01\x02")
-    patched[offset : offset + 2] = value.to_bytes(2, "little")
-    patched[start + offset + 2 : start + offset + 4] = value.to_bytes(2, "little")
-    return bytes(patched)
-
-
-def _write(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> None:
-    with zipfile.ZipFile(path, "w", method) as file:
-        for name, data in members.items():
-            file.writestr(name, data)
-
-
-def _bomb(folder: Path) -> Path:
-    """An archive of 2 MB with an array of 2 GB, whose blocks are equal; it is made only once."""
-    path = folder / "bomb.npz"
-    if not path.exists():
-        megabyte, count = bytes(2**20), 2048
-        text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({count * 2**17},), }}\n".encode()
-        head = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
-        squeeze = zlib.compressobj(9, zlib.DEFLATED, -15)
-        blocks = [squeeze.compress(head) + squeeze.flush(zlib.Z_FULL_FLUSH)]
-        blocks += [squeeze.compress(megabyte) + squeeze.flush(zlib.Z_FULL_FLUSH)] * count
-        total = zlib.crc32(head)
-        for _ in range(count):
-            total = zlib.crc32(megabyte, total)
-        body, size = b"".join(blocks) + squeeze.flush(), len(head) + count * 2**20
-        fields = (20).to_bytes(2, "little") + bytes(2) + (8).to_bytes(2, "little") + bytes(4)
-        fields += (
-            b"".join(n.to_bytes(4, "little") for n in (total, len(body), size)) + (5).to_bytes(2, "little") + bytes(2)
-        )
-        local = b"PK\x03\x04" + fields + b"u.npy" + body
-        directory = b"PK\x01\x02" + (20).to_bytes(2, "little") + fields + bytes(14) + b"u.npy"
-        end = b"PK\x05\x06" + bytes(4) + 2 * (1).to_bytes(2, "little")
-        end += len(directory).to_bytes(4, "little") + len(local).to_bytes(4, "little") + bytes(2)
-        path.write_bytes(local + directory + end)
-    return path

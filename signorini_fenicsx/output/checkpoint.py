@@ -147,12 +147,12 @@ def _rows_of_facets(checkpoint: Checkpoint, spaces: MeshSpaces) -> Indices:
 def _damage_of(about: About, solution: Solved) -> str | None:
     """Why what was read is not what was written, or None if it is (collective)."""
     for name, value in vars(solution.kkt).items():
-        before = (about.kkt or {}).get(name, value)
+        before = about.kkt.get(name, value)
         if np.isfinite(before) and not abs(value - before) <= KKT + SAME * before:
             return f"its KKT residual {name} is {value:.1e}, and was {before:.1e} when it was written"
     by_sets = solution.method.starts_from_sets
-    judged = about.converged and (about.kkt is not None or by_sets)
-    violation = solution.kkt.violation() if judged and about.own_residual is None else None  # else that judges
+    judged = about.converged and about.own_residual is None  # else that judges
+    violation = solution.kkt.violation() if judged else None
     if violation is not None:
         return f"it claims to be a solution, but has {violation}"
     return solution.contradiction() if about.converged and by_sets else None

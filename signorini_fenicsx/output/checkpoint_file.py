@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from mpi4py import MPI
@@ -23,7 +23,6 @@ from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.shared_checks import check_cells, refuse
-from signorini_fenicsx.output.checkpoint_npz import OLD_FILE, read_npz
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout
 from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 
@@ -31,8 +30,9 @@ FOLDER, TEXT = "checkpoint", "about.json"
 """The folder of a checkpoint in a results folder; its file that is written last, when all arrays are there."""
 
 FORMAT = 3
-"""Format that is written: a folder with TEXT and `<name>.npy` for each array. Formats 1 and 2 are one file, see
-`checkpoint_npz`; in format 1 there are no format number and no problems given in Python."""
+"""Format that is read and written: a folder with TEXT and `<name>.npy` for each array."""
+OLD_FILE = "checkpoint.npz"
+"""What versions up to 0.3 wrote."""
 
 
 MESH: Layout = {
@@ -88,7 +88,7 @@ class About(BaseModel):
         made: How the mesh was made, in words.
         history: One step per iteration.
         beta: β of the ROBIN facets.
-        kkt: The KKT residuals when it was written; files of version 0.1 do not have them.
+        kkt: The KKT residuals when it was written.
         physics: Name of the physics.
         step: Number of the step of a case in time; None for others.
     """
@@ -98,7 +98,7 @@ class About(BaseModel):
     name: str
     physics: str = DIFFUSION
     step: int | None = Field(default=None, ge=1)
-    format: int = Field(default=1, ge=1, le=FORMAT)
+    format: Literal[3]
     case: dict[str, Any] | None
     given: GivenInPython | None = None
     part_names: list[str]
@@ -108,7 +108,7 @@ class About(BaseModel):
     made: str = "given"
     history: list[Step]
     beta: FiniteFloat = Field(gt=0)
-    kkt: dict[str, float] | None = None
+    kkt: dict[str, float]
     reason: str
     converged: bool
     backend: str
@@ -205,32 +205,20 @@ def read_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint:
     Raises:
         InputError: On all ranks, if there is no checkpoint, or it cannot come from this program.
     """
-    old: list[Arrays] = []  # the arrays of a file of an old version, on rank 0
 
     def begin() -> Checkpoint:
         path = place_of(folder)
         with _told(path):
-            if path.name == OLD_FILE:
-                old.append(read_npz(path))
-                text = str(old[0].pop("about", ""))
-                headers = {name: Header(array.shape, array.dtype, 0) for name, array in old[0].items()}
-            else:
-                text = text_of(path / TEXT)
-                files = sorted(file for file in path.glob("*.npy") if file.is_file())
-                headers = {file.stem: read_header(file) for file in files}
-            about = About.model_validate_json(text)
-            checkpoint = Checkpoint(path, about, _case(about), headers, {})
+            about = About.model_validate_json(text_of(path / TEXT))
+            files = sorted(file for file in path.glob("*.npy") if file.is_file())
+            checkpoint = Checkpoint(path, about, _case(about), {file.stem: read_header(file) for file in files}, {})
             _check_layout(checkpoint)
         return checkpoint
 
     checkpoint = on_root(comm, begin)
     with _told(checkpoint.path):
-        if checkpoint.path.name == OLD_FILE:
-            empty = {name: np.empty((0, *head.shape[1:]), head.kind) for name, head in checkpoint.headers.items()}
-            checkpoint = replace(checkpoint, arrays=old[0] if old else empty)
-        else:
-            files = {name: (checkpoint.path / f"{name}.npy", header) for name, header in checkpoint.headers.items()}
-            checkpoint = replace(checkpoint, arrays={name: read_share(comm, *file) for name, file in files.items()})
+        files = {name: (checkpoint.path / f"{name}.npy", header) for name, header in checkpoint.headers.items()}
+        checkpoint = replace(checkpoint, arrays={name: read_share(comm, *file) for name, file in files.items()})
         refuse(comm, _wrong_value(checkpoint))
         try:
             check_cells(comm, checkpoint.arrays["points"], checkpoint.arrays["cells"])
@@ -250,12 +238,13 @@ def place_of(folder: Path) -> Path:
         for name in (FOLDER, f"{FOLDER}.part"):  # a run killed at the right moment has left the latter, complete
             if (folder / name / TEXT).is_file():
                 return folder / name
-        if (folder / OLD_FILE).is_file():
-            return folder / OLD_FILE
+        old = (folder / OLD_FILE).is_file()
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror or error}") from None
     why = "so there is no solution to read"
-    if (folder / "steps.csv").is_file():
+    if old:
+        why = f"but {OLD_FILE} of version 0.3 or older, which version 0.4 reads"
+    elif (folder / "steps.csv").is_file():
         why = "because an older version solved this case in time; solve it again"
     elif (folder / "case.json").is_file():
         why = "because its run was ended; `signorini solve --restart` goes on"

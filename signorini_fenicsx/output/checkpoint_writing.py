@@ -23,7 +23,6 @@ from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.meshes.domain import facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, GivenInPython
-from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.solving.kept import Arrays, Keeping
 from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 from signorini_fenicsx.solving.solved import Solved
@@ -73,7 +72,6 @@ def _finish(folder: Path) -> None:
             (place / TEXT).unlink(missing_ok=True)  # from here on the new one counts
             delete(place)
         part.rename(place)
-        (folder / OLD_FILE).unlink(missing_ok=True)
 
 
 def _about(solution: Solved) -> dict[str, Any]:

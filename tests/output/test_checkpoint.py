@@ -102,8 +102,8 @@ def test_a_failed_run_is_continued_and_exported(folder: Path):
 @pytest.mark.parallel([1, 2])
 def test_nothing_to_start_from(folder: Path):
     if COMM.rank == 0:
-        (folder / "broken").mkdir()
-        (folder / "broken" / "checkpoint.npz").write_bytes(b"PK\x03\x04 no more")
+        (folder / "broken" / "checkpoint").mkdir(parents=True)
+        (folder / "broken" / "checkpoint" / "about.json").write_bytes(b"{")
     for start, message in [("none", "holds no checkpoint"), ("broken", "not a readable solution")]:
         done = signorini(folder, "solve", "example1", "--h", "1/4", "--start-from", start)
         assert (done.returncode, done.stderr.count(message)) == (2, 1), done.stderr

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.checkpoint_file import FOLDER, TEXT
-from signorini_fenicsx.output.checkpoint_npz import OLD_FILE
 from signorini_fenicsx.output.writing import write_solution
 
 type Arrays = dict[str, Any]
@@ -134,42 +132,9 @@ def test_what_is_missing_is_told(good: Path, tmp_path: Path, missing: str):
         load_solution(tmp_path, COMM)
 
 
-def test_archives_that_take_memory_are_refused(tmp_path: Path):
-    """Large archives are refused by their stated sizes, before anything is unpacked."""
-    path = tmp_path / OLD_FILE
-    for compression, shape in [
-        (zipfile.ZIP_DEFLATED, (2**20,)),
-        (zipfile.ZIP_LZMA, (2**20,)),
-        (zipfile.ZIP_STORED, (2**40,)),
-        (zipfile.ZIP_STORED, (10**30, 3)),
-        (zipfile.ZIP_STORED, (-1,)),
-    ]:
-        with zipfile.ZipFile(path, "w", compression) as archive, archive.open("u.npy", "w") as file:
-            header = {"descr": "<f8", "fortran_order": False, "shape": shape}
-            np.lib.format.write_array_header_1_0(file, header)
-            file.write(bytes(2**20))
-        with pytest.raises(InputError, match="not a readable solution"):
-            load_solution(tmp_path, COMM)
-
-
-def test_encrypted_and_unknown_archives_are_refused(good: Path, tmp_path: Path):
-    put_old(tmp_path, good)
-    content = (tmp_path / OLD_FILE).read_bytes()
-    directory = content.rindex(b"PK\x01\x02")
-    for place, byte in ((directory + 8, 1), (directory + 10, 99)):
-        (tmp_path / OLD_FILE).write_bytes(content[:place] + bytes([byte]) + content[place + 1 :])
-        with pytest.raises(InputError, match="compressed or encrypted"):
-            load_solution(tmp_path, COMM)
-
-
-@pytest.mark.parametrize(
-    "header", ["{'descr': '<f8", "{'descr': '<f8', 'fortran_order': False, 'shape': (0L,), }", "'"]
-)
-def test_headers_that_are_not_python_are_refused(tmp_path: Path, header: str):
-    text = header.encode() + b"\n"
-    with zipfile.ZipFile(tmp_path / OLD_FILE, "w") as file:
-        file.writestr("u.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
-    with pytest.raises(InputError, match="not a readable solution"):
+def test_files_of_old_versions_are_named(tmp_path: Path):
+    (tmp_path / "checkpoint.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"checkpoint\.npz of version 0\.3 or older, which version 0\.4 reads"):
         load_solution(tmp_path, COMM)
 
 
@@ -220,16 +185,8 @@ def test_methods_with_residuals_of_their_own(tmp_path: Path):
         load_solution(tmp_path, COMM)
 
 
-def put_old(folder: Path, good: Path) -> None:
-    """Write a checkpoint as versions up to 0.3 wrote it."""
-    arrays = arrays_of(good)
-    text = json.loads(arrays.pop("about"))
-    text = {key: value for key, value in text.items() if key != "made"} | {"format": 2}
-    np.savez(folder / OLD_FILE, about=np.array(json.dumps(text)), **arrays)
-
-
 def test_nothing_is_read_that_is_no_file(tmp_path: Path, good: Path):
-    for name, target in ((OLD_FILE, "/dev/zero"), (OLD_FILE, "missing"), (FOLDER, FOLDER), (FOLDER, "/dev")):
+    for name, target in (("checkpoint.npz", "/dev/zero"), (FOLDER, FOLDER), (FOLDER, "/dev")):
         (tmp_path / name).symlink_to(target)
         with pytest.raises(InputError, match=r"holds no checkpoint|symbolic links"):
             load_solution(tmp_path, COMM)
@@ -251,15 +208,3 @@ def test_files_that_are_cut_are_refused(tmp_path: Path, good: Path):
         path.write_bytes(damaged)
         with pytest.raises(InputError, match=r"not a readable solution \(u.npy "):
             load_solution(tmp_path, COMM)
-
-
-@pytest.mark.parallel([1, 2])
-def test_old_files_are_read(folder: Path):
-    comm, norms = MPI.COMM_WORLD, {}
-    if comm.rank == 0:
-        solution = solve_case(load_case("example2").with_values({"solve.h": 0.25}), COMM)
-        write_solution(solution, folder, fields=False)
-        put_old(folder, folder)
-        shutil.rmtree(folder / FOLDER)
-        norms = solution.norms()
-    assert load_solution(folder, comm).norms() == pytest.approx(comm.bcast(norms), rel=1e-12)

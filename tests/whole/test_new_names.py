@@ -1,7 +1,6 @@
-"""The Python names of 0.4 work, warn, and give what the names give into which the changelog translates them."""
+"""What the changelog writes in the place of the Python names of 0.4 works, and these names are told of it."""
 
 import builtins
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,6 @@ from mpi4py import MPI
 
 import signorini_fenicsx
 from signorini_fenicsx import extend
-from signorini_fenicsx.old_names import OLD
-from signorini_fenicsx.solving.solved import Solved
 
 SIDES = {"bottom": (1, 0.0), "right": (0, 1.0), "top": (1, 1.0), "left": (0, 0.0)}
 
@@ -28,7 +25,7 @@ def translations() -> list[tuple[str, str]]:
 
 
 class Names(dict[str, Any]):
-    """The names of a program that uses `signorini_fenicsx`, old ones too."""
+    """The names of a program that uses `signorini_fenicsx`."""
 
     def __missing__(self, name: str) -> Any:
         """What the package has of this name."""
@@ -58,35 +55,18 @@ def value(text: str, names: Names) -> Any:
     return eval(text.replace("`", ""), names)
 
 
-def comparable(found: Any) -> Any:
-    """Norms of a solution, which are equal if it is; the object itself otherwise."""
-    return found.norms() if isinstance(found, Solved) else found
-
-
-@pytest.mark.parametrize(("old", "new"), translations())
-def test_the_table_of_old_and_new_names(
-    old: str, new: str, names: Names, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("new", [new for _, new in translations()])
+def test_the_table_of_new_names(new: str, names: Names, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    if "results" in old:
+    if "results" in new:
         names["body"].write("results/body")
-    with pytest.warns(DeprecationWarning, match=" now"):
-        before = comparable(value(old, names))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
-        after = comparable(value(new, names))
-    assert before == after
+    assert value(new, names) is not None
 
 
-def test_every_old_name_is_in_the_table_or_moved() -> None:
-    table = " ".join(old for old, _ in translations())
-    assert [name for name in OLD if name not in table and name not in extend.__all__] == []
-
-
-@pytest.mark.parametrize("name", OLD)
-def test_old_names_warn(name: str) -> None:
-    with pytest.warns(DeprecationWarning, match=f"signorini_fenicsx.{name} is "):
-        assert getattr(signorini_fenicsx, name) is not None
+@pytest.mark.parametrize("name", ["Problem", "solve_elastic", "SetRule"])
+def test_names_of_before(name: str) -> None:
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'; CHANGELOG.md translates"):
+        getattr(signorini_fenicsx, name)
 
 
 def test_the_top_level() -> None:
