@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, cast, overload
 
 import numpy as np
@@ -11,7 +11,6 @@ from dolfinx import fem
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import holding
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
-from signorini_fenicsx.certificate.bounds import Bounds
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound, bound_field
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
@@ -19,6 +18,21 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import solve
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What bounds the errors of a physics; all of it is collective.
+
+    Attributes:
+        of_solution: Gives the certificate of a solution, with `for_signorini` of that to the problem without penalty.
+        of_field: Gives the bound of a function, from a solution on its mesh.
+        of_steps: Begins with the certificates of the steps of a problem in time; its `certify` takes one after another.
+    """
+
+    of_solution: Callable[..., Certificate]
+    of_field: Callable[[Any, fem.Function], FieldBound]
+    of_steps: Callable[[], Any]
 
 
 @overload

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.certificate.bounds import Bounds, OfSteps
 from signorini_fenicsx.certificate.certificate import Certificate
-from signorini_fenicsx.certificate.certify import certified
+from signorini_fenicsx.certificate.certify import Bounds, certified
 from signorini_fenicsx.solving.evolving import Instant
 
 
@@ -14,7 +15,7 @@ class StepBounds:
 
     def __init__(self) -> None:
         """Begin; then the first step is to be bounded."""
-        self._of: OfSteps | None = None
+        self._of: Any = None
 
     @collector_off()
     def certify(self, instant: Instant) -> Certificate:
@@ -22,6 +23,7 @@ class StepBounds:
 
         def of_step(bounds: Bounds) -> Certificate:
             self._of = self._of or bounds.of_steps()
-            return self._of.certify(instant)
+            certificate: Certificate = self._of.certify(instant)
+            return certificate
 
         return certified(instant.solution, of_step)

@@ -87,15 +87,7 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
     Raises:
         InputError: If the answers end too early, or the mesh cannot be used.
     """
-    from signorini_fenicsx.cases.first_case import (
-        GIVEN,
-        HELD,
-        SYMMETRIC,
-        Place,
-        case_text,
-        first_law,
-        words,
-    )
+    from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC, Place, case_text, first_law, words
     from signorini_fenicsx.meshes.shapes import SHAPES
     from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 

@@ -27,13 +27,7 @@ from signorini_fenicsx.base.errors import (
     NumericalFailure,
     in_words,
 )
-from signorini_fenicsx.base.parallel import (
-    FORWARDING,
-    abort_all_on_exception,
-    end_all,
-    on_root,
-    refuse_lone_copies,
-)
+from signorini_fenicsx.base.parallel import FORWARDING, abort_all_on_exception, end_all, on_root, refuse_lone_copies
 from signorini_fenicsx.base.signals import Interruption, listen_again, listening, outlive_readers
 from signorini_fenicsx.base.text import printable
 from signorini_fenicsx.cli.app import app

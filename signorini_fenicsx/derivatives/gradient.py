@@ -19,14 +19,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off, on_root_only
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.derivatives.controls import (
-    check_control,
-    check_unchanged,
-    gradient_of,
-    occurs,
-    sum_of,
-    varied,
-)
+from signorini_fenicsx.derivatives.controls import check_control, check_unchanged, gradient_of, occurs, sum_of, varied
 from signorini_fenicsx.derivatives.paths import with_constants
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.seen import Control, parts_of

@@ -29,14 +29,7 @@ from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.of_points import interpolated
 from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells
-from signorini_fenicsx.expressions import (
-    TREES,
-    Tree,
-    exactly,
-    to_ufl,
-    values,
-    values_and_gradient,
-)
+from signorini_fenicsx.expressions import TREES, Tree, exactly, to_ufl, values, values_and_gradient
 from signorini_fenicsx.expressions.given import Given, Rows, parsed
 from signorini_fenicsx.expressions.tree import polynomial_degree
 

@@ -21,15 +21,7 @@ from signorini_fenicsx.base.parallel import on_root, on_root_only
 from signorini_fenicsx.base.signals import listen_again
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters, faces
 from signorini_fenicsx.meshes.cut import Side, cut, opened
-from signorini_fenicsx.meshes.domain import (
-    AXES,
-    Domain,
-    Marks,
-    axis_part,
-    distribute,
-    largest_diameter,
-    marked_domain,
-)
+from signorini_fenicsx.meshes.domain import AXES, Domain, Marks, axis_part, distribute, largest_diameter, marked_domain
 from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory

@@ -15,14 +15,7 @@ from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, sums_at
 from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.cut import ANY, along_last_axis, opened
-from signorini_fenicsx.meshes.domain import (
-    AXES,
-    Domain,
-    axis_part,
-    bounding_box,
-    largest_diameter,
-    other_side,
-)
+from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, bounding_box, largest_diameter, other_side
 from signorini_fenicsx.meshes.meshing import OWN_CURVATURE, handed_out
 
 type Entities = npt.NDArray[np.int32]

@@ -25,6 +25,7 @@ from signorini_fenicsx.methods.task import Task
 
 MANY = 100_000
 """Iterations allowed for methods with cheap iterations."""
+UZAWA: Mapping[str, Any] = {"has_rho": True, "max_iterations": MANY}
 IN_CELLS = 20
 """Factor of the iterations allowed where cells are sites."""
 
@@ -112,12 +113,7 @@ GLOWINSKI = "Glowinski: Numerical Methods for Nonlinear Variational Problems (19
 
 def _alone(name: str, *first: object) -> Callable[[Any], Outcome]:
     """A method for diffusion alone, called with these arguments and the task."""
-
-    def run(task: Any) -> Outcome:
-        outcome: Outcome = task.alone(name)(*first, task)
-        return outcome
-
-    return run
+    return lambda task: task.alone(name)(*first, task)
 
 
 def _classical(title: str, reference: str, name: str, **options: Any) -> Method:
@@ -138,10 +134,7 @@ METHODS: Mapping[str, Method] = {
         penalty=Penalty.TRACE,
     ),
     "snes2": Method(
-        "PETSc SNES for (MPε-II)_h",
-        PENALTY,
-        _alone("solve_by_newton", Penalty.FLUX),
-        penalty=Penalty.FLUX,
+        "PETSc SNES for (MPε-II)_h", PENALTY, _alone("solve_by_newton", Penalty.FLUX), penalty=Penalty.FLUX
     ),
     "vi": Method(
         "PETSc SNESVI for (MLM-I)_h",
@@ -150,14 +143,7 @@ METHODS: Mapping[str, Method] = {
         laws=(Signorini, TwoSided),
         takes_inner=True,
     ),
-    "uzawa": _classical(
-        "Uzawa iteration for (VL), conforming P1",
-        GLOWINSKI,
-        "primal_uzawa",
-        laws=(),
-        has_rho=True,
-        max_iterations=MANY,
-    ),
+    "uzawa": _classical("Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa", laws=(), **UZAWA),
     "psor": _classical(
         "projected over-relaxation for (VI), conforming P1",
         GLOWINSKI,
@@ -180,34 +166,20 @@ METHODS: Mapping[str, Method] = {
         contact=Condition.ROBIN,
         penalty=Penalty.TRACE,
     ),
-    "mixed-uzawa1": _classical(
-        "Uzawa iteration in σ·n, L² projection, for (MLM-I)_h",
-        LAGRANGE,
-        "flux_uzawa",
-        has_rho=True,
-        max_iterations=MANY,
-    ),
-    "mixed-uzawa2": _classical(
-        "Uzawa iteration in p, L² projection, for (MLM-II)_h",
-        LAGRANGE,
-        "trace_uzawa",
-        has_rho=True,
-        max_iterations=MANY,
-    ),
+    "mixed-uzawa1": _classical("Uzawa iteration in σ·n, L² projection, for (MLM-I)_h", LAGRANGE, "flux_uzawa", **UZAWA),
+    "mixed-uzawa2": _classical("Uzawa iteration in p, L² projection, for (MLM-II)_h", LAGRANGE, "trace_uzawa", **UZAWA),
     "mixed-uzawa-h12": _classical(
         "Uzawa iteration in p, H^{1/2} projection, for (MLM-II)_h",
         "Gatica, Maischak, Stephan: ESAIM M2AN (2011)",
         "half_uzawa",
-        has_rho=True,
-        max_iterations=MANY,
+        **UZAWA,
         dense=True,
     ),
     "mixed-uzawa-wang": _classical(
         "Uzawa iteration in u, a constrained minimisation each, for (MVI)_h",
         "[Wang 09] of the slides",
         "minimisation_uzawa",
-        has_rho=True,
-        max_iterations=MANY,
+        **UZAWA,
     ),
     "slimane": _classical(
         "stabilised unilateral mixed form, ∇·σ + f = εu",

@@ -158,17 +158,18 @@ def _draw(
 ) -> None:
     """Draw the pictures over time, for diffusion in the plane also `animation.gif` (collective)."""
     from signorini_fenicsx.output import pictures  # takes a second to import
+    from signorini_fenicsx.output.pictures.evolution import animate, chosen_for_fronts, draw_fronts, shown
 
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
     scene, sample = pictures.gathered_scene(solution), sample_of(solution.spaces)
     frames = []
-    for step in pictures.shown(len(times)) if pictures.is_animated(solution) else []:
+    for step in shown(len(times)) if pictures.is_animated(solution) else []:
         u = sample.in_cells(steps.kept(spaces, step, "u").ravel())
         if u is not None:
             frames.append((step, u))
 
     states, in_plane = {}, spaces.mesh.topology.dim == 2 and solution.drawn().states is not None
-    for step in pictures.chosen_for_fronts(len(times)) if in_plane else []:
+    for step in chosen_for_fronts(len(times)) if in_plane else []:
         of_cells = sample.in_cells(steps.kept(spaces, step, "own").ravel())
         if of_cells is not None:
             states[times[step - 1]] = of_cells
@@ -176,11 +177,11 @@ def _draw(
     def write() -> None:
         if scene is not None:
             if states:
-                pictures.draw_fronts(folder / "fronts.png", scene, states)
+                draw_fronts(folder / "fronts.png", scene, states)
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
             pictures.draw_steps(folder, scene, tables, times, rows)
             if frames:
                 with_sites = [(times[step - 1], u, steps.table(step, kind)) for step, u in frames]
-                pictures.animate(folder / "animation.gif", scene, with_sites)
+                animate(folder / "animation.gif", scene, with_sites)
 
     on_root(comm, write)

@@ -306,10 +306,10 @@ def publish_convergence(
         write_summary(results.path, summary)
 
     def draw() -> None:
-        from signorini_fenicsx.output import pictures  # takes a second to import
+        from signorini_fenicsx.output.pictures.curves import draw_errors  # takes a second to import
 
         title = f"{case.name}, {case.solve.algorithm}, against {against}"
-        pictures.draw_errors(results.path / "convergence.png", rows, vary, title)
+        draw_errors(results.path / "convergence.png", rows, vary, title)
 
     on_root(comm, write)
     results.publish()
@@ -327,11 +327,12 @@ def draw_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
     if not rows:
         return
     from signorini_fenicsx.output import pictures  # takes a second to import
+    from signorini_fenicsx.output.pictures.curves import draw_bounds
 
     scene = pictures.gathered_scene(solution)
 
     def draw() -> None:
-        pictures.draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
+        draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
         if scene is not None:
             pictures.draw_mesh(folder / "mesh.png", scene)
 

@@ -17,14 +17,7 @@ from signorini_fenicsx.expressions.intervals import Elementary, Interval, enclos
 from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, constant, edges, quadratic
 from signorini_fenicsx.rigorous.discrete import Discrete
 from signorini_fenicsx.rigorous.enclosures import enclose
-from signorini_fenicsx.rigorous.simplices import (
-    EDGES,
-    Simplices,
-    root,
-    squared,
-    total,
-    with_midpoints,
-)
+from signorini_fenicsx.rigorous.simplices import EDGES, Simplices, root, squared, total, with_midpoints
 from signorini_fenicsx.rigorous.tensor import Tensor, near
 
 FINE = {"norm": 1e-9, "tilt": 1e-3, "mean": 1e-9}

@@ -27,15 +27,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import difference, values
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, larger, stacked
 from signorini_fenicsx.rigorous.data import Deviation, Given, deviation, places, smallest
-from signorini_fenicsx.rigorous.discrete import (
-    DIRICHLET,
-    SIGNORINI,
-    Discrete,
-    Facets,
-    alike_in_nodes,
-    boundary,
-    pairs,
-)
+from signorini_fenicsx.rigorous.discrete import DIRICHLET, SIGNORINI, Discrete, Facets, alike_in_nodes, boundary, pairs
 from signorini_fenicsx.rigorous.simplices import (
     EDGES,
     Simplices,

@@ -1,6 +1,6 @@
 """Pictures of beds: how far the springs are pressed, and in time how they settle."""
 
-from signorini_fenicsx.output.pictures.of_physics import Pictures
+from signorini_fenicsx.output.pictures.scene import Pictures
 from signorini_fenicsx.output.pictures.sheet import Sheet
 
 

@@ -14,37 +14,12 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.gather import Fields, Gathered, gather
 from signorini_fenicsx.output.pictures import plane_files, style
-from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_errors, draw_quantities
-from signorini_fenicsx.output.pictures.evolution import (
-    animate,
-    chosen_for_fronts,
-    draw_fronts,
-    draw_sets,
-    shown,
-)
-from signorini_fenicsx.output.pictures.of_physics import Pictures
-from signorini_fenicsx.output.pictures.scene import UNNAMED, Scene
+from signorini_fenicsx.output.pictures.curves import draw_quantities
+from signorini_fenicsx.output.pictures.evolution import draw_sets
+from signorini_fenicsx.output.pictures.scene import UNNAMED, Pictures, Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
-
-__all__ = [
-    "animate",
-    "chosen_for_fronts",
-    "draw_all",
-    "draw_bounds",
-    "draw_errors",
-    "draw_field",
-    "draw_fronts",
-    "draw_mesh",
-    "draw_steps",
-    "gathered_scene",
-    "is_animated",
-    "overview",
-    "scene_of",
-    "shown",
-    "write_page",
-]
 
 
 def is_animated(solution: Solved) -> bool:

@@ -18,9 +18,8 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.output.gather import Fields
 from signorini_fenicsx.output.pictures import load_steps, plane_files, style
-from signorini_fenicsx.output.pictures.of_physics import Pictures
 from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed
-from signorini_fenicsx.output.pictures.scene import Scene
+from signorini_fenicsx.output.pictures.scene import Pictures, Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.physics.elasticity.shown import BodyFacets, ContactTable
 from signorini_fenicsx.solving.solved import Solved

@@ -1,19 +1,23 @@
 """The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.cases.plot import Plot
+from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable
 from signorini_fenicsx.output.gather import Boundary, Fields
 from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.output.pictures.sheet import Sheet
 
 UNNAMED = Plot()
 """Of problems that name nothing."""
@@ -147,6 +151,25 @@ class Scene:
         different = np.unique(both, axis=0)[:, : self.dim]
         between, times = np.unique(different, axis=0, return_counts=True)
         return between[times == 2]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """How the solutions of a physics are drawn (rank 0).
+
+    Attributes:
+        caption: Gives what stands below the title: algorithm, mesh, certified error, in mathematical type.
+        draw_files: Draws all files of a scene into a folder.
+        overview: Gives the picture that a notebook shows.
+        draw_steps: Draws a run in time into a folder, from its scene at the end and from tables, times and rows.
+        animated: Whether a run in time has an animation in the plane.
+    """
+
+    caption: Callable[[Any, Fields, Certificate | None], str]
+    draw_files: Callable[[Path, Scene], None]
+    overview: Callable[[Scene], Sheet]
+    draw_steps: Callable[..., None]
+    animated: bool = False
 
 
 def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indices]:

@@ -22,15 +22,7 @@ from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import polynomial_degree
 from signorini_fenicsx.rigorous.data import deviation
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given
-from signorini_fenicsx.rigorous.simplices import (
-    EDGES,
-    Simplices,
-    bernstein,
-    root,
-    squared,
-    total,
-    with_midpoints,
-)
+from signorini_fenicsx.rigorous.simplices import EDGES, Simplices, bernstein, root, squared, total, with_midpoints
 
 PROVED = {2: (0.40, 1.01)}
 """Proved bounds of ĉ and t̂, by dimension."""

@@ -29,11 +29,7 @@ from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import reconstructed
-from signorini_fenicsx.physics.diffusion.bound.certify import (
-    Admissible,
-    gap_on_gamma_s,
-    gap_parts,
-)
+from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_on_gamma_s, gap_parts
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies

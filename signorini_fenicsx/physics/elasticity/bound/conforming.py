@@ -26,20 +26,11 @@ from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
 from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
-from signorini_fenicsx.physics.elasticity.bound.condensed import (
-    Nodes,
-    condensed,
-    displacement_solver,
-    means_at_nodes,
-)
+from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condensed, displacement_solver, means_at_nodes
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
-from signorini_fenicsx.physics.elasticity.boundary_nodes import (
-    add_at,
-    contact_coefficients,
-    given_nodes,
-)
+from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.multigrid import STIFF
 from signorini_fenicsx.physics.elasticity.on_facets import facet_rule

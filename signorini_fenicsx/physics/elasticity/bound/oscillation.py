@@ -26,11 +26,7 @@ from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trac
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS, local_stresses
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution, beyond
 from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import (
-    Cells,
-    facet_normals,
-    split_vertices,
-)
+from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, split_vertices
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 
 
