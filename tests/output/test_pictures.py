@@ -185,7 +185,7 @@ def _by_x(facets: FacetTable) -> FacetTable:
     """The facets of Γ_S ordered by x, as for a mesh from a file."""
     order = np.argsort(facets.x[:, 0], kind="stable")
     columns = {key: values[order] for key, values in vars(facets).items()}
-    return FacetTable(**columns | {"along": columns["x"][:, 0]})
+    return type(facets)(**columns | {"along": columns["x"][:, 0]})
 
 
 @pytest.mark.parallel(3)
