@@ -20,9 +20,11 @@ class EarlierSolutions:
 
     def __init__(self) -> None:
         self._differences: list[Array] = []
+        self._fresh = False
 
     def add(self, x: PETSc.Vec) -> None:
-        """Remember a solution."""
+        """Remember a solution; the next `combine` starts from it and those before."""
+        self._fresh = True
         differences = [x.array_r.copy()]
         for before in self._differences[: MOST - 1]:
             differences.append(differences[-1] - before)
@@ -31,7 +33,8 @@ class EarlierSolutions:
     def combine(self, matrix: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, fixed: npt.NDArray[np.int32]) -> None:
         """Make of x, in place, the combination nearest in energy to the solution of a system (collective).
 
-        0 is one of the combinations, so no start is worse than that from 0.
+        0 is one of the combinations, so no start is worse than that from 0. It is for the first system after a solution
+        was remembered; in others x stays.
 
         Args:
             matrix: Symmetric and positive definite, with rows of the identity for what is fixed.
@@ -39,6 +42,9 @@ class EarlierSolutions:
             x: Has the values of what is fixed already; these stay.
             fixed: Owned unknowns that are fixed.
         """
+        if not self._fresh:
+            return
+        self._fresh = False
         fixed_values, free = x.array_r[fixed].copy(), b.array_r.copy()
         free[fixed] = 0.0
         products = [self._products(free)]

@@ -26,6 +26,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import TO_THE_END, FacetSolver
 from signorini_fenicsx.linear.gmres import DIRECTIONS, gmres
 
@@ -75,6 +76,7 @@ class KeptFactors:
     """Solves with 0 at some sites, by the last factorisation if there is one that serves.
 
     Attributes:
+        earlier: Solutions of earlier problems, from which iterations may start.
         repeated: How often one set that is not that of the factorisation was solved for in a row, which takes two
             solves each time.
     """
@@ -108,6 +110,7 @@ class KeptFactors:
         self._x, self._b = self._natural.createVecs()
         self._w = self._x.duplicate()
         self._most = self._more = MOST[dim]
+        self.earlier = EarlierSolutions()
         self._kept: Imposed | None = None
         self._present: Imposed | None = None  # with the matrix of the solver
 
@@ -148,6 +151,7 @@ class KeptFactors:
             self._b.array_w[:] = load
             for vector in (self._b, x):
                 vector.array_w[essential] = 0.0
+            self.earlier.combine(self._operator.matrix, self._b, x, essential)
             self._solver.solve(self._b, x)
             ended = self._solver.ksp.getIterationNumber(), self._solver.converged or self._solver.factorises
         if self._solver.factorises:

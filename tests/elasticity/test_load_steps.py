@@ -11,15 +11,28 @@ from dolfinx.mesh import create_unit_square
 from elastic import box
 from mpi4py import MPI
 
-from signorini_fenicsx import Coulomb, Elasticity, Evolution, InputError, StepBounds, certify, evolve, load_solution
+from signorini_fenicsx import (
+    Coulomb,
+    Elasticity,
+    Evolution,
+    InputError,
+    Options,
+    StepBounds,
+    certify,
+    evolve,
+    load_solution,
+)
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.problem import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.shown import ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.physics.elasticity.system import ElasticSystem
+from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
 PUSHED = "(0.4*t if t < 1 else 0.8 - 0.4*t)"
@@ -56,6 +69,29 @@ def test_exact_history(friction: Tresca | Coulomb):
         assert bounds.certify(instant).bound < 1e-7
         states.append(max(solution.friction_states().items(), key=lambda item: item[1]["measure"])[0])
     assert states == ["stick", "slip-", "slip-", "slip-", "stick", "stick", "slip+", "slip+"]
+
+
+@pytest.mark.parallel([1, 2])
+@pytest.mark.parametrize("tuning", [Tuning(), Tuning(direct_up_to=0)])
+def test_one_system_for_all_loads(tuning: Tuning, monkeypatch: pytest.MonkeyPatch):
+    """Other tractions, forces and bounds of friction keep the matrix; another material, or a support, does not."""
+    made: list[ElasticData] = []
+    first = ElasticSystem.__init__
+    monkeypatch.setattr(ElasticSystem, "__init__", lambda system, *of: (made.append(of[1]), first(system, *of))[1])
+    domain, options = box(COMM, 4, [0.0, 0.0], [2.0, 1.0]), Options(tuning=tuning)
+
+    def loaded(pull: float, f: str = "0", young: float = 1.0, mu: float = 0.3) -> Elasticity:
+        law = Contact("y0", gap="0.01*x", friction=Coulomb(mu))
+        return Elasticity(young, 0.3, f=["0", f], conditions=[law, Neumann("y1", [0.02, -pull]), Neumann("x1")])
+
+    solver = Solver(domain, loaded(0.1))
+    problems = [loaded(0.1), loaded(0.2), loaded(0.2, f="-x"), loaded(0.2, mu=0.1), loaded(0.2, young=2.0)]
+    found = [solver.solve(problem, options) for problem in problems]
+    assert len(made) == 2
+    for problem, solution in zip(problems, found, strict=True):
+        alone = solve(domain, problem, options)
+        np.testing.assert_array_equal(solution.touching, alone.touching)
+        np.testing.assert_allclose(solution.stresses, alone.stresses, rtol=0, atol=1e-9 * np.abs(alone.stresses).max())
 
 
 @pytest.mark.parallel([1, 3])

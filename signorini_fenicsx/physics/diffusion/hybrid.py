@@ -73,7 +73,7 @@ class HybridBackend(FacetBackend):
         make = partial(AuxiliarySpace, spaces, system) if iterative else None
         most = None if system.large else MOST_ITERATIONS
         self._solver = FacetSolver(system.matrix, prefix, DEFAULTS, make, most)
-        self._earlier, self._renewed = EarlierSolutions(), False
+        self._earlier = EarlierSolutions()
         self._applied: SiteConditions | None = None
         self._iterations = 0
         self._factors = self._none_kept()
@@ -90,7 +90,6 @@ class HybridBackend(FacetBackend):
         self.data, self._applied, self._keeps = data, None, None
         if self._solver.iterates:
             self._earlier.add(self._system.x)
-            self._renewed = True
         if same:
             self._factors.serve_more()
         else:
@@ -230,9 +229,7 @@ class HybridBackend(FacetBackend):
                     self._applied, self._iterations = conditions, 1
                     return
             essential, self._iterations = self._impose(conditions), 0
-            if self._renewed:
-                self._earlier.combine(system.matrix, system.b, system.x, essential)
-                self._renewed = False
+            self._earlier.combine(system.matrix, system.b, system.x, essential)
         self._solve_imposed(system.b, system.x, imposed)
         self._applied = conditions
         self._iterations += self._solver.ksp.getIterationNumber()

@@ -29,7 +29,7 @@ from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, DIRECT_UP_T
 from signorini_fenicsx.physics.elasticity.normal_laws import Springs
 from signorini_fenicsx.physics.elasticity.on_facets import neighbours
 from signorini_fenicsx.physics.elasticity.posed import Posed, State
-from signorini_fenicsx.physics.elasticity.rigid_motions import is_free
+from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, is_free
 from signorini_fenicsx.physics.elasticity.sizes import Sizes
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.system import ElasticSystem
@@ -76,7 +76,6 @@ class ElasticBackend(PlainBackend):
         spaces: ElasticSpaces,
         data: ElasticData,
         tuning: Tuning | None = None,
-        motions: Array | None = None,
         *,
         direct: bool = False,
     ):
@@ -86,16 +85,14 @@ class ElasticBackend(PlainBackend):
             spaces: The spaces.
             data: The data.
             tuning: Has the size from which CG with multigrid is the default.
-            motions: Means of r_n at the sites for each rigid motion that only contact prevents; None for none.
             direct: Whether to factorise in any case, without the user's options for the facet system.
 
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self.spaces, self.data, self.comm = spaces, data, spaces.mesh.comm
+        self.spaces, self.comm = spaces, spaces.mesh.comm
         self._normal, self._slip = sites = spaces.site_kinds
         self.sites, self._unknowns, self.measure, self._signs = len(sites), sites.unknown, sites.measure, sites.sign
-        self.friction = data.friction
         self.system = ElasticSystem(spaces, data)
         self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
         self.dofs = (matrix := self._operator.matrix).getSize()[0]
@@ -107,13 +104,28 @@ class ElasticBackend(PlainBackend):
         self._factors = KeptFactors(self._solver, self._operator, data.fixed, self._unknowns, spaces.dim, *near)
         self._x, self._held = matrix.createVecs()
         self._x.set(0.0)
-        self.tools = Moving(spaces, data.tools)
-        self._motions = np.zeros((self.sites, 0)) if motions is None else motions
-        self._state, self._iterations = State.START, 0
         self._last: Posed | None = None
-        diagonal = self.system.matrix.getDiagonal().array_r[self._unknowns]
-        self._weak, self.stiffness = WeakSprings(SPRING * diagonal), diagonal / self.measure
+        self.stiffness = self.system.matrix.getDiagonal().array_r[self._unknowns] / self.measure
+        self._take(data)
+
+    def _take(self, data: ElasticData) -> None:
+        """Take data with this matrix (collective)."""
+        spaces, self.data, self.friction = self.spaces, data, data.friction
+        self._motions = check_rigid_motions(spaces, data) if data.motions is None else data.motions
+        self.tools, self._weak = Moving(spaces, data.tools), WeakSprings(SPRING * self.stiffness * self.measure)
+        self._state, self._iterations = State.START, 0
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=self.system.loaded or bool(self.tools))
+
+    def renew(self, data: ElasticData) -> bool:
+        """Go on with other data, see `Renewable`; False if the matrix is another one (collective)."""
+        if not self.system.renew(data):
+            return False
+        self._x.array_w[:] = self._x.array_r - self.tools.forget()
+        if self.iterates and data.friction.slipping is None:
+            self._factors.earlier.add(self._x)
+        self._factors.serve_more()
+        self._take(data)
+        return True
 
     @property
     def chains(self) -> Chains:

@@ -81,6 +81,7 @@ class ElasticData:
             changed, too.
         moved: The means of these motions at the sites.
         given: The constants and functions in the data, with the values that they had.
+        motions: The rigid motions that only contact prevents, see `check_rigid_motions`; None if they are not known.
     """
 
     f: VectorDatum
@@ -103,6 +104,7 @@ class ElasticData:
     tools: tuple[Tool, ...]
     moved: Array
     given: Values = ()
+    motions: Array | None = None
 
     @property
     def slip_before(self) -> Array:
@@ -158,17 +160,20 @@ class ElasticData:
         sums = np.einsum("nsqr,sqv,q->nvr", values, self.quadrature.hats, self.quadrature.weights, optimize=True)
         return measure[:, None, None] / subcells * np.take_along_axis(sums, spaces.order[cells][:, :, None], axis=1)
 
-    def masses(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array) -> Array:
+    def masses(
+        self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32], measure: Array, values: Array | None = None
+    ) -> Array:
         """𝔸 times φ_a φ_b over the subcells of cells, see `compliance_product` (collective).
 
         Args:
             spaces: The spaces.
             cells: The cells.
             measure: Their |T|.
+            values: Their `compliances`, if these are known.
         """
         local, weights = self.quadrature.local, self.quadrature.weights
         size = local.shape[1]
-        values = self.compliances(spaces, cells)
+        values = self.compliances(spaces, cells) if values is None else values
         number = values.shape[-1]
         values = np.broadcast_to(values, (len(cells), size * len(weights), number, number))
         products = np.einsum("q,qa,qb->qab", weights, local, local)

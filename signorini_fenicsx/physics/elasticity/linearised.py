@@ -41,7 +41,6 @@ from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, entries, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.moments import Moments, of_laws, on_boundary
-from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.tangent import Tangent, stiffness_times
 
@@ -305,8 +304,7 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
     system = None if solution.system is None else solution.system()
     backend = None if system is None else system.kept.of(solution.outcome, ElasticBackend)
     if backend is None:
-        motions = check_rigid_motions(solution.spaces, solution.data)
-        backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning, motions)
+        backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning)
     if backend.friction.slipping is not None:
         backend.turn(backend.friction.turned(solution.spaces.site_kinds["slip"].rows_of(solution.outcome.iterate.p)))
     return Linearised(solution, backend, tolerance)

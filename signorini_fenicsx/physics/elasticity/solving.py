@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 from weakref import ref
@@ -78,9 +78,8 @@ class System:
         check_start(spaces.domain, wish.start, ElasticSolution, Segments)
         data = elastic_data(spaces, problem, wish.memory)
         check_against_foundation(spaces, data)
-        motions = check_rigid_motions(spaces, data)
+        data = replace(data, motions=check_rigid_motions(spaces, data))
         _note_foundations(spaces, data)
-        make = partial(ElasticBackend, tuning=options.tuning, motions=motions)
         task = ElasticTask(
             spaces=spaces,
             data=data,
@@ -88,7 +87,7 @@ class System:
             eps=options.eps,
             max_iterations=options.max_iterations or _most_iterations(spaces, data, options.method),
             on_step=wish.on_step,
-            backend=partial(self.kept.take, options.tuning, make),
+            backend=partial(self.kept.take, options.tuning, partial(ElasticBackend, tuning=options.tuning)),
             start=wish.start,
             predict=options.predict and len(spaces.part_names) > 0,  # else the problem is linear
             coarser=wish.remesh and partial(_coarser, wish.remesh, (self.boundary, problem), wish),
@@ -96,7 +95,6 @@ class System:
             tuning=options.tuning,
             watch=wish.watch,
             kept=self.kept,
-            motions=motions,
         )
         return ElasticRun(task, options, self.boundary, problem, self)
 

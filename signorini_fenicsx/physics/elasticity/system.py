@@ -6,6 +6,7 @@ See `forms/elasticity.py` for what is eliminated on each cell.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from hashlib import blake2b
 
 import numpy as np
 import numpy.typing as npt
@@ -40,14 +41,48 @@ class ElasticSystem(HybridSystem):
 
     def __init__(self, spaces: ElasticSpaces, data: ElasticData):
         """Eliminate and assemble (collective)."""
-        self.spaces, self._data = spaces, data
-        self.element = reference(spaces.dim)
+        self.spaces, self.element = spaces, reference(spaces.dim)
+        self._take(data)
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
+        self._take_loads()
+
+    def _take(self, data: ElasticData) -> None:
+        """Take data, with digests of what the solver, but for laws, and of what the loads of cells have of them."""
+        self._data, self._digests = data, (blake2b(data.supports.masses.tobytes() + data.fixed.tobytes()), blake2b())
+
+    def renew(self, data: ElasticData) -> bool:
+        """Go on with other data; False if these have another matrix (collective)."""
+        before = self._digests
+        self._take(data)
+        for numbers in blocks_of_cells(self.spaces):
+            self._of_cells(numbers, Cells(self.spaces.vertices[numbers]).measure)
+        same = np.array([one.digest() == other.digest() for one, other in zip(before, self._digests, strict=True)])
+        self.spaces.mesh.comm.Allreduce(MPI.IN_PLACE, same, MPI.LAND)
+        if same[0] and not same[1]:
+            self._take(data)
+            self._blocks = list(self.eliminated())
+        if same[0]:
+            self._take_loads()
+        return bool(same[0])
+
+    def _take_loads(self) -> None:
+        """Find the right side (collective)."""
+        spaces, data = self.spaces, self._data
         owned = self._size * self._numbers.size_local
         self.tractions = data.load[:owned]
         self.load = self.load_of(self._blocks, data.lift) + self.tractions
         given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
         self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
+
+    def _of_cells(self, numbers: npt.NDArray[np.int32], measure: Array) -> tuple[Array, Array, Array | None]:
+        """The compliances of cells with these |T|, their moments of f and those of strains, if any (collective)."""
+        spaces, data, (of_matrix, of_loads) = self.spaces, self._data, self._digests
+        compliances, of_f = data.compliances(spaces, numbers), data.moments_of_f(spaces, numbers, measure)
+        strains = data.strains(spaces, numbers, measure) if data.material.own else None
+        of_matrix.update(compliances.tobytes())
+        for loads in (of_f, of_f[:0] if strains is None else strains):
+            of_loads.update(loads.tobytes())
+        return compliances, of_f, strains
 
     def eliminated(self, stresses: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
         """The cells after elimination, with the data or another right side (collective).
@@ -61,9 +96,11 @@ class ElasticSystem(HybridSystem):
         framed = [(facets.cells, facets.local, matrices) for facets, matrices in spaces.frames]
         for numbers in blocks_of_cells(spaces):
             cells = Cells(spaces.vertices[numbers])
-            of_f = data.moments_of_f(spaces, numbers, cells.measure) if moments is None else moments[numbers]
-            masses = data.masses(spaces, numbers, cells.measure)
-            own = data.strains(spaces, numbers, cells.measure) if stresses is None and data.material.own else None
+            if stresses is None or moments is None:
+                compliances, of_f, own = self._of_cells(numbers, cells.measure)
+            else:
+                compliances, of_f, own = data.compliances(spaces, numbers), moments[numbers], None
+            masses = data.masses(spaces, numbers, cells.measure, compliances)
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             basis = cells.stresses(self.element.stresses)

@@ -39,14 +39,12 @@ class ElasticTask(Task):
 
     Attributes:
         kept: Has the backend.
-        motions: The rigid motions that only contact prevents, see `ElasticBackend`.
         changes: Of the steps of Coulomb's friction in the last run, see `ElasticSolution.bound_changes`.
     """
 
     spaces: ElasticSpaces
     data: ElasticData
     kept: KeptBackend
-    motions: Array
     changes: list[float] = field(default_factory=list)
 
     def is_large(self, backend: ElasticBackend) -> bool:
@@ -117,11 +115,11 @@ class ElasticTask(Task):
         A gap that is large beside the body does not close, and contact with it would tear the body apart. The reach is
         doubled until what is in it holds the body nearly as well as all of Γ_C does. None if it is held without.
         """
-        spaces, comm = self.spaces, self.spaces.mesh.comm
-        if self.motions.shape[1] == 0:
+        spaces, comm, motions = self.spaces, self.spaces.mesh.comm, self.data.motions
+        if motions is None or motions.shape[1] == 0:
             return None
         normal, slip = spaces.site_kinds
-        into, along = normal.of(self.motions), slip.of(self.motions)
+        into, along = normal.of(motions), slip.of(motions)
         slips = comm.allreduce(along.T @ along)
 
         def held(near: Mask) -> Array:

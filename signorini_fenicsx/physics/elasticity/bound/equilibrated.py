@@ -19,7 +19,6 @@ from signorini_fenicsx.physics.elasticity.bound.clear import floors
 from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.friction import shortened
 from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt, energy_squares
-from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 ROUNDING = 1e-9
@@ -60,9 +59,8 @@ def admissible_stress(solution: ElasticSolution) -> AdmissibleStress:
     rounding, unit = ROUNDING * energy, _energy_of_residuals(solution)
     if _left(solution.kkt) * unit <= rounding:
         return _of(solution, solution.stresses, solution.outcome.iterate.p, rounding)
-    motions = check_rigid_motions(spaces, data)
     try:
-        again = ElasticBackend(spaces, data, motions=motions, direct=True).solve(solution.outcome.conditions)
+        again = ElasticBackend(spaces, data, direct=True).solve(solution.outcome.conditions)
     except LinearSolveFailure:
         return _of(solution, solution.stresses, solution.outcome.iterate.p, np.inf)
     stresses = spaces.split.values(again.sigma)
