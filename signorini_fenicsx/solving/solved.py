@@ -6,12 +6,14 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
+import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.text import counted
@@ -155,13 +157,29 @@ class Solved(ABC):
         return parts
 
     @property
-    @abstractmethod
-    def contact(self) -> InContact:
-        """How many facets are in contact, and their measure (collective when first used)."""
+    def touching(self) -> Mask:
+        """Mask of the facets in contact, or of their vertices, shape (facets, d)."""
+        return self.contact_set().inside
 
-    @abstractmethod
+    @cached_property
+    def contact(self) -> InContact:
+        """How many facets are in contact, and the measure of `touching` (collective when first used)."""
+        facets, _, measure = self._touched
+        return InContact(facets, measure)
+
     def sites_in_contact(self) -> tuple[int, float]:
         """Number of sites in contact, and their measure: of facets, of cells under an obstacle, of facet vertices."""
+        _, sites, measure = self._touched
+        return sites, measure
+
+    @cached_property
+    def _touched(self) -> tuple[int, int, float]:
+        """Numbers of facets and of `touching`, and the measure of the latter (collective when first used)."""
+        (kind, *_), touching = self.spaces.site_kinds, self.touching
+        measure = kind.measure[touching.ravel()].sum()
+        local = np.array([self.contact_set().inside.sum(), touching.sum(), measure])
+        facets, sites, measure = self.spaces.mesh.comm.allreduce(local).tolist()
+        return int(facets), int(sites), measure
 
     @abstractmethod
     def contact_set(self) -> FacetSet:

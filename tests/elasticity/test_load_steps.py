@@ -96,7 +96,7 @@ def test_one_system_for_all_loads(tuning: Tuning, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parallel([1, 3])
 def test_start_from_another_mesh():
-    """The first sets are those of a start on another mesh, not the numbers of its sites."""
+    """The first sets and bounds of the shear are those of a start on another mesh, not the numbers of its sites."""
     evolution, (coarse, fine) = (
         Evolution(end=1.0, steps=1),
         (build_domain(COMM, "square", h, mesh="structured") for h in (0.5, 0.2)),
@@ -104,6 +104,7 @@ def test_start_from_another_mesh():
     (start,) = evolve(coarse, block(Coulomb(0.5)), evolution)
     (free,), (begun,) = (evolve(fine, block(Coulomb(0.5)), evolution, start=of) for of in (None, start.solution))
     np.testing.assert_allclose(begun.solution.slip, free.solution.slip, atol=1e-9)
+    assert len(begun.solution.outcome.history) <= 2 < len(free.solution.outcome.history)
 
 
 OBLIQUE = [(0.05, 0.0), (0.2, 0.0), (0.2, 0.1), (0.15, 0.12), (-0.2, 0.1), (-0.1, 0.05)]

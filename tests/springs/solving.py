@@ -24,7 +24,6 @@ from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.evolution import Evolution, Past
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solved import InContact
 
 
 @dataclass(frozen=True)
@@ -82,16 +81,6 @@ class Rested(Solution):
 
     def contact_set(self):
         return FacetSet(self.spaces, self.outcome.conditions.kind == Condition.ZERO_TRACE)
-
-    @property
-    def contact(self):
-        inside = self.contact_set().inside
-        found = np.array([inside.sum(), self.spaces.facet_measure[inside].sum()])
-        count, measure = self.spaces.mesh.comm.allreduce(found).tolist()
-        return InContact(int(count), measure)
-
-    def sites_in_contact(self):
-        return self.contact
 
     def norms(self):
         square = self.spaces.mesh.comm.allreduce(self.spaces.cell_measures @ self.u.x.array**2)

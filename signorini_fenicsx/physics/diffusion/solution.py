@@ -38,7 +38,6 @@ from signorini_fenicsx.physics.diffusion.seepage import Seepage, seepage
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.water import discharges, in_words
 from signorini_fenicsx.solution import Solution as AnySolution
-from signorini_fenicsx.solving.solved import InContact
 
 SAME = 1e-9
 """Relative distance of u from a corner of a law that is rounding."""
@@ -274,27 +273,18 @@ class Solution(AnySolution):
         iterate = self.outcome.iterate
         return Segments(self.spaces, self.law.segments(self.outcome.conditions, (iterate.p, iterate.flux)))
 
-    @cached_property
-    def contact(self) -> InContact:
-        """Number and measure of the Γ_S facets in contact (collective when first used)."""
-        touching = self.contact_set().inside
-        comm = self.spaces.mesh.comm
-        count = comm.allreduce(int(np.count_nonzero(touching)))
-        return InContact(count, float(comm.allreduce(self.spaces.facet_measure[touching].sum())))
-
     @collector_off()
     def sites_in_contact(self) -> tuple[int, float]:
         """Number of facets in contact, with laws in Ω of cells that they hold, and their measure (collective)."""
         if self.data.inside is None:
-            return self.contact
+            return super().sites_in_contact()
         cells = self.on_obstacle()
         return int(cells["contact_cells"]), cells["contact_measure"]
 
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the Γ_S facets on each segment, by part and name of the segment (collective)."""
-        spaces, laws, segment = self.spaces, self.data.laws.of_parts, self.segments().of("facet")
-        return by_part(spaces, laws, segment, spaces.part_of_facet, spaces.facet_measure, "facets")
+        return by_part(self.spaces, self.data.laws.of_parts, self.segments().of("facet"), "facets")
 
     @collector_off()
     def violation(self) -> dict[str, float]:

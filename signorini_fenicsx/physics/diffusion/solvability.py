@@ -46,22 +46,17 @@ def floating_sites(spaces: Spaces, data: Data) -> Floating | None:
     of_cell, number = floating_cells(spaces, data)
     if number == 0:
         return None
-    cells = np.arange(0 if data.inside is None else len(of_cell))
-    named, across = _sides(spaces, of_cell)
-    return Floating(
-        number=number,
-        named=np.append(named, of_cell[cells]),
-        across=np.append(across, np.zeros_like(cells)),
-        measure=np.append(spaces.facet_measure, spaces.cell_measures[cells]),
-    )
+    return Floating(number, *_sides(spaces, data, of_cell))
 
 
-def _sides(spaces: Spaces, of_cell: Indices) -> tuple[Indices, Indices]:
-    """The component behind each facet of Γ_S, and that on its other side, 0 on the boundary."""
+def _sides(spaces: Spaces, data: Data, of_cell: Indices) -> tuple[Indices, Indices, Array]:
+    """The component behind each site, that on its other side, 0 on the boundary and of cells, and its measure."""
     named, across = of_cell[spaces.cells], np.zeros(len(spaces.facets), dtype=np.int64)
     space = spaces.crouzeix_raviart
     across[spaces.inner.rows] = of_cell[cells_and_dofs(space, spaces.inner.facets)[0]]
-    return named, across
+    if data.inside is not None:
+        named, across = np.append(named, of_cell), np.append(across, np.zeros_like(of_cell))
+    return named, across, spaces.site_kinds.measure[: len(named)]
 
 
 def check_solvability(spaces: Spaces, data: Data) -> None:
@@ -123,18 +118,11 @@ def _balance(spaces: Spaces, data: Data, of_cell: Indices, number: int) -> tuple
     for of, load in ((of_cell, spaces.cell_measures * owned_values(data.f_h)), (behind, fluxes)):
         loads += np.bincount(of, load, number + 1)
         sizes += np.bincount(of, np.abs(load), number + 1)
-    named, across = _sides(spaces, of_cell)
-    ends = [spaces.facet_measure * (data.q_Sh + flux) for flux in data.laws.chains.extent()[2:]]
-    size = (number + 1) ** 2
-    low, high = (np.bincount(named * (number + 1) + across, end, size) for end in ends)
-    links = np.bincount(named * (number + 1) + across, minlength=size).astype(np.float64)
-    if data.inside is not None:
-        to_ground = of_cell * (number + 1)
-        of_cells = [spaces.cell_measures * end for end in data.inside.chains.extent()[2:]]
-        low, high = (
-            ends + np.bincount(to_ground, more, size) for ends, more in zip((low, high), of_cells, strict=True)
-        )
-        links += np.bincount(to_ground, minlength=size)
+    named, across, measure = _sides(spaces, data, of_cell)
+    link, size = named * (number + 1) + across, (number + 1) ** 2
+    reference = np.pad(data.q_Sh, (0, len(named) - len(data.q_Sh)))
+    low, high = (np.bincount(link, measure * (reference + flux), size) for flux in data.chains.extent()[2:])
+    links = np.bincount(link, minlength=size).astype(np.float64)
     loads, sizes, low, high, links = (comm.allreduce(each) for each in (loads, sizes, low, high, links))
     pairs = np.flatnonzero((links > 0) | np.isinf(high))
     places = np.column_stack(np.divmod(pairs, number + 1))

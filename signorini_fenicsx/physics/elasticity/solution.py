@@ -35,7 +35,6 @@ from signorini_fenicsx.physics.elasticity.residuals import (
 from signorini_fenicsx.physics.elasticity.shown import STATES
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.solution import Solution
-from signorini_fenicsx.solving.solved import InContact
 
 ERROR_DEGREE = 8
 """Of the quadrature on subcells that measures errors."""
@@ -211,22 +210,10 @@ class ElasticSolution(Solution):
         """The facets of Γ_C with a vertex in contact."""
         return FacetSet(self.spaces, self.touching.any(axis=1))
 
-    @cached_property
-    def contact(self) -> InContact:
-        """Number of facets with a vertex in contact, and the vertices' share of Γ_C (collective when first used)."""
-        touching = self.touching
-        local = np.array([touching.any(axis=1).sum(), self.spaces.site_kinds["normal"].measure[touching.ravel()].sum()])
-        count, measure = self.spaces.mesh.comm.allreduce(local).tolist()
-        return InContact(int(count), measure)
-
-    @cached_property
+    @property
     def touching_vertices(self) -> int:
         """Number of facet vertices in contact (collective when first used)."""
-        return int(self.spaces.mesh.comm.allreduce(int(np.count_nonzero(self.touching))))
-
-    def sites_in_contact(self) -> tuple[int, float]:
-        """Number of facet vertices in contact, and their share of Γ_C (collective when first used)."""
-        return self.touching_vertices, self.contact.measure
+        return self.sites_in_contact()[0]
 
     @collector_off()
     def friction_states(self) -> dict[str, dict[str, float]]:
@@ -240,9 +227,7 @@ class ElasticSolution(Solution):
     @collector_off()
     def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
         """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
-        spaces, laws = self.spaces, self.data.laws.of_parts
-        part_of_site = np.repeat(spaces.part_of_facet, spaces.dim)
-        return by_part(spaces, laws, self.segment, part_of_site, spaces.site_kinds["normal"].measure, "vertices")
+        return by_part(self.spaces, self.data.laws.of_parts, self.segment, "vertices")
 
     @cached_property
     def balance(self) -> tuple[Array, float]:
