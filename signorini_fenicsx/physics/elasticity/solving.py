@@ -222,7 +222,6 @@ def _coarser(remesh: Remesh, given: tuple[ElasticBoundary, ElasticProblem], wish
 def _most_iterations(spaces: ElasticSpaces, data: ElasticData, method: Method) -> int:
     """Iterations allowed unless the options say otherwise (collective)."""
     comm, in_space = spaces.mesh.comm, data.friction.slipping is not None
-    sites = comm.allreduce(len(spaces.site_kinds))
     longer = is_large(comm, data.friction) if in_space else data.friction
-    # in space the law turns in each step
-    return method.most_iterations(1, 0 if in_space else sites) * (MORE_WITH_FRICTION if longer else 1)
+    sites = comm.allreduce(len(spaces.site_kinds))
+    return method.most_iterations(1, sites) * (MORE_WITH_FRICTION if longer else 1)
