@@ -208,7 +208,7 @@ def rough_body(seed: int) -> tuple[str, Domain, tuple[ElasticBoundary, ElasticPr
 
     def text(size: float, *, positive: bool = False) -> str:
         a, b = np.round(size * rng.uniform(0 if positive else -1, 1, 2), 4)
-        s, k, c = f"({along} - {rng.uniform(0.1, 0.9):.3f})", rng.uniform(5, 40), abs(a)
+        s, k, c = f"({along} - {rng.uniform(0.1, 0.9):.3f})", rng.uniform(3, 20), abs(a)
         texts = [f"{a} if {s} < 0 else {b}", f"{c}*abs{s}", f"{c}*max(0, {s})", f"{c}*sqrt(abs{s})"]
         texts += [f"{c}*sin({k:.2f}*{s})^2", f"{c}*exp(-{k:.2f}*{s}^2)", f"{c} + {abs(b)}*{s}^6"]
         return str(rng.choice(texts))
