@@ -48,7 +48,7 @@ def steps(case: Any) -> Iterator[dict[str, float]]:
         expected = theory(push)
         a, c, p0 = (expected[name] for name in ("a", "c", "p0"))
         r = np.linalg.norm(solution.spaces.contact.vertices[:, :, :2], axis=2)
-        measure = solution.spaces.site_measure.reshape(-1, 3)
+        measure = solution.spaces.site_kinds["normal"].measure.reshape(-1, 3)
         shear = MU * p0 * (ellipse(r, a) - c / a * ellipse(r, c))[:, :, None] * [1, 0, 0]
         moved = solution.quantities()["tools"]["contact"]["displacement"]
         off = np.abs(solution.pressure - p0 * ellipse(r, a)), np.linalg.norm(solution.shear_vectors - shear, axis=2)
