@@ -13,7 +13,7 @@ SLIP = Kind("slip", 3, np.array([2, 0]), np.ones(12), (3, 2), np.arange(9, 21))
 def test_kinds_see_their_part_of_arrays():
     """A view of an array is one of its memory; rows of all facets and back are the same values."""
     sites = Sites(NORMAL, SLIP)
-    normal, slip = sites
+    _, slip = sites
     values = np.arange(float(len(sites)))
     slip.of(values)[:] += 100
     assert values[:9].tolist() == list(range(9))

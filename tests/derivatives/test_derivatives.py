@@ -256,7 +256,7 @@ def test_kept_factors():
         found = [each.gradient(each.u**2 * ufl.dx + each.p * each.spaces.ds, controls) for each in (kept, fresh)]
         assert kept.u.x.array == pytest.approx(fresh.u.x.array, abs=1e-11)
         assert found[0].gradients == pytest.approx(found[1].gradients, rel=1e-9)
-        inverse.append(solver._system._backend.cheap)
+        inverse.append(solver._system.kept.present.cheap)
     assert inverse[-1]
 
 
