@@ -5,14 +5,14 @@ Checks compare lengths only with lengths, so they do not depend on the unit of l
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import joined, rows_of
-from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths
+from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths, straightened
 from signorini_fenicsx.meshes.domain import other_side
 
 FLAT = 1e-14
@@ -55,7 +55,9 @@ def checked(contents: Contents) -> FileMesh:
     Raises:
         InputError: If it is not a conforming mesh of straight triangles in a plane or straight tetrahedra.
     """
-    for kind, elements in contents.blocks:
+    blocks = [straightened(contents.points, *block) for block in contents.blocks]
+    contents = replace(contents, blocks=blocks)
+    for kind, elements in blocks:
         if kind not in SIMPLICES and len(elements) > 0:
             raise InputError(_refusal(kind, len(elements)))
     check_widths(contents.points, contents.blocks)

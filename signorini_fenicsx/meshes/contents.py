@@ -3,11 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 
 SIMPLICES = {"vertex": 0, "line": 1, "triangle": 2, "tetra": 3}
 """Accepted kinds of elements and their dimensions."""
+SECOND = {"line3": "line", "triangle6": "triangle", "tetra10": "tetra"}
+"""Elements of second order, accepted if they are straight, and those with their corners, which come first."""
+STRAIGHT = 1e-6
+"""Largest distance of a point from the middle of its edge, relative to the element's size, in a straight element."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,18 @@ class Contents:
     groups: list[tuple[str, int, list[tuple[int, Indices]]]]
     straight: bool = False
     values: Mapping[str, Array] = field(default_factory=dict)
+
+
+def straightened(points: Array, kind: str, elements: Indices) -> tuple[str, Indices]:
+    """Elements of second order as those of first order if they are straight; all other ones as they are."""
+    if kind not in SECOND:
+        return kind, elements
+    corners = points[elements[:, : SIMPLICES[SECOND[kind]] + 1]]
+    one, other = np.triu_indices(corners.shape[1], 1)
+    middles, between = (corners[:, one] + corners[:, other]) / 2, points[elements[:, corners.shape[1] :]]
+    off = np.linalg.norm(between[:, :, None] - middles[:, None], axis=3).min(axis=2).max(initial=0.0)
+    size = np.linalg.norm(corners[:, one] - corners[:, other], axis=2).max(axis=1, initial=0.0).min(initial=np.inf)
+    return (SECOND[kind], elements[:, : corners.shape[1]]) if off <= STRAIGHT * size else (kind, elements)
 
 
 def check_widths(points: Array, blocks: Sequence[tuple[str, Indices]]) -> None:

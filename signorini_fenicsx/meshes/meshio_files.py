@@ -15,7 +15,9 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import rows_of
-from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths
+from signorini_fenicsx.meshes.abaqus_files import read_abaqus
+from signorini_fenicsx.meshes.checks import faces
+from signorini_fenicsx.meshes.contents import SECOND, SIMPLICES, Contents, check_widths
 from signorini_fenicsx.meshes.references import check_references
 
 
@@ -31,7 +33,7 @@ def read_with_meshio(path: Path) -> Contents:
             if path.suffix == ".xdmf" and (contents := _dolfinx_xdmf(path)) is not None:
                 return contents
             with contextlib.redirect_stderr(io.StringIO()) as said:
-                mesh = meshio.read(path)
+                mesh, facets = read_abaqus(path) if path.suffix.lower() == ".inp" else (meshio.read(path), {})
     except SystemExit:
         words = " ".join(said.getvalue().split()).removeprefix("Error: ")
         raise InputError(f"cannot be read: {words or 'its format is not known'}") from None
@@ -42,6 +44,10 @@ def read_with_meshio(path: Path) -> Contents:
         raise InputError(f"cannot be read ({words[:200] or type(error).__name__})") from None
     blocks = [(block.type, _elements(block)) for block in mesh.cells]
     groups = [*_numbered(mesh, blocks), *_named(mesh, blocks)]
+    facets = _facets_of_points(mesh, blocks) | facets
+    for name in sorted(facets.keys() - {name for name, _, _ in groups}):
+        groups.append((name, facets[name].shape[1] - 1, [(len(blocks), np.arange(len(facets[name])))]))
+        blocks.append(("line" if facets[name].shape[1] == 2 else "triangle", facets[name]))
     values = {
         name: np.asarray(array, dtype=np.float64)
         for name, array in mesh.point_data.items()
@@ -52,7 +58,7 @@ def read_with_meshio(path: Path) -> Contents:
 
 def _elements(block: meshio.CellBlock) -> Indices:
     """Points of each element; for kinds that are not accepted only the number of elements counts."""
-    if block.type in SIMPLICES:
+    if block.type in (*SIMPLICES, *SECOND):
         return np.asarray(block.data, dtype=np.int64)
     return np.empty((len(block.data), 0), dtype=np.int64)
 
@@ -75,7 +81,7 @@ def _numbered(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[
         members: dict[str, list[tuple[int, Indices]]] = {}
         names = {int(tag): [name] for name, (tag, at) in mesh.field_data.items() if at == dim}
         for index, (kind, _) in enumerate(blocks):
-            if SIMPLICES.get(kind) == dim:
+            if SIMPLICES.get(SECOND.get(kind, kind)) == dim:
                 for number in np.unique(numbers[index]).tolist():
                     for name in names.get(number) or families.get(number) or [str(number)]:
                         members.setdefault(name, []).append((index, np.flatnonzero(numbers[index] == number)))
@@ -91,10 +97,26 @@ def _named(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tup
             rows = [
                 (index, np.asarray(member, dtype=np.int64))
                 for index, ((kind, _), member) in enumerate(zip(blocks, members, strict=True))
-                if SIMPLICES.get(kind) == dim and member is not None and len(member) > 0
+                if SIMPLICES.get(SECOND.get(kind, kind)) == dim and member is not None and len(member) > 0
             ]
             if rows:
                 yield name, dim, rows
+
+
+def _facets_of_points(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> dict[str, Indices]:
+    """The facets of the boundary all of whose corners are in a set of points, by the names of such sets."""
+    corners = [(SIMPLICES[SECOND.get(kind, kind)], rows) for kind, rows in blocks if kind in (*SIMPLICES, *SECOND)]
+    dim = max((dim for dim, rows in corners if len(rows)), default=0)
+    if not mesh.point_sets or dim < 2:
+        return {}
+    cells = np.concatenate([rows[:, : dim + 1] for of, rows in corners if of == dim])
+    rows, times = np.unique(faces(cells), axis=0, return_counts=True)
+    found = {}
+    for name, points in mesh.point_sets.items():
+        chosen = np.isin(rows, np.asarray(points, dtype=np.int64)).all(axis=1) & (times == 1)
+        if chosen.any():
+            found[name] = rows[chosen]
+    return found
 
 
 def _dolfinx_xdmf(path: Path) -> Contents | None:
