@@ -1,4 +1,4 @@
-"""A physics that the package does not know: a folder and a name, and all services have it."""
+"""A physics that the package does not know: a folder and a name, and it has case files, steps, quantities, pictures."""
 
 import json
 import tomllib

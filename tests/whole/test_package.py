@@ -1,4 +1,4 @@
-"""The installed package, and the sizes of modules and functions."""
+"""The installed package, what a run imports, circles of imports, and the sizes of modules and functions."""
 
 import importlib.metadata
 import os
