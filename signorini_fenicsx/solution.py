@@ -81,8 +81,7 @@ class Solution(Solved):
     @collector_off()
     def _repr_html_(self) -> str | None:
         """A small table and a picture, for notebooks (collective; None on all ranks but 0)."""
-        table: str | None = OUTPUT["html"](self)
-        return table
+        return OUTPUT["html"](self)
 
     @collector_off()
     def plot(self, certificate: Certificate | None = None) -> Figure | None:
@@ -94,8 +93,7 @@ class Solution(Solved):
         Returns:
             The figure, which a notebook shows and `savefig` writes; None on all ranks but 0.
         """
-        figure: Figure | None = OUTPUT["plot"](self, certificate)
-        return figure
+        return OUTPUT["plot"](self, certificate)
 
     @collector_off()
     def write(

@@ -302,23 +302,17 @@ def case_of(tree: dict[str, Any], path: Path) -> Any:
     """
     if "physics" not in tree:
         try:
-            return validated(model_of(DIFFUSION), tree, path.stem, str(path))
+            return validated(PHYSICS[DIFFUSION].case, tree, path.stem, str(path))
         except InputError as error:
             raise InputError(f"{error}{_of_other_physics(tree)}") from None
     if not isinstance(tree["physics"], str) or tree["physics"] not in _others():
         names = " or ".join(f'"{name}"' for name in _others())
         raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {names}, or leave it out")
-    model = model_of(tree["physics"])
+    model = PHYSICS[tree["physics"]].case
     for key in tree:
-        if key not in model.model_fields and key in model_of(DIFFUSION).model_fields:
+        if key not in model.model_fields and key in PHYSICS[DIFFUSION].case.model_fields:
             raise InputError(f"{path}: [{key}] is of problems without physics; {tree['physics']} has none")
     return validated(model, tree, path.stem, str(path))
-
-
-def model_of(physics: str) -> type[CaseFile]:
-    """The case files of a physics."""
-    model: type[CaseFile] = PHYSICS[physics].case
-    return model
 
 
 def _others() -> list[str]:
@@ -330,7 +324,7 @@ def _of_other_physics(tree: dict[str, Any]) -> str:
     """What to say of a key in a file without `physics` that only the cases of another one have; "" if there is none."""
     for physics in _others():
         for section in ("problem", "boundary"):
-            models = [model_of(name).model_fields[section].annotation for name in (physics, DIFFUSION)]
+            models = [PHYSICS[name].case.model_fields[section].annotation for name in (physics, DIFFUSION)]
             theirs, ours = (set(getattr(model, "model_fields", {})) for model in models)
             keys = tree.get(section)
             if isinstance(keys, dict) and (foreign := [key for key in keys if key in theirs - ours]):

@@ -83,8 +83,7 @@ def with_mean(base: Array, low: Array, high: Array, mean: Array, weights: Array)
     lowest, highest = np.zeros(len(base), dtype=np.int64), np.full(len(base), ends.shape[1] - 1)
 
     def mean_with(c: Array) -> Array:
-        means: Array = np.clip(base + c[:, None], low, high) @ weights
-        return means
+        return np.clip(base + c[:, None], low, high) @ weights
 
     rows = np.arange(len(base))
     while np.any(highest - lowest > 1):

@@ -23,7 +23,6 @@ class StepBounds:
 
         def of_step(bounds: Bounds) -> Certificate:
             self._of = self._of or bounds.of_steps()
-            certificate: Certificate = self._of.certify(instant)
-            return certificate
+            return self._of.certify(instant)
 
         return certified(instant.solution, of_step)

@@ -83,8 +83,7 @@ def cut(points: Array, cells: Indices, facets: Indices) -> Cut:
 def _corner(cells: Indices, row: Indices, of: Indices, vertex: Indices) -> Indices:
     """Rows of the corners of some cells, shape (n, 2), at these vertices."""
     place = np.argmax(cells[of] == vertex[:, None, None], axis=2)
-    corners: Indices = row[of, place]
-    return corners
+    return row[of, place]
 
 
 type Side = str | Sequence[float]

@@ -107,8 +107,7 @@ def parents(fine: Domain) -> Indices:
     )
     numbers = np.concatenate(_numbers(coarse.comm, nodes, edges))
     order = np.argsort(numbers)
-    pairs: Indices = between[order[np.searchsorted(numbers, fine.mesh.geometry.input_global_indices, sorter=order)]]
-    return pairs
+    return between[order[np.searchsorted(numbers, fine.mesh.geometry.input_global_indices, sorter=order)]]
 
 
 def refined_diameter(points: Array, cells: Indices) -> float:

@@ -17,7 +17,7 @@ from signorini_fenicsx.base.array_files import UNREADABLE, Header, read_header, 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.reading import text_of
-from signorini_fenicsx.cases.case import CaseFile, model_of
+from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.complaints import complaint
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.meshes.domain import AXES
@@ -143,8 +143,7 @@ class Checkpoint:
     @property
     def keeping(self) -> Keeping:
         """How its physics keeps solutions."""
-        keeping: Keeping = PHYSICS[self.about.physics].keeping
-        return keeping
+        return PHYSICS[self.about.physics].keeping
 
     @property
     def boundary(self) -> Any:
@@ -271,8 +270,10 @@ def _case(about: About) -> CaseFile | None:
         raise InputError(f"not a readable solution (its physics, {about.physics}, is not of this version)")
     if (about.case is None) == (about.given is None):
         raise InputError("not a readable solution (it has neither a case nor a problem)")
+    if about.case is None:
+        return None
     try:
-        return None if about.case is None else model_of(about.physics).model_validate(about.case | {"name": about.name})
+        return PHYSICS[about.physics].case.model_validate(about.case | {"name": about.name})
     except ValidationError:
         raise InputError("its case is from another version") from None
 

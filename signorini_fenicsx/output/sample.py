@@ -169,5 +169,4 @@ def _different(boxes: Indices, middles: Array) -> Indices:
 
 def _volume(corners: Array) -> Array:
     """The measures of simplices."""
-    measure: Array = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / (2 if corners.shape[2] == 2 else 6)
-    return measure
+    return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / (2 if corners.shape[2] == 2 else 6)

@@ -233,8 +233,7 @@ class Integrals[Fields](Beside[Fields]):
         for points in self.where(power=2):
             values = self.weight.values(points)
             sums += [points.integrals(values**power).sum() for power in (1, 2, 0)]
-        integrals: list[float] = self.comm.allreduce(sums).tolist()
-        return integrals
+        return self.comm.allreduce(sums).tolist()
 
     def _of_weight(self, enough: float) -> tuple[float, float]:
         """The integral of the weight, and by how much it may be wrong; `enough` as in `products` (collective)."""

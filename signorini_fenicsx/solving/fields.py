@@ -61,5 +61,4 @@ class Field:
 def von_mises(stresses: Array) -> Array:
     """Equivalent stress of matrices in space, shape (…, 3, 3)."""
     deviator = stresses - np.einsum("...ii->...", stresses)[..., None, None] / 3 * np.eye(3)
-    stress: Array = np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))
-    return stress
+    return np.sqrt(1.5 * (deviator**2).sum(axis=(-1, -2)))

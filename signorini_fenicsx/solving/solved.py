@@ -142,8 +142,7 @@ class Solved(ABC):
     @property
     def physics(self) -> str:
         """Name of the physics."""
-        name: str = self.boundary.physics
-        return name
+        return self.boundary.physics
 
     @property
     def gamma(self) -> str:
@@ -153,8 +152,7 @@ class Solved(ABC):
     @property
     def contact_parts(self) -> Sequence[str]:
         """The parts in contact."""
-        parts: Sequence[str] = next(iter(self.boundary.named.values()))
-        return parts
+        return next(iter(self.boundary.named.values()))
 
     @property
     def touching(self) -> Mask:

@@ -135,8 +135,7 @@ def draw_field(path: Path, scene: Scene) -> None:
 
 def _of(physics: str) -> Pictures:
     """How the solutions of a physics are drawn."""
-    pictures: Pictures | None = PHYSICS[physics].pictures
-    return pictures or Pictures(
+    return PHYSICS[physics].pictures or Pictures(
         caption,
         lambda folder, scene: _files_in(scene.dim).draw_files(folder, scene),
         lambda scene: _files_in(scene.dim).overview(scene),

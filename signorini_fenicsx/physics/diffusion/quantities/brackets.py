@@ -118,8 +118,7 @@ class _Beside(Beside[Admissible]):
 
     def memory(self, tau: float) -> fem.Function | None:
         """The load that a step takes from those before, which is that of the solution."""
-        earlier: fem.Function | None = self.solution.data.memory
-        return earlier
+        return self.solution.data.memory
 
     def start(self, posed: Posed) -> Solution | None:
         """The solution, if its parts are those of the problem."""
