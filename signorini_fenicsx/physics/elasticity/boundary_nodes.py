@@ -305,6 +305,16 @@ def add_at(sums: la.Vector, nodes: npt.NDArray[np.int32], values: Array) -> None
     np.add.at(rows, nodes, values.reshape(*values.shape[: nodes.ndim], sums.block_size))
 
 
+def given_along_normals(contact: ContactCoefficients, at: GivenNodes) -> tuple[Array, Array]:
+    """What is given of v_n, or of its jump, at the coefficients on Γ_C, −∞ where some of it is not; the jump of v."""
+    normals, jump = contact.facets.normals, contact.jump(np.einsum("nij,nj->ni", at.frames, at.values))
+    left = np.einsum("nij,nj,nkj->nik", at.frames, ~at.given, at.frames)  # onto what is not given at a node
+    sums = left[contact.nodes]
+    sums[contact.touched] += left[contact.across]
+    free = np.einsum("nkij,ni,nj->nk", sums, normals, normals)
+    return np.where(free <= ALONG, np.einsum("nki,ni->nk", jump, normals), -np.inf), jump
+
+
 def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     """Make sure that what is given of u does not pass the foundation where parts meet (collective).
 
@@ -319,17 +329,10 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     space = fenicsx.function_space(split.mesh, element)
     at, contact = given_nodes(spaces, data, split, space), contact_coefficients(spaces, split, space)
     lowest = data.laws.chains.extent()[0].reshape(-1, dim).max(axis=1)[contact.rows]
-    gap, normals = contact.openings(spaces.mesh, data) - lowest[:, None], contact.facets.normals
-    values = np.einsum("nij,nj->ni", at.frames, at.values)
-    left = np.einsum("nij,nj,nkj->nik", at.frames, ~at.given, at.frames)  # onto what is not given at a node
-    sums = left[contact.nodes]
-    sums[contact.touched] += left[contact.across]
-    free = np.einsum("nkij,ni,nj->nk", sums, normals, normals)
-    jump = contact.jump(values)
-    passed = np.einsum("nki,ni->nk", jump, normals)
-    past = np.where(free <= ALONG, passed - gap, -np.inf) - TURNED * np.linalg.norm(jump, axis=2)
+    gap, (passed, jump) = contact.openings(spaces.mesh, data) - lowest[:, None], given_along_normals(contact, at)
+    past = passed - gap - TURNED * np.linalg.norm(jump, axis=2)
     sizes = np.where(np.isfinite(gap), np.abs(gap), 0.0)
-    size = comm.allreduce(float(max(np.abs(values).max(initial=0.0), sizes.max(initial=0.0))), MPI.MAX)
+    size = comm.allreduce(float(max(np.abs(at.values).max(initial=0.0), sizes.max(initial=0.0))), MPI.MAX)
     worst = float(past.max(initial=-np.inf)), ""
     if worst[0] > LINEAR * size + spaces.displacement_rounding:
         facet, place = np.unravel_index(int(past.argmax()), past.shape)

@@ -12,11 +12,11 @@ import basix.ufl
 import numpy as np
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import AnyIndices, Array
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.points import facet_lattice
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.enclosures import surely_above
-from signorini_fenicsx.physics.elasticity.boundary_nodes import ALONG, contact_coefficients, given_nodes
+from signorini_fenicsx.physics.elasticity.boundary_nodes import contact_coefficients, given_along_normals, given_nodes
 from signorini_fenicsx.physics.elasticity.data import ElasticData
 from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
 from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
@@ -77,18 +77,8 @@ def _at_nodes(spaces: ElasticSpaces, data: ElasticData) -> tuple[Array, Array]:
     bernstein, mesh = basix.LagrangeVariant.bernstein, spaces.split.mesh
     element = basix.ufl.element("P", mesh.basix_cell(), OF_V, bernstein, shape=(spaces.dim,))
     space = fenicsx.function_space(mesh, element)
-    on, given = contact_coefficients(spaces, spaces.split, space), given_nodes(spaces, data, spaces.split, space)
-    found = np.full((2, len(spaces.contact.facets)), -np.inf)
-
-    def along(nodes: AnyIndices, normals: Array) -> Array:
-        directions = np.einsum("nkij,ni->nkj", given.frames[nodes], normals)
-        free = np.where(given.given[nodes], 0.0, directions**2).sum(axis=2)
-        return np.stack([(directions * given.values[nodes]).sum(axis=2), free])
-
-    value, free = along(on.nodes, on.facets.normals)
-    of_other = along(on.across, on.facets.normals[on.touched])
-    value[on.touched] -= of_other[0]
-    free[on.touched] += of_other[1]
-    found[0, on.rows] = np.where(free <= ALONG, value, -np.inf).max(axis=1, initial=-np.inf)
+    on, found = contact_coefficients(spaces, spaces.split, space), np.full((2, len(spaces.contact.facets)), -np.inf)
+    given, _ = given_along_normals(on, given_nodes(spaces, data, spaces.split, space))
+    found[0, on.rows] = given.max(axis=1, initial=-np.inf)
     found[1, on.rows] = on.of(spaces.mesh, data.gap).min(axis=1, initial=np.inf)
     return found[0], found[1]

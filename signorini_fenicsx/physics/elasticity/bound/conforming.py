@@ -366,7 +366,7 @@ class BestDisplacement:
         past_by, where = max(self.comm.allgather(worst))
         if not where:
             return ""
-        return f"what is given of u passes the foundation by {past_by:.2g} {where}"
+        return f"what is given of u passes the quadratics for the gap by {past_by:.2g} {where}: use a finer mesh there"
 
     def _told(self, facet: int, place: int) -> str:
         """The place of a coefficient of a facet, and the normal along which it counts, in words."""
