@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -95,6 +96,7 @@ class System:
             # with laws in Ω the cells are sites too
             backend=partial(self.kept.take, (options.backend, options.tuning, in_cells), partial(_backend, options)),
             start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,
+            alone=_alone,
             predict=options.predict and (in_cells or len(spaces.part_names) > 0),  # else the problem is linear
             whole=in_cells,
             tuning=options.tuning,
@@ -229,6 +231,13 @@ class DiffusionRun:
             system=ref(self.system),
             **about,
         )
+
+
+def _alone(name: str) -> Callable[..., Outcome]:
+    """What runs a method for diffusion alone; SciPy and PIQP, which some of them need, are slow to import."""
+    from signorini_fenicsx.physics.diffusion.alone import METHODS
+
+    return METHODS[name]
 
 
 def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:

@@ -25,19 +25,18 @@ COARSENING_IN_CELLS = 2.0
 """Mesh size of the coarser mesh of a prediction with laws in Ω, divided by that of the finer mesh."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiffusionTask(Task):
-    """A discrete diffusion problem and the parameters of its method."""
+    """A discrete diffusion problem and the parameters of its method.
+
+    Attributes:
+        alone: Gives what runs a method that only diffusion has, by its name there.
+    """
 
     spaces: Spaces
     data: Data
+    alone: Callable[[str], Callable[..., Outcome]]
     start: Segments | None = None
-
-    def alone(self, name: str) -> Callable[..., Outcome]:
-        """What runs a method for diffusion alone; SciPy and PIQP, which some of them need, are slow to import."""
-        from signorini_fenicsx.physics.diffusion.alone import METHODS
-
-        return METHODS[name]
 
     def is_large(self, _backend: object) -> bool:
         """Whether the mesh has so many facets that a prediction saves more than it costs."""
