@@ -1,10 +1,9 @@
 """What a method reports: a step per iteration, and how it ended."""
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 from mpi4py import MPI
 
@@ -111,17 +110,7 @@ class Outcome:
     @classmethod
     def interrupted(cls, by: LoopInterruption, backend: str, dofs: int = 0, linear_solver: str = "interrupted") -> Self:
         """The outcome of a run that was told to end, from its last state, with what is known of its backend."""
-        iterate, conditions, history = by.state
-        return cls(
-            iterate=iterate,
-            conditions=conditions,
-            history=history,
-            reason=str(by),
-            converged=False,
-            backend=backend,
-            dofs=dofs,
-            linear_solver=linear_solver,
-        )
+        return cls(*by.state, str(by), False, backend, dofs, linear_solver)
 
     def ended(self, failure: str | None) -> Self:
         """The outcome after its residuals have been judged."""
@@ -151,12 +140,16 @@ class History:
         self,
         conditions: SiteConditions,
         change: tuple[float, float],
+        state: Callable[[], tuple[Iterate, SiteConditions]],
         *,
         linear_iterations: int = 1,
         clipped: int = 0,
         rough: bool = False,
     ) -> None:
-        """Record an iteration: its conditions, and the norms of its changes of σ and u (collective)."""
+        """Record an iteration: its conditions, and the norms of its changes of σ and u (collective).
+
+        If the step raises an interruption, this gets the state that the method has reached.
+        """
         counts = conditions.counts(self._comm)
         changed = 0 if self._last_conditions is None else conditions.changes([self._last_conditions], self._comm)[0]
         now = time.perf_counter()
@@ -176,14 +169,21 @@ class History:
         self.steps.append(step)
         self._last_conditions, self._began = conditions, now
         progress.detail("iteration", step.iteration)
-        self._on_step(step)
+        try:
+            self._on_step(step)
+        except LoopInterruption as interruption:
+            interruption.state = (*state(), self.steps)
+            raise
 
-
-@contextlib.contextmanager
-def reached(state: Callable[[], tuple[Iterate, SiteConditions]], history: list[Step]) -> Iterator[None]:
-    """Add the state that the method has reached to an interruption that a step raises (collective)."""
-    try:
-        yield
-    except LoopInterruption as interruption:
-        interruption.state = (*state(), history)
-        raise
+    def outcome(
+        self,
+        state: tuple[Iterate, SiteConditions],
+        reason: str,
+        system: tuple[str, int, str],
+        *,
+        converged: bool,
+        **about: Any,
+    ) -> Outcome:
+        """The outcome after these steps; of the system that was solved the name, the unknowns and their solver."""
+        (iterate, conditions), (backend, dofs, solver) = state, system
+        return Outcome(iterate, conditions, self.steps, reason, converged, backend, dofs, solver, **about)

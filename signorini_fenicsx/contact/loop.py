@@ -34,7 +34,7 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.contact.descent import Descent
 from signorini_fenicsx.contact.floating import Floating
-from signorini_fenicsx.contact.history import History, OnStep, Outcome, reached
+from signorini_fenicsx.contact.history import History, OnStep, Outcome
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, Present, SetRule
 
 FAR = 100.0
@@ -112,17 +112,8 @@ def iterate_sets[I: Pairs](
 
     def end(reason: str, *, converged: bool, advice: str = "") -> Outcome:
         safeguard.end()
-        mixed, of_facets = backend.in_mixed_spaces(iterate, solved_with)
-        return Outcome(
-            iterate=mixed,
-            conditions=of_facets,
-            history=history.steps,
-            reason=reason + safeguard.remark + advice,
-            converged=converged,
-            backend=backend.name,
-            dofs=backend.dofs,
-            linear_solver=backend.solver(),
-        )
+        state, system = backend.in_mixed_spaces(iterate, solved_with), (backend.name, backend.dofs, backend.solver())
+        return history.outcome(state, reason + safeguard.remark + advice, system, converged=converged)
 
     while True:
         clipped = 0
@@ -136,8 +127,8 @@ def iterate_sets[I: Pairs](
         solved_with = conditions
         change = (0.0, 0.0) if iterate is before else backend.change(iterate, before)
         before = iterate
-        with reached(partial(backend.in_mixed_spaces, iterate, solved_with), history.steps):
-            history.append(conditions, change, linear_iterations=iterate.linear_iterations, clipped=clipped)
+        state, spent = partial(backend.in_mixed_spaces, iterate, solved_with), iterate.linear_iterations
+        history.append(conditions, change, state, linear_iterations=spent, clipped=clipped)
 
         safeguard.begin(anew=follow(iterate))
         wanted = _wanted(backend, rule, parameters, iterate, solved_with)

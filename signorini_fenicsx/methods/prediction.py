@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate, Pairs
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
-from signorini_fenicsx.contact.history import History, reached
+from signorini_fenicsx.contact.history import History
 from signorini_fenicsx.contact.set_rules import Present, SetRule
 from signorini_fenicsx.methods.task import Task
 
@@ -74,10 +74,9 @@ class Prediction:
                 break
             before, iterate = iterate, self.inexact.reached(conditions)
             if iterate is not None and before is not None:
-                with reached(partial(backend.in_mixed_spaces, iterate, conditions), history.steps):
-                    change = backend.change(iterate, before)
-                    spent = iterate.linear_iterations
-                    history.append(conditions, change, linear_iterations=spent, rough=True)
+                state, spent = partial(backend.in_mixed_spaces, iterate, conditions), iterate.linear_iterations
+                change = backend.change(iterate, before)
+                history.append(conditions, change, state, linear_iterations=spent, rough=True)
             conditions = self._settled_nearby(law, conditions, wanted)
         return Settled(self, conditions, iterate)
 

@@ -58,21 +58,12 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
         ending = f"{again or 'SNESVI converged'}, by full steps after {failure}"
         failure = again
     x.copy(system.x)
-    iterate, conditions = _recovered(system, law, snes.getKSP().getIterationNumber())
+    state = _recovered(system, law, snes.getKSP().getIterationNumber())
     name = f"{snes.getType()}+{solver_name(snes.getKSP())}"
     snes.destroy()
     for vector in (system.x, system.b):
         vector.destroy()  # after SNESVI on several ranks, PETSc's garbage collection would not free them
-    return Outcome(
-        iterate=iterate,
-        conditions=conditions,
-        history=recorder.steps,
-        reason=ending,
-        converged=failure is None,
-        backend="hybrid",
-        dofs=system.dofs,
-        linear_solver=name,
-    )
+    return recorder.outcome(state, ending, ("hybrid", system.dofs, name), converged=failure is None)
 
 
 def _snes(system: FacetSystem, law: Chains, max_iterations: int) -> PETSc.SNES:

@@ -110,19 +110,10 @@ class PenaltyNewton:
                 failure = self._newton(self._eps ** (exponent / stages), record)
         self._snes.cancelMonitor()  # PETSc and this object hold each other: a cycle that Python cannot collect
         iterate = self._iterate()
-        reason = (failure or "SNES converged") + remark
+        state, reason = (iterate, self._conditions(iterate)), (failure or "SNES converged") + remark
         solver = f"{self._snes.getType()}+{solver_name(self._snes.getKSP())}"
-        dofs = self._problem.x.getSize()
-        return Outcome(
-            iterate=iterate,
-            conditions=self._conditions(iterate),
-            history=recorder.steps,
-            reason=reason,
-            converged=failure is None,
-            backend="mixed",
-            dofs=dofs,
-            linear_solver=solver,
-        )
+        system = "mixed", self._problem.x.getSize(), solver
+        return recorder.outcome(state, reason, system, converged=failure is None)
 
     def _reset(self) -> None:
         """The start: 0, or without Γ_D contact everywhere: otherwise the first problem is a Neumann problem."""

@@ -2,7 +2,7 @@
 
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import SiteConditions
-from signorini_fenicsx.contact.history import History, OnStep, reached
+from signorini_fenicsx.contact.history import History, OnStep
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
@@ -25,7 +25,5 @@ class Recorder(History):
 
     def add(self, iterate: Iterate, conditions: SiteConditions) -> None:
         """Record an iteration (collective)."""
-        change = self._change(iterate, self._last)
-        self._last = iterate
-        with reached(lambda: (iterate, conditions), self.steps):
-            self.append(conditions, change, linear_iterations=iterate.linear_iterations)
+        change, self._last = self._change(iterate, self._last), iterate
+        self.append(conditions, change, lambda: (iterate, conditions), linear_iterations=iterate.linear_iterations)

@@ -63,17 +63,9 @@ class _Response:
 
     def outcome(self, x: Array, step: StepLength, failure: str | None) -> Outcome:
         """The outcome of the iteration."""
-        return Outcome(
-            iterate=self.iterate,
-            conditions=self._conditions(x),
-            history=self._recorder.steps,
-            reason=failure or "the last step is below the tolerance",
-            converged=failure is None,
-            backend=self._system.name,
-            dofs=self._system.dofs,
-            linear_solver=self._system.solver(),
-            details=step.details(),
-        )
+        state, reason = (self.iterate, self._conditions(x)), failure or "the last step is below the tolerance"
+        system = self._system.name, self._system.dofs, self._system.solver()
+        return self._recorder.outcome(state, reason, system, converged=failure is None, details=step.details())
 
     def _conditions(self, x: Array) -> SiteConditions:
         at_bound, free = (

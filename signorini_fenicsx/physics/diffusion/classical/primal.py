@@ -16,7 +16,7 @@ from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.history import History, Outcome, reached
+from signorini_fenicsx.contact.history import History, Outcome
 from signorini_fenicsx.discrete.mesh_spaces import assembled, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product, load, trace_term
@@ -210,21 +210,19 @@ class P1Change:
         return self._system.energy_norm(change), math.sqrt(max(self._change.dot(self._image), 0.0))
 
 
-class P1History:
+class P1History(History):
     """The history of a P1 method, in terms of the Γ_S facets in contact."""
 
     def __init__(self, task: DiffusionTask, system: P1System, u: Array, conditions: SiteConditions):
         """Begin with the start, which is not a step itself (collective)."""
         self._system, self._last, self._norms = system, u, P1Change(system)
-        self._history = History(task.spaces.mesh.comm, task.on_step)
-        self._history.start_from(conditions)
-        self.steps = self._history.steps
+        super().__init__(task.spaces.mesh.comm, task.on_step)
+        self.start_from(conditions)
 
     def add(self, u: Array, conditions: SiteConditions) -> None:
         """Record an iteration (collective)."""
-        with reached(lambda: (self._system.recover(u), conditions), self.steps):
-            self._history.append(conditions, self._norms(u - self._last))
-        self._last = u
+        change, self._last = self._norms(u - self._last), u
+        self.append(conditions, change, lambda: (self._system.recover(u), conditions))
 
 
 def not_solved(residual: float) -> str | None:
@@ -246,18 +244,9 @@ def primal_outcome(
     """How a P1 method ended, judged by its natural residual (collective)."""
     residual = system.residual(u)
     failure = failure or not_solved(residual)
-    return Outcome(
-        iterate=system.recover(u),
-        conditions=conditions,
-        history=history.steps,
-        reason=failure or reason,
-        converged=failure is None,
-        backend=P1System.name,
-        dofs=system.dofs,
-        linear_solver=solver,
-        own_residual=residual,
-        details=details,
-    )
+    state, solved = (system.recover(u), conditions), (P1System.name, system.dofs, solver)
+    about = {"own_residual": residual, "details": details}
+    return history.outcome(state, failure or reason, solved, converged=failure is None, **about)
 
 
 def _projected_flux(u: fem.Function, data: Data, spaces: Spaces) -> fem.Function:

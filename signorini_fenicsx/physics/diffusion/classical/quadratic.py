@@ -97,16 +97,9 @@ def quadratic_programme(task: DiffusionTask) -> Outcome:
 
     recorder = Recorder(spaces, *nothing_yet(spaces), task.on_step)
     recorder.add(iterate, spaces.site_kinds["facet"].of(conditions))
-    return Outcome(
-        iterate=iterate,
-        conditions=conditions,
-        history=recorder.steps,
-        reason=f"PIQP: {status} in {counted(iterations, 'iteration')}",
-        converged=status == piqp.PIQP_SOLVED.name,
-        backend="mixed",
-        dofs=V.dofmap.index_map.size_global + Q.dofmap.index_map.size_global,
-        linear_solver="PIQP",
-    )
+    dofs = V.dofmap.index_map.size_global + Q.dofmap.index_map.size_global
+    reason, system = f"PIQP: {status} in {counted(iterations, 'iteration')}", ("mixed", dofs, "PIQP")
+    return recorder.outcome((iterate, conditions), reason, system, converged=status == piqp.PIQP_SOLVED.name)
 
 
 def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:

@@ -75,14 +75,6 @@ def minimisation_uzawa(task: DiffusionTask) -> Outcome:
         if recorder.steps[-1].u_change * length <= STEP * rho * sigma_norm:
             failure = None
             break
-    return Outcome(
-        iterate=iterate,
-        conditions=conditions,
-        history=recorder.steps,
-        reason=failure or "the mass balance holds",
-        converged=failure is None,
-        backend=system.name,
-        dofs=system.dofs,
-        linear_solver=system.solver(),
-        details={"rho": rho, "rho_limit": math.inf},
-    )
+    reason, solved = failure or "the mass balance holds", (system.name, system.dofs, system.solver())
+    details = {"rho": rho, "rho_limit": math.inf}
+    return recorder.outcome((iterate, conditions), reason, solved, converged=failure is None, details=details)
