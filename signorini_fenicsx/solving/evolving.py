@@ -71,7 +71,7 @@ def evolve(
             the same at all times. An elastic body is at rest in each step, and friction is against the last one.
         evolution: Times; for diffusion also initial values, capacity and scheme.
         options: Algorithm, backend and their parameters; None for the defaults.
-        start: Solution on any mesh of the domain; its contact set is the first one, and for diffusion its u takes the
+        start: Solution on any mesh of the domain; its sets are the first ones, and for diffusion its u takes the
             place of u_0.
         past: Gives what is known of the step after which to go on; None for the beginning.
         name: Name of the results.

@@ -123,7 +123,7 @@ def solve[S: Solved](
         domain: The mesh with its parts.
         problem: A `Diffusion` or `Elasticity`.
         options: Algorithm, backend and their parameters; None for the defaults.
-        start: Solution on any mesh of the domain; its contact set is the first one.
+        start: Solution on any mesh of the domain; its sets are the first ones, of a body with the bounds of friction.
         remesh: Makes coarser meshes, from which the sets of a large problem are predicted.
         name: Name of the results.
         title: A longer name in words.
