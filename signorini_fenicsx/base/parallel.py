@@ -34,8 +34,7 @@ def on_root[T](comm: MPI.Comm, action: Callable[[], T]) -> T:
     Raises:
         Exception: On all ranks, what the action raised on rank 0, see `on_root_only`.
     """
-    result: T = comm.bcast(on_root_only(comm, action))
-    return result
+    return comm.bcast(on_root_only(comm, action))
 
 
 def on_root_only[T](comm: MPI.Comm, action: Callable[[], T]) -> T | None:

@@ -73,8 +73,7 @@ class Segments:
 
     def of(self, name: str) -> Indices:
         """Those of one kind of sites."""
-        segment: Indices = self.spaces.site_kinds[name].of(self.segment)
-        return segment
+        return self.spaces.site_kinds[name].of(self.segment)
 
     def on(self, spaces: MeshSpaces) -> Segments:
         """The segments on another mesh of the domain, by `near_facets`, of a cell that at its centroid (collective)."""

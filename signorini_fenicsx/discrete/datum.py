@@ -56,8 +56,7 @@ class Datum:
     @property
     def shape(self) -> tuple[int, ...]:
         """() or (dim, dim)."""
-        shape: tuple[int, ...] = self.ufl.ufl_shape
-        return shape
+        return self.ufl.ufl_shape
 
     @cached_property
     def degree(self) -> int:

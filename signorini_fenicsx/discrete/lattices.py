@@ -26,8 +26,7 @@ def numbers_in(points: Indices, degree: int) -> Indices:
     keys = lattice(points.shape[-1], degree) @ weights
     number = np.zeros(keys.max(initial=0) + 1, dtype=np.int64)
     number[keys] = np.arange(len(keys))
-    numbers: Indices = number[points @ weights]
-    return numbers
+    return number[points @ weights]
 
 
 def lagrange(hats: Array, degree: int) -> Array:

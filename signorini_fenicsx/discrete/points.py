@@ -123,8 +123,7 @@ class Points(ABC):
 
     def integrals(self, values: Array) -> Array:
         """Integrals over each cell or facet of values of shape (n, points)."""
-        integrals: Array = self.scale * (values @ self.weights)
-        return integrals
+        return self.scale * (values @ self.weights)
 
     def linear(self, function: fem.Function, *, gradient: bool = False) -> Array:
         """Jet of a function that is linear on each cell by its values in the vertices, shape (n, points, …)."""
@@ -260,8 +259,7 @@ class FacetPoints(Points):
         values = np.asarray(expression.eval(self.mesh, self.cells), dtype=np.float64)
         values = values.reshape(len(self.cells), len(self._in_cell), len(self.points), *per_facet.ufl_shape)
         which = self.local if per_facet.ufl_shape[0] > 1 else 0
-        at_facets: Array = np.moveaxis(values, 3, 2)[np.arange(len(self.cells)), self.local, which]
-        return at_facets
+        return np.moveaxis(values, 3, 2)[np.arange(len(self.cells)), self.local, which]
 
     def _normals(self, value: Expr) -> list[dict[Expr, Expr]]:
         """The normal of each facet of a cell, if there is a normal in the value; else one empty table."""

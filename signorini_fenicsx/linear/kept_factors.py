@@ -426,5 +426,4 @@ class KeptFactors:
         size = np.abs(rows).max(axis=1, initial=0.0)
         gathered = self._comm.allgather(np.column_stack([self._number, rows / size[:, None], wanted / size]))
         system = np.concatenate(gathered)
-        coefficients: Array = np.linalg.solve(system[:, 1:-1], system[:, -1])  # the order of equations does not matter
-        return coefficients
+        return np.linalg.solve(system[:, 1:-1], system[:, -1])  # the order of equations does not matter

@@ -70,8 +70,7 @@ class CellFlux:
     @property
     def divergence(self) -> Array:
         """∇·σ, shape (cells,)."""
-        divergence: Array = self.centroid.shape[1] * self.slope
-        return divergence
+        return self.centroid.shape[1] * self.slope
 
     def in_vertices(self) -> Array:
         """σ in the vertices of the cells, shape (cells, dim + 1, dim)."""

@@ -86,8 +86,7 @@ class FacetCoefficients:
 
     def basis(self, points: Array) -> Array:
         """Bernstein's basis in points of the reference facet, shape (points, coefficients)."""
-        hats: Array = self._element.tabulate(0, points)[0, :, :, 0]
-        return hats
+        return self._element.tabulate(0, points)[0, :, :, 0]
 
     def lengths(self, vectors: Array, bound: Array, moments: Array) -> Array:
         """Bounds of the means of g|v| over facets: |v| is at most a mean of the lengths of its coefficients.

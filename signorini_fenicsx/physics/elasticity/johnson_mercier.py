@@ -87,8 +87,7 @@ def to_entries(matrices: Array) -> Array:
     sums = (matrices + matrices.swapaxes(-1, -2)) / 2
     weights = [1 if i == j else np.sqrt(2) for i, j in entries(matrices.shape[-1])]
     rows, columns = zip(*entries(matrices.shape[-1]), strict=True)
-    entries_of: Array = np.array(weights) * sums[..., list(rows), list(columns)]
-    return entries_of
+    return np.array(weights) * sums[..., list(rows), list(columns)]
 
 
 def symmetric(values: Array, dim: int) -> Array:
@@ -132,8 +131,7 @@ def null_space(matrix: Array) -> Array:
     """An orthonormal basis of the vectors that a matrix maps to 0, as columns; as SciPy's, which is slow to load."""
     _, sizes, vectors = np.linalg.svd(matrix)
     rank = int(np.count_nonzero(sizes > 1e-10 * sizes.max(initial=0.0)))
-    basis: Array = vectors[rank:].T
-    return basis
+    return vectors[rank:].T
 
 
 def normal_of(simplex: Array) -> Array:
@@ -242,5 +240,4 @@ def compliance_product(stresses: Array, masses: Array) -> Array:
     """
     number, size, basis = *masses.shape[:2], stresses.shape[-1]
     weighted = masses @ stresses.reshape(number, size, -1, basis)
-    products: Array = stresses.reshape(number, -1, basis).transpose(0, 2, 1) @ weighted.reshape(number, -1, basis)
-    return products
+    return stresses.reshape(number, -1, basis).transpose(0, 2, 1) @ weighted.reshape(number, -1, basis)

@@ -74,8 +74,7 @@ class _Moved:
     def values(self, points: CellPoints) -> Array:
         step = np.zeros(self.datum.shape)
         step[self.entry] = COMPLEX_STEP
-        moved: Array = self.datum.values(points) + 1j * step
-        return moved
+        return self.datum.values(points) + 1j * step
 
 
 @dataclass(frozen=True)

@@ -130,5 +130,4 @@ class OnGammaS:
         barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
         first, second = np.array(basix.topology(facet_type(points.mesh.topology.dim))[1]).T
         basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
-        loads: Array = points.scale[:, None] * ((density * points.weights) @ basis)
-        return loads
+        return points.scale[:, None] * ((density * points.weights) @ basis)

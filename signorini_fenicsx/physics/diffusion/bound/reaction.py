@@ -202,8 +202,7 @@ def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, s
 
 def _fine(metric: CellMetric, resolution: Resolution) -> Array:
     """A load size per owned cell that makes only a small share of the error."""
-    fine: Array = resolution.flux(metric) / resolution.volume ** (1 / metric.jacobian.shape[1])
-    return fine
+    return resolution.flux(metric) / resolution.volume ** (1 / metric.jacobian.shape[1])
 
 
 def _coefficient(
@@ -256,5 +255,4 @@ def near_quadratics(
 
 def at_points(p: Quadratic, points: CellPoints) -> Array:
     """Values of quadratics on the owned cells in points of some of them."""
-    values: Array = p.of(points.cells).at(points.arms)[:, :, 0]
-    return values
+    return p.of(points.cells).at(points.arms)[:, :, 0]

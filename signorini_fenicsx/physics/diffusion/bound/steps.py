@@ -72,8 +72,7 @@ class Continuous:
     def __call__(self, points: Points) -> Array:
         """Values of the datum in points."""
         product = points.barycentric.prod(axis=2)
-        values: Array = points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
-        return values
+        return points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
 
 
 @dataclass(frozen=True)

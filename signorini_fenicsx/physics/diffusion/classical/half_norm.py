@@ -73,8 +73,7 @@ class _Dense:
         return float(p @ self._matrix @ q)
 
     def riesz(self, flux: Array) -> Array:
-        p: Array = scipy.linalg.cho_solve(self._factor, self._measure * flux)
-        return p
+        return scipy.linalg.cho_solve(self._factor, self._measure * flux)
 
     def project(self, p: Array, flux: Array) -> Array:
         """The projection, by a primal-dual active set that starts from the last free set.

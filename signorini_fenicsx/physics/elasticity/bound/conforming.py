@@ -392,8 +392,7 @@ class BestDisplacement:
 
     def _in_coefficients(self, values: Array, measure: Array) -> Array:
         """∫ w B over facets for the B of each of their nodes, of a w linear in its vertices, shape (facets, nodes)."""
-        integrals: Array = measure[:, None] * (values @ self.moments)
-        return integrals
+        return measure[:, None] * (values @ self.moments)
 
     def _slipped(self) -> Array:
         """The slip of the last step in time and of tools on the facets with friction, by its coefficients.

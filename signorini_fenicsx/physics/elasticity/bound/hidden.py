@@ -88,8 +88,7 @@ def loads_of(spaces: ElasticSpaces, data: ElasticData) -> list[tuple[BoundaryFac
 def fit(basis: Array, weights: Array) -> Array:
     """The matrix from values in points to the coefficients of their best approximation, shape (basis, points)."""
     weighted = weights[:, None] * basis
-    coefficients: Array = np.linalg.solve(basis.T @ weighted, weighted.T)
-    return coefficients
+    return np.linalg.solve(basis.T @ weighted, weighted.T)
 
 
 @dataclass

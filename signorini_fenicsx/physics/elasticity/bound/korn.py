@@ -60,8 +60,7 @@ def regular_simplex(dim: int) -> Array:
 def stretch(edges: Array) -> Array:
     """‖F‖² ‖F⁻¹‖ of simplices, shape (n,), from their edges at one vertex as columns, shape (n, d, d)."""
     sizes = np.linalg.svd(edges @ np.linalg.inv(regular_simplex(edges.shape[-1])), compute_uv=False)
-    stretches: Array = sizes[:, 0] ** 2 / sizes[:, -1]
-    return stretches
+    return sizes[:, 0] ** 2 / sizes[:, -1]
 
 
 def korn_constants(edges: Array) -> Array:

@@ -73,8 +73,7 @@ class LocalStresses:
         products = free.swapaxes(1, 2) @ free
         products += SINGULAR * np.einsum("nbb->n", products)[:, None, None] * np.eye(free.shape[2])
         shares = np.linalg.solve(products, free.swapaxes(1, 2) @ z[:, :, None])
-        norms: Array = np.linalg.norm(z - (free @ shares)[:, :, 0], axis=1)
-        return norms
+        return np.linalg.norm(z - (free @ shares)[:, :, 0], axis=1)
 
     def _weighted(self, cells: Cells, stresses: Array, compliance: Array) -> Array:
         """𝔸^½ times stresses times the square root of the weights, one row per number: (cells, rows, basis)."""
@@ -124,5 +123,4 @@ def local_stresses(dim: int) -> LocalStresses:
 
 def _reference_normals(dim: int) -> Array:
     """|ê| n̂ of the facets of the reference simplex."""
-    normals: Array = facet_normals(np.vstack([np.zeros(dim), np.eye(dim)])[None])[0]
-    return normals
+    return facet_normals(np.vstack([np.zeros(dim), np.eye(dim)])[None])[0]

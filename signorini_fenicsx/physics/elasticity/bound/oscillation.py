@@ -75,8 +75,7 @@ def above(compliance: Array) -> Array:
     mean = compliance.mean(axis=1)
     root = np.linalg.inv(np.linalg.cholesky(mean))[:, None]
     largest = np.linalg.eigvalsh(root @ compliance @ root.swapaxes(-1, -2)).max(axis=(1, 2), initial=0.0)
-    bounding: Array = largest[:, None, None] * mean
-    return bounding
+    return largest[:, None, None] * mean
 
 
 def _force(
