@@ -21,6 +21,7 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.corrections import corrected
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
 from signorini_fenicsx.physics.elasticity.data import ElasticData
@@ -40,8 +41,6 @@ MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
 ROUGH = 1e-2
 """What a rough solve with tools leaves, as a share of what there was at its start."""
-REFINEMENTS = 40
-"""Corrections of a stress at most."""
 
 
 class ElasticBackend(PlainBackend):
@@ -402,7 +401,7 @@ class ElasticBackend(PlainBackend):
         self.sizes.take(displacements, stresses)
         return Iterate(p, flux, self._iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
 
-    def _refined(self, stresses: Array, displacements: Array) -> tuple[Array, Array]:
+    def _refined(self, stresses: Array, displacements: Array) -> tuple[Array, ...]:
         """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
 
         The stress that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much
@@ -410,27 +409,30 @@ class ElasticBackend(PlainBackend):
         are those without them: a correction is a step of the proximal point method, after which they pull no more.
         """
         assert self._last is not None
-        posed, slip, conditions = self._last, self._slip, self._last.conditions
-        essential = self._factors.essential(conditions.kind == Condition.ZERO_TRACE)
-        correction, before = self._x.duplicate(), np.inf
-        for _ in range(REFINEMENTS):
-            forces = self.system.forces(stresses)
-            left = self.system.tractions - self.system.of_supports(self._x.array_r) - forces
+        posed, change, forces = self._last, self._x.duplicate(), stresses
+
+        def left_by(fields: list[Array]) -> Array:
+            nonlocal forces
+            self._x.array_w[:], forces = fields[0], self.system.forces(fields[1])
+            left = self.system.tractions - self.system.of_supports(fields[0]) - forces
             p = self._beside_tools(self._x)
-            left[self._unknowns] += self._given_forces(posed, p) + self._signs * self._weak.pull(conditions, p)
-            pressure = self.flux(self._x, self.system.load)[slip.pressing]
-            left[slip.unknown] += slip.measure * self.friction.pressed(pressure)
-            left[essential] = 0.0
+            left[self._unknowns] += self._given_forces(posed, p) + self._signs * self._weak.pull(posed.conditions, p)
+            pressure = self.flux(self._x, self.system.load)[self._slip.pressing]
+            left[self._slip.unknown] += self._slip.measure * self.friction.pressed(pressure)
+            left[self._factors.essential(posed.conditions.kind == Condition.ZERO_TRACE)] = 0.0
+            return left
+
+        def correction(left: Array) -> list[Array]:
+            change.set(0.0)
+            self._factors.solve_by_any(left, change, posed.imposed)
+            return [change.array_r.copy(), *self.system.recover(self.system.everywhere(change.array_r), with_f=False)]
+
+        def enough(left: Array) -> bool:
             size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
-            if size <= TIE * scale or not size < before:
-                break
-            correction.set(0.0)
-            self._factors.solve_by_any(left, correction, posed.imposed)
-            before = size
-            more, moved = self.system.recover(self.system.everywhere(correction.array_r), with_f=False)
-            stresses, displacements = stresses + more, displacements + moved
-            self._x.axpy(1.0, correction)
-        return stresses, displacements
+            return size <= TIE * scale
+
+        fields = [self._x.array_r.copy(), stresses, displacements]
+        return tuple(corrected(self.comm, fields, left_by, correction, enough)[1:])
 
     def scales(self, pairs: Pairs) -> tuple[Array, Array]:
         """The largest |u| and the largest |σ|, see `Backend.scales`."""

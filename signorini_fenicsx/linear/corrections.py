@@ -1,0 +1,68 @@
+"""Corrections by a solver that may be far off: what is left does not grow.
+
+A correction is what the solver makes of what is left. Made orthogonal to those before, by what they change, and scaled,
+it leaves as little as it can: GCR (Eisenstat, Elman, Schultz: SIAM J. Numer. Anal. 20, 1983). A solver that is wrong in
+few directions only, as one is by a flat cell, needs about as many corrections as there are of these.
+"""
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+
+MOST = 60
+"""Corrections at most."""
+PATIENCE = 30
+"""In so many corrections what is left has to fall by a half."""
+MEMORY, FEW = 2**28, 4
+"""Bytes of a rank for earlier corrections, and how many are kept whatever they need."""
+GOOD = 0.1
+"""Where a correction leaves at most this share, none are kept: the solver is good."""
+
+type Fields = list[Array]
+
+
+def corrected(
+    comm: MPI.Comm,
+    fields: Fields,
+    left_by: Callable[[Fields], Array],
+    correction: Callable[[Array], Fields],
+    enough: Callable[[Array], bool],
+) -> Fields:
+    """Fields with corrections, until little is left, or until this falls no more (collective).
+
+    Args:
+        comm: Communicator.
+        fields: The fields on this rank.
+        left_by: What fields leave, an affine function of them; it is asked last for those that are returned.
+        correction: What the solver makes of what is left: corrections of the fields.
+        enough: Whether so little is left.
+    """
+
+    def dot(a: Array, b: Array) -> float:
+        return float(comm.allreduce(float(a @ b)))
+
+    kept, left = list[Fields](), left_by(fields)
+    sizes = [dot(left, left)]
+    while not enough(left) and len(sizes) <= MOST:
+        if len(sizes) > PATIENCE and sizes[-1] > sizes[-1 - PATIENCE] / 4:
+            break
+        more = correction(left)
+        more = [left_by(_sum(fields, more)) - left, *more]
+        for earlier in kept:
+            more = _sum(more, earlier, -dot(more[0], earlier[0]) / dot(earlier[0], earlier[0]))
+        size = dot(more[0], more[0])
+        fields = _sum(fields, more[1:], -dot(left, more[0]) / size if size > 0 else 0.0)
+        left = left_by(fields)
+        sizes.append(dot(left, left))
+        if sizes[-1] <= GOOD**2 * sizes[-2]:
+            kept = []
+        elif size > 0:
+            most = MEMORY // comm.allreduce(sum(each.nbytes for each in more), MPI.MAX)
+            kept = [*kept[-max(FEW, most) + 1 :], more]
+    return fields
+
+
+def _sum(fields: Fields, more: Fields, share: float = 1.0) -> Fields:
+    return [field + share * each for field, each in zip(fields, more, strict=True)]
