@@ -13,6 +13,7 @@ import pytest
 from commands import signorini
 from made_cases import on_square, rotated
 from mpi4py import MPI
+from springs import Springs
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
@@ -33,6 +34,7 @@ from signorini_fenicsx.rigorous.proof import check_size, proof_of
 from signorini_fenicsx.rigorous.simplices import EDGES
 from signorini_fenicsx.rigorous.theorem import prove
 from signorini_fenicsx.rigorous.trace import _lifts
+from signorini_fenicsx.solving.physics import PHYSICS
 
 COMM = MPI.COMM_WORLD
 CELLS = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
@@ -318,7 +320,7 @@ def test_seam_where_u_D_is_psi(above: str):
     assert math.isfinite(prove(*discrete_of(solution)).bound)
 
 
-def test_data_from_python_and_large_meshes():
+def test_data_from_python_and_large_meshes(monkeypatch: pytest.MonkeyPatch):
     solution = solve_case(on_square(4, ["bottom"]), MPI.COMM_SELF)
     with pytest.raises(InputError, match="f must be an expression"):
         Given.of({name: tree for name, tree in solution.data.trees.items() if name != "f"}, FromArb())
@@ -327,6 +329,7 @@ def test_data_from_python_and_large_meshes():
         check_size(rough_cells(load_case("example1").with_values({"solve.h": "2^-10"})), "diffusion")
     with pytest.raises(InputError, match="has room for 50000 cells, not 6e"):
         check_size(60_000, "elasticity")
+    monkeypatch.setitem(PHYSICS, "springs", Springs())
     with pytest.raises(InputError, match="there is no proof for springs"):
         check_size(10, "springs")
 
