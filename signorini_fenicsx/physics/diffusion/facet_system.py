@@ -93,7 +93,7 @@ class FacetSystem:
         self.large = tuning.is_large(self.dofs, DIRECT_UP_TO)
         across = cells_and_dofs(self.space, spaces.inner.facets)[1]
         self.sides = Sides(self.trace_dofs[spaces.inner.rows], across, spaces.inner.present)
-        self._facets = slice(len(spaces.facets))
+        self._facets, self._cells = spaces.site_kinds
         self.sources = sources(spaces, data)
         self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, self.sides.matrix(self.space))
         self.matrix = self.operator.matrix
@@ -166,9 +166,9 @@ class FacetSystem:
 
     def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
         """The owned unknowns of some sites."""
-        of_cells = cell_dofs(self.space)[np.flatnonzero(sites[self._facets.stop :])].ravel()
+        of_cells = cell_dofs(self.space)[np.flatnonzero(self._cells.of(sites))].ravel()
         own = of_cells[of_cells < self.space.dofmap.index_map.size_local]
-        return np.union1d(self.trace_dofs[sites[self._facets]], own).astype(np.int32)
+        return np.union1d(self.trace_dofs[self._facets.of(sites)], own).astype(np.int32)
 
     def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""
@@ -179,8 +179,8 @@ class FacetSystem:
         """Impose conditions on `matrix`, unless they are those of last time (collective)."""
         if conditions.same(self._imposed, self.spaces.mesh.comm):
             return
-        self._impose_in_cells(conditions[self._facets.stop :])
-        fixed, (_, springs) = self._fixed(conditions[self._facets]), self.held_and_springs(conditions)
+        self._impose_in_cells(self._cells.of(conditions))
+        fixed, (_, springs) = self._fixed(self._facets.of(conditions)), self.held_and_springs(conditions)
         self.operator.impose(fixed, self.trace_dofs, springs)
         self._imposed = conditions
 
@@ -196,7 +196,7 @@ class FacetSystem:
 
         Collective if the conditions have values.
         """
-        fixed = self._fixed(conditions[self._facets])
+        fixed = self._fixed(self._facets.of(conditions))
         self.b.array_w[:], held = self.posed(conditions)
         self.b.array_w[fixed] = self.x.array_w[fixed] = held[fixed]
         return fixed
@@ -210,7 +210,7 @@ class FacetSystem:
             The right side for the rest of the solution, and the values of fixed unknowns, 0 elsewhere; both for the
             owned unknowns.
         """
-        conditions, load, held = conditions[self._facets], self._load.copy(), np.zeros(len(self._load))
+        conditions, load, held = self._facets.of(conditions), self._load.copy(), np.zeros(len(self._load))
         if conditions.has_values:
             is_held = conditions.kind == Condition.ZERO_TRACE
             held[self.trace_dofs[is_held]] = conditions.values_where(is_held)
@@ -237,13 +237,13 @@ class FacetSystem:
         of_cells = self.sources.values(u_cr)[0]
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
         p, flux = self._pairs(self.x, flux, conditions)
-        on_facets = (flux[self._facets] + self._data.q_Sh) * spaces.facet_measure
+        on_facets = (self._facets.of(flux) + self._data.q_Sh) * spaces.facet_measure
         sigma.x.array[spaces.flux_dofs] = on_facets / spaces.basis_flux
         sigma.x.array[spaces.neumann_dofs] = self._data.sigma_lift.x.array[spaces.neumann_dofs]
         sigma.x.scatter_forward()
         spaces.carry_across(sigma)
         if self._data.inside is not None:
-            cells = conditions[self._facets.stop :]
+            cells = self._cells.of(conditions)
             held, value = cells.kind == Condition.ZERO_TRACE, self._data.inside.as_linear(cells)[1]
             of_cells[held] = value[held]
         u = function_of(spaces.Q, of_cells, "u")
@@ -270,7 +270,7 @@ class FacetSystem:
         sums = self.sides.forces(sums_at(self.space.dofmap.index_map, cell_dofs(self.space), -through))
         b, x = (vector.duplicate() for vector in (self.b, self.x))
         b.array_w[:] = sums[:owned] + loads.forces
-        b.array_w[self._fixed(conditions[self._facets])] = 0.0
+        b.array_w[self._fixed(self._facets.of(conditions))] = 0.0
         x.set(0.0)
         solve(b, x)
         trace, u_cr = x.array_r.copy(), fem.Function(self.space)
@@ -310,7 +310,7 @@ class FacetSystem:
 
     def held_and_springs(self, conditions: SiteConditions) -> tuple[Mask, Array]:
         """Which facets of Γ_S are held under these conditions, and β|e| at each of the others."""
-        on_facets = conditions[self._facets]
+        on_facets = self._facets.of(conditions)
         robin = on_facets.kind == Condition.ROBIN
         added = np.zeros(len(robin))
         added[robin] = on_facets.beta_where(robin) * self.spaces.facet_measure[robin]

@@ -47,10 +47,10 @@ class FacetBackend(PlainBackend, ABC):
         """
         self.spaces, self.data = spaces, data
         self.comm: MPI.Comm = spaces.mesh.comm
-        self.facets, self.cells = slice(len(spaces.facets)), slice(len(spaces.facets), None)
+        self.facets, self.cells = spaces.site_kinds
         self.sites = len(spaces.facets)
         if data.inside is not None:
-            self.sites += len(data.inside.means)
+            self.sites = len(spaces.site_kinds)
             self.noun = ("site", "sites") if spaces.part_names else ("cell", "cells")
 
     @property
@@ -99,7 +99,7 @@ class FacetBackend(PlainBackend, ABC):
         """
         spaces = self.spaces
         roots = np.sqrt(self.data.conductivities(spaces))
-        root, of_facets = roots[spaces.cells], iterate.p[self.facets]
+        root, of_facets = roots[spaces.cells], self.facets.of(iterate.p)
         through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
         flux = through * np.abs(spaces.basis_flux) / spaces.facet_measure
         u, p = np.abs(owned_values(iterate.u)), np.abs(of_facets)
@@ -119,7 +119,7 @@ class FacetBackend(PlainBackend, ABC):
         corners[dofmap] = gamma.geometry.x[gamma.geometry.dofmaps[0]]
         mesh = self.spaces.mesh
         cells = mesh.geometry.x[cell_nodes(mesh)[: self.sites - len(self.spaces.facets)]]
-        sums = [np.sort(x, axis=1).sum(axis=1) for x in (corners[self.facets], cells)]  # the same bits on any rank
+        sums = [np.sort(x, axis=1).sum(axis=1) for x in (self.facets.of(corners), cells)]  # the same bits on any rank
         return np.vstack([np.insert(rows, 0, kind, axis=1) for kind, rows in enumerate(sums)])
 
 

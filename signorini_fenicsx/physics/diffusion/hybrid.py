@@ -240,5 +240,5 @@ class HybridBackend(FacetBackend):
         essential = self._system.apply(conditions)
         if self._solver.levels is not None:
             with self._solver.options():
-                self._solver.levels.update(conditions[self.facets], essential)
+                self._solver.levels.update(self.facets.of(conditions), essential)
         return essential

@@ -118,17 +118,17 @@ class MixedBackend(FacetBackend):
         spaces, b, x, residual = self.spaces, self._b, self._x, self._residual
         self._impose(conditions)
         given_flux, given_trace = (conditions.kind == kind for kind in (Condition.NO_FLUX, Condition.ZERO_TRACE))
-        inside, held, in_cells = self.data.inside, given_trace[self.cells], conditions[self.cells]
-        on_facets, given = conditions[self.facets], given_flux[self.facets]
+        inside, held, in_cells = self.data.inside, self.cells.of(given_trace), self.cells.of(conditions)
+        on_facets, given = self.facets.of(conditions), self.facets.of(given_flux)
         load = np.empty(0) if inside is None else inside.as_linear(in_cells)[1]
         essential = np.append(spaces.flux_dofs[given], self._of_cells(held))
-        values = (flux[self.facets] * spaces.facet_measure / spaces.basis_flux)[given]
+        values = (self.facets.of(flux) * spaces.facet_measure / spaces.basis_flux)[given]
         values = np.append(values, load[held])
         x.set(0.0)
         x.array_w[essential] = values
         self._system.natural.mult(x, b)
         b.scale(-1.0)
-        b.array_w[spaces.flux_dofs] += np.where(given_trace, trace, 0.0)[self.facets] * spaces.basis_flux
+        b.array_w[spaces.flux_dofs] += self.facets.of(np.where(given_trace, trace, 0.0)) * spaces.basis_flux
         robin = on_facets.kind == Condition.ROBIN
         of_robin = on_facets.values_where(robin) / on_facets.beta_where(robin)
         b.array_w[spaces.flux_dofs[robin]] += of_robin * spaces.basis_flux[robin]
@@ -170,9 +170,9 @@ class MixedBackend(FacetBackend):
         """Make the matrix that of these conditions (collective)."""
         if conditions.same(self._imposed, self.comm):
             return
-        spaces, in_cells = self.spaces, conditions[self.cells]
+        spaces, in_cells = self.spaces, self.cells.of(conditions)
         of_cells, sloped = (self._of_cells(in_cells.kind == kind) for kind in (Condition.ZERO_TRACE, Condition.ROBIN))
-        self._imposed, conditions = conditions, conditions[self.facets]
+        self._imposed, conditions = conditions, self.facets.of(conditions)
         no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
         # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
         added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta_where(robin)

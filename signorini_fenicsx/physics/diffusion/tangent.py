@@ -51,14 +51,14 @@ class Tangent(FacetBackend):
         trace, pulled = np.where(held, values, 0.0), np.where(held, 0.0, values)
         dofs = cells_and_dofs(space, spaces.facets)[1]
         on_facets = np.zeros(len(loads.forces) + space.dofmap.index_map.num_ghosts)
-        on_facets[dofs] = trace[self.facets]  # only the cell behind a facet of Γ_S has it
+        on_facets[dofs] = self.facets.of(trace)  # only the cell behind a facet of Γ_S has it
         forces = loads.forces.copy()
-        forces[dofs] += pulled[self.facets] * spaces.facet_measure
+        forces[dofs] += self.facets.of(pulled) * spaces.facet_measure
         loads = replace(loads, jumps=loads.jumps + on_facets[cell_dofs(space)], forces=forces)
         if self.data.inside is not None:
-            loads = replace(loads, source=loads.source + pulled[self.cells], held=trace[self.cells])
+            loads = replace(loads, source=loads.source + self.cells.of(pulled), held=self.cells.of(trace))
         sigma, u, traces = self._hybrid.respond(conditions, loads)
-        p, flux = traces[dofs] + trace[self.facets], spaces.normal_flux(sigma)
+        p, flux = traces[dofs] + self.facets.of(trace), spaces.normal_flux(sigma)
         if self.data.inside is not None:
             p, flux = np.append(p, owned_values(u)), np.append(flux, self._minus_s(sigma, owned_values(u)))
         p, flux = conditions.clean(p, flux, self.data.conductance)
