@@ -64,8 +64,11 @@ class _Sets:
         """The conditions to go on from: those of the start, or the last segments under the present laws."""
         return self._start if self._segment is None else self._law.conditions(self._segment)
 
-    def found(self) -> Outcome:
+    def found(self, *, decided: bool = False) -> Outcome:
         """Run the loop from predicted sets, and if these fail without them (collective).
+
+        Args:
+            decided: Whether the algorithm's own start counts as a decision, so that p and the flux after it count.
 
         Raises:
             LinearSolveFailure: If the own start cannot be solved.
@@ -78,6 +81,8 @@ class _Sets:
                 if outcome.converged and (outcome.kkt is None or outcome.kkt.violation() is None):
                     return outcome
         self._start, self._before, self._segment = self._task.own_start(self._backend), None, None
+        if decided and self._start is None:
+            self._start = self._law.conditions(self._rule.first(self._law))
         cold = self._task.solved(self._backend, self._loop)
         if predicted:
             cold = replace(cold, reason=f"{cold.reason}, from a cold start because the predicted one failed")
@@ -117,7 +122,7 @@ class _Sets:
             task = self._task.coarser(factor)
             sets = _Sets(self._rule, task)
             if task.whole:
-                outcome = sets.found()
+                outcome = sets.found(decided=True)
                 sets._start = outcome.conditions if outcome.converged else None
             else:
                 sets.predicted()
