@@ -8,7 +8,7 @@ u_n = u·n, σ_nn = n·σn and g is the gap along n,
 With p = g − u_n and the pressure −σ_nn in the place of σ·n this is the Signorini condition of the scalar problem. ε₀ is
 the strain without stress, by heat say. ℂ and the compliance 𝔸 = ℂ⁻¹ are symmetric matrices that act on the entries of
 symmetric matrices; those off the diagonal are weighted by √2, so that inner products of matrices are those of their
-entries. `physics/elasticity/material.py` makes them.
+entries. `physics/elasticity/discrete/material.py` makes them.
 
 *The element* (Johnson and Mercier 1978; Křížek 1982). A simplex T is split at its centroid into d + 1 subcells. The
 stresses are symmetric and linear on each subcell, and σn is continuous in T. The displacements are linear on all of T.

@@ -27,7 +27,7 @@ from signorini_fenicsx.expressions.intervals import FromNumPy, Interval, enclosi
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.tree import Tree, evaluate
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.diffusion.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 
 SECONDS = 2.0
 """Largest CPU time for a text."""

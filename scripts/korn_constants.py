@@ -17,7 +17,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, regular_simplex, stretch
-from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     compliance_product,
     facet_normals,
@@ -84,8 +84,8 @@ def lattice(dim: int, parts: int) -> tuple[Array, Indices]:
 def largest_eigenvalue(vertices: Array, numbers: Indices) -> float:
     """c_h² of a mesh.
 
-    With unknowns x of the traces, as in `physics/elasticity/system.py`, and moments m of the load, the stress has the
-    norm ½‖τ‖² = max over x of ½ m·Cm + x·Rm − ½ x·Kx.
+    With unknowns x of the traces, as in `physics/elasticity/solve/system.py`, and moments m of the load, the stress has
+    the norm ½‖τ‖² = max over x of ½ m·Cm + x·Rm − ½ x·Kx.
     """
     cells = Cells(vertices[numbers])
     dim, count, element = cells.dim, len(numbers), reference(cells.dim)

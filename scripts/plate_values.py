@@ -22,8 +22,8 @@ from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity
-from signorini_fenicsx.physics.elasticity.residuals import energy_squares
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 from signorini_fenicsx.solving.solver import solve
 
 SIDE, WIDTH, RESTS = 0.04, 1.25e-3, 0.03

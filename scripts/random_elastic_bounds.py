@@ -34,7 +34,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     SplitQuadrature,
     opposite,

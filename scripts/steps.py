@@ -21,9 +21,9 @@ from signorini_fenicsx.contact.laws import Wall
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.solver import Solver
 

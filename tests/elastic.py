@@ -10,7 +10,12 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, compliance_product, reference, to_matrices
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
+    Cells,
+    compliance_product,
+    reference,
+    to_matrices,
+)
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 

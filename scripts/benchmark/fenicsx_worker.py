@@ -24,12 +24,12 @@ from signorini_fenicsx.meshes.domain import Domain, distribute
 from signorini_fenicsx.meshes.meshing import label_parts
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.data import Data, project_data
-from signorini_fenicsx.physics.diffusion.facets import FacetBackend
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
+from signorini_fenicsx.physics.diffusion.solve.facets import FacetBackend
+from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

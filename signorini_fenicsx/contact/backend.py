@@ -1,7 +1,7 @@
 """What the loop over the sets needs from a discretisation: one linear solve under given conditions on its sites.
 
-`Backend` lists what every backend gives. `FacetBackend` of `physics/diffusion/facets.py` implements most of it for
-backends whose sites are the facets of Γ_S: a new one adds its name, its number of unknowns, `solver` and `solve`.
+`Backend` lists what every backend gives. `FacetBackend` of `physics/diffusion/solve/facets.py` implements most of it
+for backends whose sites are the facets of Γ_S: a new one adds its name, its number of unknowns, `solver` and `solve`.
 """
 
 from collections.abc import Callable

@@ -17,8 +17,8 @@ from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.meshes.domain import membership
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.rigorous.simplices import EDGES, facet_measures
 
 INSIDE, SIGNORINI, DIRICHLET, NEUMANN = 0, 1, 2, 3

@@ -21,9 +21,9 @@ from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.physics.elasticity.case import ElasticCase
-from signorini_fenicsx.physics.elasticity.differences import ElasticDifferences
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.shown import in_space, von_mises
+from signorini_fenicsx.physics.elasticity.show.differences import ElasticDifferences
+from signorini_fenicsx.physics.elasticity.show.shown import in_space, von_mises
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 from signorini_fenicsx.solving.solver import solve

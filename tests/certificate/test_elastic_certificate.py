@@ -26,8 +26,8 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_s
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, MOMENTS, TRACE
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solve.residuals import elastic_kkt
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

@@ -23,9 +23,9 @@ from signorini_fenicsx.expressions.enclosures import moments
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, length_of_facets, why_no_constant
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

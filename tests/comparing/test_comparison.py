@@ -16,9 +16,9 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.comparison import compare
 from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff, jaccard
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.diffusion.differences import Differences
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
+from signorini_fenicsx.physics.diffusion.show.differences import Differences
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 
 COMM = MPI.COMM_WORLD
 

@@ -18,11 +18,11 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.data import project_data
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.discrete.data import project_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

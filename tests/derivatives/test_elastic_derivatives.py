@@ -194,7 +194,7 @@ def test_ranks(name: str):
 
 def test_an_adjoint_that_is_not_found(monkeypatch: pytest.MonkeyPatch):
     """With Coulomb's law the adjoint is found by GMRES; where that does not end there is no gradient."""
-    monkeypatch.setattr("signorini_fenicsx.physics.elasticity.linearised.gmres", partial(gmres, most=1))
+    monkeypatch.setattr("signorini_fenicsx.physics.elasticity.derivative.linearised.gmres", partial(gmres, most=1))
     given = block(COMM, "coulomb")
     solution = solve(given.domain, given.problem)
     with pytest.raises(NumericalFailure, match="GMRES has not found it after 1 step"):

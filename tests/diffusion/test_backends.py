@@ -24,11 +24,11 @@ from signorini_fenicsx.contact.set_rules import ALGORITHM_1
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.two_level import choose_smoother
 from signorini_fenicsx.meshes.uniform import refined_uniformly
-from signorini_fenicsx.physics.diffusion import hybrid
-from signorini_fenicsx.physics.diffusion.data import project_data
-from signorini_fenicsx.physics.diffusion.facet_system import FacetSystem
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.discrete.data import project_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.solve import hybrid
+from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 

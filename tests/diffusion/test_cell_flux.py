@@ -19,10 +19,10 @@ from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.bound.relaxation import _Gap
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux, joined, mass_diagonal
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.nodes import Jumps
-from signorini_fenicsx.physics.diffusion.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, joined, mass_diagonal
+from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps
+from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 
 
 @pytest.mark.parallel([1, 2])

@@ -21,9 +21,9 @@ from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.seepage import seepage
-from signorini_fenicsx.physics.diffusion.spaces import build_spaces
+from signorini_fenicsx.physics.diffusion.show.seepage import seepage
 from signorini_fenicsx.rigorous.proof import proof_of
 
 COMM = MPI.COMM_WORLD

@@ -21,9 +21,9 @@ from signorini_fenicsx.discrete import points
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, facet_quadrature
 from signorini_fenicsx.expressions.reader import read
-from signorini_fenicsx.physics.diffusion.data import project_data
+from signorini_fenicsx.physics.diffusion.discrete.data import project_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

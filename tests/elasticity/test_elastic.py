@@ -15,17 +15,17 @@ from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.forms.elasticity import hellinger_reissner, product, strain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.data import elastic_data
-from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     compliance_product,
     opposite,
     reference,
     to_matrices,
 )
+from signorini_fenicsx.physics.elasticity.discrete.spaces import build_elastic_spaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import build_elastic_spaces
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 

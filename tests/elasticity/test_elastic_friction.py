@@ -22,7 +22,6 @@ from signorini_fenicsx.linear import gmres, kept_factors
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.elasticity import coulomb
 from signorini_fenicsx.physics.elasticity.problem import (
     Contact,
     Coulomb,
@@ -32,6 +31,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     ElasticProblem,
 )
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solve import coulomb
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 

@@ -23,9 +23,9 @@ from signorini_fenicsx.output.pictures.load_steps import _of_facets
 from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.output.pictures.space import Space
 from signorini_fenicsx.output.pictures.space_files import draw_files_of_body
-from signorini_fenicsx.physics.elasticity import friction
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
-from signorini_fenicsx.physics.elasticity.friction import Slipping
+from signorini_fenicsx.physics.elasticity.discrete import friction
+from signorini_fenicsx.physics.elasticity.discrete.friction import Slipping
 from signorini_fenicsx.physics.elasticity.problem import (
     Contact,
     Coulomb,
@@ -36,7 +36,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     ElasticProblem,
     InputError,
 )
-from signorini_fenicsx.physics.elasticity.shown import STATES, BodyFacets, ContactTable
+from signorini_fenicsx.physics.elasticity.show.shown import STATES, BodyFacets, ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve

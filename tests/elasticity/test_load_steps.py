@@ -27,11 +27,11 @@ from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.problem import Contact, Tresca
-from signorini_fenicsx.physics.elasticity.shown import ContactTable
+from signorini_fenicsx.physics.elasticity.show.shown import ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.system import ElasticSystem
+from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem
 from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD

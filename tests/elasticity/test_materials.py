@@ -10,8 +10,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.physics.elasticity.problem import Contact, Dirichlet, Elasticity, Neumann
-from signorini_fenicsx.physics.elasticity.readings import von_mises
-from signorini_fenicsx.physics.elasticity.shown import in_space
+from signorini_fenicsx.physics.elasticity.show.readings import von_mises
+from signorini_fenicsx.physics.elasticity.show.shown import in_space
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD

@@ -11,9 +11,9 @@ from signorini_fenicsx import Coulomb, Elasticity, evolve_case, load_case, solve
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.discrete.spaces import linear_from_means
 from signorini_fenicsx.physics.elasticity.problem import Contact
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import linear_from_means
 
 RADIUS, YOUNG, MU = 8.0, 200.0, 0.3
 

@@ -13,8 +13,8 @@ from signorini_fenicsx.api import Contact, Dirichlet, Elasticity, Neumann, Press
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.laws import Regulator
-from signorini_fenicsx.physics.elasticity.motion_limits import Limits
-from signorini_fenicsx.physics.elasticity.rigid_motions import _in_words
+from signorini_fenicsx.physics.elasticity.solve.motion_limits import Limits
+from signorini_fenicsx.physics.elasticity.solve.rigid_motions import _in_words
 
 COMM = MPI.COMM_WORLD
 

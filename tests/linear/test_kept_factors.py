@@ -8,7 +8,6 @@ from mpi4py import MPI
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.linear import kept_factors
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.elasticity import backend as elastic
 from signorini_fenicsx.physics.elasticity.problem import (
     Contact,
     Coulomb,
@@ -21,6 +20,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     Tresca,
 )
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solve import backend as elastic
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 

@@ -23,10 +23,10 @@ from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.classical.half_norm import HalfNorm
-from signorini_fenicsx.physics.diffusion.classical.projection import scattered_values
-from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solve.classical.half_norm import HalfNorm
+from signorini_fenicsx.physics.diffusion.solve.classical.projection import scattered_values
+from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 
 COMM = MPI.COMM_WORLD
 

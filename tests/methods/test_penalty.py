@@ -18,7 +18,7 @@ from signorini_fenicsx.forms.mixed import Fields
 from signorini_fenicsx.forms.penalty import mp_eps_1, mp_eps_2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.differences import slobodeckij_norm
+from signorini_fenicsx.physics.diffusion.show.differences import slobodeckij_norm
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 COMM = MPI.COMM_WORLD

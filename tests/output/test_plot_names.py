@@ -17,7 +17,7 @@ from signorini_fenicsx.output.pictures.plane import Plane
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.water import WATER_LINES, water_lines, wet
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.seepage import seepage
+from signorini_fenicsx.physics.diffusion.show.seepage import seepage
 from signorini_fenicsx.studies.study import make_run
 
 HEAT = {

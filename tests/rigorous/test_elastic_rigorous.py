@@ -21,7 +21,7 @@ from signorini_fenicsx.expressions import Binary, Tree, exactly, read, values
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import enclosing
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, stretch
-from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     facet_normals,
     hats_in_subcells,

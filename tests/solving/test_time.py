@@ -13,7 +13,7 @@ from signorini_fenicsx.contact.laws import Wall
 from signorini_fenicsx.linear.petsc import LinearSolver
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.diffusion import data as data_module
+from signorini_fenicsx.physics.diffusion.discrete import data as data_module
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving import evolving

@@ -21,7 +21,7 @@ from signorini_fenicsx.output.pictures import load_steps, plane_files, style
 from signorini_fenicsx.output.pictures.plane import WIDE, Plane, framed
 from signorini_fenicsx.output.pictures.scene import Pictures, Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.elasticity.shown import BodyFacets, ContactTable
+from signorini_fenicsx.physics.elasticity.show.shown import BodyFacets, ContactTable
 from signorini_fenicsx.solving.solved import Solved
 
 SHARE = 0.1

@@ -16,7 +16,7 @@ from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.pictures.evolution import three_of
 from signorini_fenicsx.output.pictures.scene import Scene
 from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.physics.elasticity.shown import STATES, BodyFacets, ContactTable
+from signorini_fenicsx.physics.elasticity.show.shown import STATES, BodyFacets, ContactTable
 
 MOVES = 0.01
 """A part moves if the mean of its displacement changes by more than this share of the largest of all parts."""

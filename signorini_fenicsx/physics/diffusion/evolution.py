@@ -34,11 +34,11 @@ from signorini_fenicsx.discrete.seen import seen_in_cells
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows, at_time, is_fixed, parsed
 from signorini_fenicsx.expressions.tree import Comparison, Conditional
-from signorini_fenicsx.physics.diffusion.cell_laws import chains_in, part_in, plus
-from signorini_fenicsx.physics.diffusion.data import cell_means
+from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, part_in, plus
+from signorini_fenicsx.physics.diffusion.discrete.data import cell_means
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 from signorini_fenicsx.solving.evolution import Evolution, Past
 
 type Pieces = list[tuple[Tree | Rows, Mask | None]] | None

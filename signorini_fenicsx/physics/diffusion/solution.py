@@ -27,16 +27,16 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part,
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
-from signorini_fenicsx.physics.diffusion import shown
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.data import Data, project_data
-from signorini_fenicsx.physics.diffusion.differences import differences
-from signorini_fenicsx.physics.diffusion.errors import exact_contact, exact_errors, missed_contact
-from signorini_fenicsx.physics.diffusion.notes import notes_of
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.seepage import Seepage, seepage
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.water import discharges, in_words
+from signorini_fenicsx.physics.diffusion.show import shown
+from signorini_fenicsx.physics.diffusion.show.differences import differences
+from signorini_fenicsx.physics.diffusion.show.errors import exact_contact, exact_errors, missed_contact
+from signorini_fenicsx.physics.diffusion.show.notes import notes_of
+from signorini_fenicsx.physics.diffusion.show.seepage import Seepage, seepage
+from signorini_fenicsx.physics.diffusion.show.water import discharges, in_words
 from signorini_fenicsx.solution import Solution as AnySolution
 
 SAME = 1e-9
@@ -130,7 +130,7 @@ class Solution(AnySolution):
         Raises:
             InputError: If the method solves another discrete problem.
         """
-        from signorini_fenicsx.physics.diffusion.linearised import linearised  # which knows solutions
+        from signorini_fenicsx.physics.diffusion.derivative.linearised import linearised  # which knows solutions
 
         return linearised(self, tolerance)
 

@@ -29,17 +29,17 @@ from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.registry import those
-from signorini_fenicsx.physics.diffusion.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
-from signorini_fenicsx.physics.diffusion.hybrid import HybridBackend
-from signorini_fenicsx.physics.diffusion.mixed import MixedBackend
-from signorini_fenicsx.physics.diffusion.notes import notes_of
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.residuals import far_bound
+from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.solvability import check_solvability
-from signorini_fenicsx.physics.diffusion.spaces import Spaces, build_spaces
-from signorini_fenicsx.physics.diffusion.task import DiffusionTask
+from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.solve.residuals import far_bound
+from signorini_fenicsx.physics.diffusion.solve.solvability import check_solvability
+from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Remesh, Wish, check_start
@@ -235,7 +235,7 @@ class DiffusionRun:
 
 def _alone(name: str) -> Callable[..., Outcome]:
     """What runs a method for diffusion alone; SciPy and PIQP, which some of them need, are slow to import."""
-    from signorini_fenicsx.physics.diffusion.alone import METHODS
+    from signorini_fenicsx.physics.diffusion.solve.alone import METHODS
 
     return METHODS[name]
 

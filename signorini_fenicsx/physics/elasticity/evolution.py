@@ -14,10 +14,10 @@ from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.physics.elasticity.friction import FromBefore
+from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
 from signorini_fenicsx.solving.evolution import Evolution, Past
 
 

@@ -11,13 +11,13 @@ from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
-from signorini_fenicsx.physics.elasticity.data import elastic_data
-from signorini_fenicsx.physics.elasticity.friction import FromBefore, Slipping, law_of_sites
+from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
+from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, Slipping, law_of_sites
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.residuals import elastic_kkt
-from signorini_fenicsx.physics.elasticity.shown import STATES
+from signorini_fenicsx.physics.elasticity.show.shown import STATES
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.solve.residuals import elastic_kkt
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored
 
 LAYOUT: Layout = {

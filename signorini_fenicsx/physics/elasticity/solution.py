@@ -16,24 +16,24 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.meshes.domain import AXES
-from signorini_fenicsx.physics.elasticity import shown
-from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells, elastic_data
-from signorini_fenicsx.physics.elasticity.differences import differences
-from signorini_fenicsx.physics.elasticity.friction import FromBefore, law_of_sites
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, to_entries
-from signorini_fenicsx.physics.elasticity.notes import large_deformation, notes_of
-from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells, elastic_data
+from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, law_of_sites
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, to_entries
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.readings import quantities
-from signorini_fenicsx.physics.elasticity.residuals import (
+from signorini_fenicsx.physics.elasticity.show import shown
+from signorini_fenicsx.physics.elasticity.show.differences import differences
+from signorini_fenicsx.physics.elasticity.show.notes import large_deformation, notes_of
+from signorini_fenicsx.physics.elasticity.show.readings import quantities
+from signorini_fenicsx.physics.elasticity.show.shown import STATES
+from signorini_fenicsx.physics.elasticity.solve.residuals import (
     ElasticKKT,
     balance,
     energy_squares,
     resultants,
     subcell_squares,
 )
-from signorini_fenicsx.physics.elasticity.shown import STATES
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
 from signorini_fenicsx.solution import Solution
 
 ERROR_DEGREE = 8
@@ -89,7 +89,7 @@ class ElasticSolution(Solution):
         Raises:
             InputError: If a bound of friction or a datum of a law is in UFL and not linear.
         """
-        from signorini_fenicsx.physics.elasticity.linearised import linearised  # which knows solutions
+        from signorini_fenicsx.physics.elasticity.derivative.linearised import linearised  # which knows solutions
 
         return linearised(self, tolerance)
 

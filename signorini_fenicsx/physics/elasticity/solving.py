@@ -21,18 +21,18 @@ from signorini_fenicsx.discrete.unjoined import note_facing
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.registry import Method
-from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.boundary_nodes import check_against_foundation
-from signorini_fenicsx.physics.elasticity.data import ElasticData, elastic_data
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import check_against_foundation
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, elastic_data
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps
-from signorini_fenicsx.physics.elasticity.notes import direction_of_gap, notes_of
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT
-from signorini_fenicsx.physics.elasticity.rigid_motions import check_rigid_motions, slides
-from signorini_fenicsx.physics.elasticity.slipping import is_large
+from signorini_fenicsx.physics.elasticity.show.notes import direction_of_gap, notes_of
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, build_elastic_spaces
-from signorini_fenicsx.physics.elasticity.task import ElasticTask
+from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.solve.residuals import ElasticKKT
+from signorini_fenicsx.physics.elasticity.solve.rigid_motions import check_rigid_motions, slides
+from signorini_fenicsx.physics.elasticity.solve.slipping import is_large
+from signorini_fenicsx.physics.elasticity.solve.task import ElasticTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Remesh, Wish, check_start

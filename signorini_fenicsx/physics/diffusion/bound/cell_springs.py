@@ -28,7 +28,7 @@ from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_b
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Springs
-from signorini_fenicsx.physics.diffusion.nodes import Jumps, set_means
+from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, set_means
 
 LARGE = 2.0
 """A segment is rigid if s changes along it by more than so many times the largest |s|: others v may well cross."""

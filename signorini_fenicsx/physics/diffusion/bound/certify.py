@@ -60,7 +60,7 @@ from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory, load_oscillation, on_facets
 from signorini_fenicsx.physics.diffusion.bound.reaction import reaction_terms
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 ENOUGH = 5e-3

@@ -61,10 +61,10 @@ from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, all_edges, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
-from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.nodes import Jumps, largest_around, quadratic_on_sides, set_means
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_around, quadratic_on_sides, set_means
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 HINDRANCES = (
     "the bounds of u leave no room where parts of Γ_S meet",

@@ -42,7 +42,7 @@ from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray
 from signorini_fenicsx.physics.diffusion.bound.limits import jumps_in_nodes
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 CUT_OFFS = 4.0
 """|∇χ| is at most this times the largest gradient of a barycentric coordinate."""

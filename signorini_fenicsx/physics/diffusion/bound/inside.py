@@ -59,11 +59,11 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LAW,
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.cell_laws import CellLaws
-from signorini_fenicsx.physics.diffusion.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 ROOM = 2.0
 """Factor of the largest I_hψ − ψ in the points of a quadrature."""

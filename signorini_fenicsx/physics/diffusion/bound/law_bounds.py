@@ -19,7 +19,7 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import SAMPLES
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 ROUNDING = 1e-12
 """Relative size of what is rounding in jumps."""

@@ -18,7 +18,7 @@ from signorini_fenicsx.physics.diffusion.bound.inside import coefficients
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import ROUNDING, level_of
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.relaxation import all_edges
-from signorini_fenicsx.physics.diffusion.nodes import Jumps, largest_around
+from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_around
 
 
 def levels(

@@ -28,9 +28,9 @@ from signorini_fenicsx.base.small_matrices import squares_of
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import balancing_flux, distance
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 DIGITS = 1e-5
 """A constant that comes from a linear solve is rounded up to about this relative size, so that it does not depend on

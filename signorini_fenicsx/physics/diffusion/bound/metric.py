@@ -14,9 +14,9 @@ from signorini_fenicsx.base.small_matrices import determinants, inverses, square
 from signorini_fenicsx.discrete.cell_shapes import corners, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import in_cells, quadratic_nodes
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
-from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ from signorini_fenicsx.physics.diffusion.bound.conductivity import Conductivity,
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, Resolution, of_all_cells
-from signorini_fenicsx.physics.diffusion.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 
 QUADRATIC = 2
 """Degree of |κ∇v − y|² where v is quadratic and κ a number."""

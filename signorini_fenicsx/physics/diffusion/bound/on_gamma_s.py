@@ -12,8 +12,8 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.points import facet_type
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
 
 RIGID = 1e4
 """A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""

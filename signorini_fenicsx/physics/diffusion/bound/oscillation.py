@@ -45,8 +45,8 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import (
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Seen
-from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 OF_MEMORY = 8
 """Degree of the square of a bubble, also in space."""

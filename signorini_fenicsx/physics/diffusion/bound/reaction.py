@@ -40,8 +40,8 @@ from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term, cut_loads
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST, Resolution
-from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 SQUARE = 8
 """Degree of (pv)² for two quadratics."""

@@ -21,8 +21,8 @@ from signorini_fenicsx.base.small_matrices import gathered
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
-from signorini_fenicsx.physics.diffusion.nodes import Jumps
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 type Indices = npt.NDArray[np.int32]
 type Robin = tuple[Spaces, fem.Function]

@@ -36,8 +36,8 @@ from signorini_fenicsx.expressions.quadratics import Quadratic
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.physics.diffusion.bound.local_fields import facet_constants
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.data import Data
-from signorini_fenicsx.physics.diffusion.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 EXACT = 15
 """Squares of polynomials up to this degree are integrated exactly, by quadrature of twice this degree."""

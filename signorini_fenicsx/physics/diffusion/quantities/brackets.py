@@ -37,8 +37,8 @@ from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
 from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC
 from signorini_fenicsx.physics.diffusion.bound.near_quadratic import NearQuadratic
 from signorini_fenicsx.physics.diffusion.quantities.shifts import Posed, with_flux, with_trace
+from signorini_fenicsx.physics.diffusion.show.water import share_above_table
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
-from signorini_fenicsx.physics.diffusion.water import share_above_table
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import SHARE, Beside, in_regions
 from signorini_fenicsx.quantities.bracket import Half, Quantity

@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import LinearSolveFailure
-from signorini_fenicsx.physics.elasticity.friction import shortened
+from signorini_fenicsx.physics.elasticity.discrete.friction import shortened
 
 ROUNDS = 12
 """Solves at most; one to three are enough but for a few problems."""

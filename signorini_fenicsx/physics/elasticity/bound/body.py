@@ -43,12 +43,17 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.matrices import OfCells, of_cells
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, LinearSolver, set_direct
 from signorini_fenicsx.physics.elasticity.bound.korn import MOMENTS, korn_constants
-from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, compliance_product, facet_normals, reference
-from signorini_fenicsx.physics.elasticity.rigid_motions import Bodies
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.supports import Supports
-from signorini_fenicsx.physics.elasticity.system import transform
+from signorini_fenicsx.physics.elasticity.discrete.data import blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
+    Cells,
+    compliance_product,
+    facet_normals,
+    reference,
+)
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
+from signorini_fenicsx.physics.elasticity.solve.rigid_motions import Bodies
+from signorini_fenicsx.physics.elasticity.solve.system import transform
 
 ON_FACETS = 1 / 8
 """l is this share of |Ω|^(1/d)."""

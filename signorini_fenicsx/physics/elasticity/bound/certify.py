@@ -53,11 +53,11 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import (
     is_own_enclosed,
     unresolved_by_quadrature,
 )
-from signorini_fenicsx.physics.elasticity.data import LARGEST_DEGREE
+from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum
 
 LACKING = "not in the discrete spaces"
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"

@@ -16,10 +16,14 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.points import facet_lattice
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.enclosures import surely_above
-from signorini_fenicsx.physics.elasticity.boundary_nodes import contact_coefficients, given_along_normals, given_nodes
-from signorini_fenicsx.physics.elasticity.data import ElasticData
-from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
+    contact_coefficients,
+    given_along_normals,
+    given_nodes,
+)
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 PARTS = 4
 """Parts of the edges of facets, for the points in which the gap is looked at first."""

@@ -1,8 +1,8 @@
 """Conforming displacements on the split mesh without the nodes inside the cells.
 
 What a displacement is inside a cell follows from what it is on the facets of the cell, as its energy is least there. So
-the nodes inside are eliminated cell by cell, as the stresses are in `physics.elasticity.system`. Of the unknowns of
-quadratic displacements a third is left in the plane, a fifth in space.
+the nodes inside are eliminated cell by cell, as the stresses are in `physics.elasticity.solve.system`. Of the unknowns
+of quadratic displacements a third is left in the plane, a fifth in space.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
-from signorini_fenicsx.physics.elasticity.data import BLOCK, OnSplit
-from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite
-from signorini_fenicsx.physics.elasticity.multigrid import DEFAULTS, ElasticCoarse
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.data import BLOCK, OnSplit
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.solve.multigrid import DEFAULTS, ElasticCoarse
 
 TOLERANCE = 1e-5
 """Relative residual of a solve by CG, which may stop before; the next solve also removes what the last one left."""

@@ -30,12 +30,12 @@ from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condense
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
-from signorini_fenicsx.physics.elasticity.boundary_nodes import add_at, contact_coefficients, given_nodes
-from signorini_fenicsx.physics.elasticity.data import ElasticData, material_on_split
-from signorini_fenicsx.physics.elasticity.multigrid import STIFF
-from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces, linear_from_means
-from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import add_at, contact_coefficients, given_nodes
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, material_on_split
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, linear_from_means
+from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.solve.multigrid import STIFF
 
 FREE = 1e-12
 """A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""

@@ -14,12 +14,12 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import LinearSolveFailure
-from signorini_fenicsx.physics.elasticity.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.bound.clear import floors
-from signorini_fenicsx.physics.elasticity.data import blocks_of_cells
-from signorini_fenicsx.physics.elasticity.friction import shortened
-from signorini_fenicsx.physics.elasticity.residuals import ElasticKKT, elastic_kkt, energy_squares
+from signorini_fenicsx.physics.elasticity.discrete.data import blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.friction import shortened
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.solve.residuals import ElasticKKT, elastic_kkt, energy_squares
 
 ROUNDING = 1e-9
 """What is left is rounding if it is at most this share of ‖σ_h‖ in the energy norm. The bound then contains this share

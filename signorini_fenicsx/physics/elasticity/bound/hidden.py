@@ -50,12 +50,12 @@ from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, co
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
-from signorini_fenicsx.physics.elasticity.data import DEGREE, LARGEST_DEGREE, ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, SplitQuadrature, split_vertices
-from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
+from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, LARGEST_DEGREE, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
+from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
-from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
-from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum
 
 MUCH = 0.5
 """If what may be missed is more than this share of the bound, loads are not resolved."""

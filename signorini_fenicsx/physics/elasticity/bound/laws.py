@@ -31,9 +31,9 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import chains_of
 from signorini_fenicsx.discrete.points import facet_quadrature
-from signorini_fenicsx.physics.elasticity.boundary_nodes import ContactCoefficients
-from signorini_fenicsx.physics.elasticity.normal_laws import NormalLaw
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import ContactCoefficients
+from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 NONE = -1
 

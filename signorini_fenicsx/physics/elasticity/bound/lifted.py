@@ -40,10 +40,10 @@ from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
-from signorini_fenicsx.physics.elasticity.data import ElasticData
-from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
-from signorini_fenicsx.physics.elasticity.spaces import BoundaryFacets, ElasticSpaces
 
 QUADRATIC = 2
 """What is a polynomial of this degree is interpolated exactly."""

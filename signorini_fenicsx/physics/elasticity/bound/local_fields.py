@@ -21,7 +21,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.lattices import lagrange, lagrange_slopes, lattice
-from signorini_fenicsx.physics.elasticity.johnson_mercier import (
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     entries,
     facet_normals,

@@ -10,9 +10,9 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.of_field import FieldBound, joined
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.physics.elasticity.bound.certify import certificate_of
-from signorini_fenicsx.physics.elasticity.johnson_mercier import opposite, to_entries, to_matrices
-from signorini_fenicsx.physics.elasticity.residuals import energy_squares
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 
 
 def field_bound(solution: ElasticSolution, v: fem.Function) -> FieldBound:

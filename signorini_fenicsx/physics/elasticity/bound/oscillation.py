@@ -25,9 +25,9 @@ from signorini_fenicsx.physics.elasticity.bound.hidden import (
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS, local_stresses
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution, beyond
-from signorini_fenicsx.physics.elasticity.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import Cells, facet_normals, split_vertices
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, facet_normals, split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 
 def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) -> tuple[Array, float]:

@@ -39,10 +39,10 @@ from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
 from signorini_fenicsx.physics.elasticity.bound.body import why_no_constant
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.data import LARGEST_DEGREE, ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.johnson_mercier import split_vertices
-from signorini_fenicsx.physics.elasticity.material import Material, Strain
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.material import Material, Strain
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 DEGREE = 2
 """Degree of the polynomials: e − 𝔸_P y is then cubic for v of a degree up to 4, see `certify.HIGHER`."""

@@ -10,11 +10,11 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.matrices import OfCells
 from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes
-from signorini_fenicsx.physics.elasticity.boundary_nodes import FacetCoefficients, facet_coefficients
-from signorini_fenicsx.physics.elasticity.data import ElasticData
-from signorini_fenicsx.physics.elasticity.on_facets import facet_rule
-from signorini_fenicsx.physics.elasticity.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import FacetCoefficients, facet_coefficients
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 
 
 @dataclass(frozen=True)

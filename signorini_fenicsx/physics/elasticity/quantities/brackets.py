@@ -36,7 +36,7 @@ from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplaceme
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
-from signorini_fenicsx.physics.elasticity.friction import FromBefore
+from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.quantities.energy import QUADRATIC, Along, energy
 from signorini_fenicsx.physics.elasticity.quantities.motions import (
     OPPOSITE,
@@ -48,8 +48,8 @@ from signorini_fenicsx.physics.elasticity.quantities.motions import (
     moved,
     unseen_work,
 )
-from signorini_fenicsx.physics.elasticity.residuals import energy_squares, resultants
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares, resultants
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import Beside, added, check_part, in_regions
 from signorini_fenicsx.quantities.bracket import Half

@@ -25,9 +25,9 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_s
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of, without_given
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
-from signorini_fenicsx.physics.elasticity.on_facets import facet_moments
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
+from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.vector_datum import PressureDatum, VectorDatum
 from signorini_fenicsx.quantities.beside import SHARE
 from signorini_fenicsx.quantities.bracket import Quantity
 

@@ -1,0 +1,1 @@
+"""Solutions of diffusion problems, linearised: how they change with their data."""

@@ -1,0 +1,1 @@
+"""Spaces, data and laws of diffusion problems on a mesh."""

@@ -1,0 +1,138 @@
+"""A flux of RT0 cell by cell, without quadrature.
+
+On a cell T with vertices x_i and centroid x_T let ξ = x − x_T and y_i = x_i − x_T. The basis function of the facet
+opposite to x_i is (a_i / d|T|) (ξ − y_i), where a_i = ∫_T ∇·φ_i is its flux out of T. So
+
+    σ = c + sξ,   s = Σ_i a_i σ_i / d|T| = ∇·σ/d,   c = −Σ_i a_i σ_i y_i / d|T| = σ(x_T),
+
+and as ∫_T ξ = 0, for a symmetric matrix B, with m = (1/|T|) ∫_T ξ·Bξ = Σ_i y_i·By_i / ((d + 1)(d + 2)),
+
+    (Bσ, σ)_T = |T| (c·Bc + s²m),   (Bσ, φ_i)_T = a_i (sm − c·By_i) / d,   (Bφ_i, φ_i)_T = a_i² (y_i·By_i + m) / d²|T|.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs, sums_at
+from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
+from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
+from signorini_fenicsx.discrete.points import Points
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+
+type Weight = Array | float
+"""B: a matrix per cell, or one for all, an array of shape (…, dim, dim); or a number times the identity."""
+
+
+@dataclass(frozen=True)
+class CellFlux:
+    """A flux of RT0 on the owned cells.
+
+    Attributes:
+        spaces: The discrete spaces.
+        centroid: σ(x_T), shape (cells, dim).
+        slope: s = ∇·σ/d, shape (cells,).
+    """
+
+    spaces: Spaces
+    centroid: Array
+    slope: Array
+
+    @classmethod
+    def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
+        """The flux on cells of a function with up-to-date ghost values (collective)."""
+        mesh, dofs = spaces.mesh, cell_dofs(spaces.V)
+        outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
+        dim, cells = mesh.topology.dim, len(dofs)
+        centroid, slope = np.empty((cells, dim), order="F"), np.empty(cells)
+        for some in some_at_a_time(mesh):
+            through = outflow[some] * gathered(sigma.x.array, dofs[some])
+            through /= dim * volumes[some, None]
+            slope[some] = np.einsum("ce->c", through)
+            centroid[some] = -np.einsum("ce,cei->ci", through, arms(mesh, some))
+        return cls(spaces, centroid, slope)
+
+    def function(self) -> fem.Function:
+        """The flux in RT0: −d|T|∇λ_i · (c − s y_i/d) goes through the facet opposite to x_i (collective)."""
+        spaces, dim = self.spaces, self.centroid.shape[1]
+        mesh, sigma = spaces.mesh, fem.Function(spaces.V, name="sigma")
+        on_facets = self.centroid[:, None] - self.slope[:, None, None] * arms(mesh) / dim
+        through = -dim * spaces.cell_measures[:, None] * np.einsum("cvi,cvi->cv", hat_gradients(mesh), on_facets)
+        sigma.x.array[cell_dofs(spaces.V)] = through / spaces.outflow
+        sigma.x.scatter_forward()
+        return sigma
+
+    @property
+    def divergence(self) -> Array:
+        """∇·σ, shape (cells,)."""
+        return self.centroid.shape[1] * self.slope
+
+    def in_vertices(self) -> Array:
+        """σ in the vertices of the cells, shape (cells, dim + 1, dim)."""
+        values = arms(self.spaces.mesh)
+        values *= self.slope[:, None, None]
+        values += self.centroid[:, None]
+        return values
+
+    def at(self, points: Points) -> Array:
+        """σ in points, shape (n, points, dim)."""
+        values: Array = self.slope[points.rows, None, None] * points.arms
+        values += self.centroid[points.rows, None]
+        return values
+
+    def squares(self, weight: Weight, moments: Array | None = None) -> Array:
+        """(Bσ, σ)_T of each cell.
+
+        Args:
+            weight: B.
+            moments: m, if it is known.
+        """
+        if moments is None:
+            moments = mean_moments(_squared_arms(self.spaces, weight))
+        squares: Array = squares_of(self.centroid[:, None], _as_matrix(weight, self.centroid.shape[1]))[:, 0]
+        squares += moments * self.slope**2
+        squares *= self.spaces.cell_measures
+        return squares
+
+    def tested(self, weight: Weight) -> Array:
+        """(Bσ, φ_i)_T / a_i of each cell, shape (cells, dim + 1)."""
+        mesh, dim = self.spaces.mesh, self.centroid.shape[1]
+        images = times(self.centroid[:, None], _as_matrix(weight, dim))[:, 0]
+        tested = np.empty(self.spaces.outflow.shape, order="F")
+        for some in some_at_a_time(mesh):
+            tested[some] = -np.einsum("ci,cvi->cv", images[some], arms(mesh, some))
+        tested += (mean_moments(_squared_arms(self.spaces, weight)) * self.slope)[:, None]
+        tested /= dim
+        return tested
+
+
+def mass_diagonal(spaces: Spaces, weight: Weight) -> Array:
+    """(Bφ, φ) for each basis function φ of RT0; complete for owned entries (collective)."""
+    dim = spaces.mesh.topology.dim
+    squares = _squared_arms(spaces, weight)
+    squares = squares + mean_moments(squares)[:, None]
+    squares *= spaces.outflow**2
+    squares /= dim**2 * spaces.cell_measures[:, None]
+    return joined(spaces, squares)
+
+
+def _as_matrix(weight: Weight, dim: int) -> Array:
+    return weight * np.eye(dim) if isinstance(weight, float) else weight
+
+
+def _squared_arms(spaces: Spaces, weight: Weight) -> Array:
+    """The products y_i·By_i."""
+    return weight * spaces.squared_arms if isinstance(weight, float) else squared_arms(spaces.mesh, weight)
+
+
+def joined(spaces: Spaces, of_cells: Array) -> Array:
+    """The sum over the cells, of shape (cells, dim + 1), for each basis function of RT0; complete for owned entries.
+
+    Collective.
+    """
+    return sums_at(spaces.V.dofmap.index_map, cell_dofs(spaces.V), of_cells)

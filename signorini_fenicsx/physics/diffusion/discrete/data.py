@@ -1,0 +1,388 @@
+"""The data of a problem as they are given, and their means over cells and facets for the discrete problem."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values, set_owned
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.bodies import spread
+from signorini_fenicsx.discrete.data_values import (
+    check_finite,
+    check_means,
+    check_nodes,
+    extent,
+    facet_means,
+    least_value,
+    total,
+)
+from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
+from signorini_fenicsx.discrete.known import Known
+from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
+from signorini_fenicsx.discrete.points import cell_quadrature
+from signorini_fenicsx.discrete.seen import Values, values_in
+from signorini_fenicsx.expressions import TREES, Tree
+from signorini_fenicsx.expressions.given import Given, Rows
+from signorini_fenicsx.physics.diffusion.discrete.boundary_laws import BoundaryLaws, boundary_laws
+from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws, cell_laws, with_reactions
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.problem import Problem
+
+ROUNDING = 1e-12
+"""Relative asymmetry of κ, or size of a c < 0, that counts as rounding."""
+TINY = 1e-6
+"""Points where κ ≤ 0 are looked for where κ may be below this share of its mean."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """The data on a mesh. Functions hold owned and up-to-date ghost values.
+
+    The lifts turn the problem into one for u − u_lift and σ − σ_lift with homogeneous conditions on the boundary.
+
+    Attributes:
+        f: Load as given.
+        kappa: κ as given.
+        u_D: Dirichlet data as given.
+        g_N: Flux on Γ_N as given.
+        psi: Bound of the trace as given, where no other law holds.
+        q_S: Bound of the flux as given, where no other law holds.
+        c: c as given.
+        f_h: P0 projection of f.
+        kappa_h: P0 projection of κ, entry by entry; a `fem.Constant` if κ is a number, which no form is compiled for.
+        c_h: P0 projection of c; None if it is 0 everywhere.
+        u_lift: Crouzeix-Raviart function with the mean of u_D on each facet of Γ_D, of ψ on each of Γ_S, and 0 on all
+            others. As τ_h·n is constant on a facet, (u_lift, τ_h·n) on Γ_D is (u_D, τ_h·n).
+        sigma_lift: RT0 function whose flux is the mean of g_N on each facet of Γ_N, of q_S on each of Γ_S, and 0 on all
+            others.
+        psi_h: Mean of ψ per Γ_S facet of this rank; for other laws u at the reference.
+        q_Sh: Mean of q_S per Γ_S facet of this rank; for other laws κ∇u·n at the reference.
+        laws: The laws on Γ_S.
+        inside: The laws in Ω but for reactions, which are in c; None if there are none.
+        conductance: Mean of κ divided by L: the size of σ·n that belongs to p = 1.
+        total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
+            same with the largest flux, often ∞; less the s that laws in Ω allow. Exactly 0 if it is only rounding.
+        exact: The exact u, where it is known.
+        memory: What the step of a problem in time takes from those before, in P0; a part of f_h, but not of f.
+        trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
+            of regions has names such as "kappa.core".
+        given: The constants and functions in the data, with the values that they had.
+    """
+
+    f: Datum
+    kappa: Datum
+    u_D: Datum
+    g_N: Datum
+    psi: Datum
+    q_S: Datum
+    c: Datum
+    f_h: fem.Function
+    kappa_h: fem.Function | fem.Constant
+    c_h: fem.Function | None
+    u_lift: fem.Function
+    sigma_lift: fem.Function
+    psi_h: Array
+    q_Sh: Array
+    laws: BoundaryLaws
+    inside: CellLaws | None
+    conductance: float
+    total_load: tuple[float, float]
+    exact: Datum | None
+    trees: Mapping[str, Tree | Rows]
+    memory: fem.Function | None = None
+    given: Values = ()
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site: of each facet of Γ_S and, with laws in Ω, of each owned cell."""
+        facets = self.laws.chains
+        return facets if self.inside is None else facets.followed_by(self.inside.chains)
+
+    def conductivities(self, spaces: Spaces) -> Array:
+        """Mean eigenvalue of κ_h on each owned cell."""
+        return _mean_eigenvalues(spaces, self.kappa, self.kappa_h)
+
+    def same_operator(self, other: Data, spaces: Spaces) -> bool:
+        """Whether κ_h and c_h are those of other data on this mesh (collective)."""
+        same = self.kappa.shape == other.kappa.shape and np.array_equal(self.matrices(spaces), other.matrices(spaces))
+        if self.c_h is None or other.c_h is None:
+            same = same and self.c_h is other.c_h
+        else:
+            same = same and np.array_equal(self.c_h.x.array, other.c_h.x.array)
+        return bool(spaces.mesh.comm.allreduce(same, MPI.LAND))
+
+    def holds(self, spaces: Spaces) -> bool:
+        """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
+        return spaces.has_dirichlet or self.c_h is not None
+
+    def after(self, memory: fem.Function | None) -> Data:
+        """The data of a step of a problem in time, with what it takes from those before; None for nothing."""
+        if memory is None:
+            return self
+        f_h = self.f_h.copy()
+        f_h.x.array[:] += memory.x.array
+        return replace(self, f_h=f_h, memory=memory)
+
+    @property
+    def means_of_f(self) -> Array:
+        """The mean of f on each owned cell: f_h without `memory`."""
+        return owned_values(self.f_h) - (0.0 if self.memory is None else owned_values(self.memory))
+
+    def source(self, u: fem.Function) -> fem.Function:
+        """f_h − c_h u for u in P0, which is −∇·σ_h; f_h itself where c = 0."""
+        if self.c_h is None:
+            return self.f_h
+        source = self.f_h.copy()
+        source.x.array[:] -= self.c_h.x.array * u.x.array
+        return source
+
+    def matrices(self, spaces: Spaces) -> Array:
+        """κ_h as a matrix on each owned cell, shape (cells, dim, dim), or (1, dim, dim) if κ is a number."""
+        identity = np.eye(spaces.mesh.geometry.dim)
+        if self.kappa.number is not None:
+            return self.kappa.number * identity[None]
+        entries = owned_values(self.kappa_h).reshape(-1, *(self.kappa.shape or (1, 1)))
+        return entries if self.kappa.shape else entries * identity
+
+    def extent(self, spaces: Spaces) -> tuple[float, float]:
+        """The smallest and the largest mean of u_D, of ψ on the boundary, and of references in Ω (collective)."""
+        in_cells = np.empty(0) if self.inside is None else self.inside.means
+        means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
+        return extent(np.concatenate(means), spaces.mesh.comm)
+
+    def dirichlet_varies(self, spaces: Spaces, rounding: float) -> bool:
+        """Whether facet means of u_D differ within one body by more than this share of the largest (collective)."""
+        means = self._dirichlet_means(spaces)
+        lowest, highest = extent(means, spaces.mesh.comm)
+        largest = rounding * max(highest, -lowest)
+        return highest - lowest > largest and spread(spaces, spaces.dirichlet_facets, means) > largest
+
+    def _dirichlet_means(self, spaces: Spaces) -> Array:
+        return self.u_lift.x.array[cells_and_dofs(self.u_lift.function_space, spaces.dirichlet_facets)[1]]
+
+    def common_constant(self, spaces: Spaces) -> float:
+        """The value nearest to 0 in the range of u_D and ψ: 0 unless all of them have one sign (collective)."""
+        return float(np.clip(0.0, *self.extent(spaces)))
+
+    def less(self, spaces: Spaces, constant: float) -> Data:
+        """The data of the problem for u − constant; f itself stays, f_h does not where c > 0 (collective)."""
+        if constant == 0:
+            return self
+        u_lift, psi_h, outer, f_h = self.u_lift.copy(), self.psi_h.copy(), spaces.outer_rows, self.f_h
+        if self.c_h is not None:
+            f_h = f_h.copy()
+            f_h.x.array[:] -= constant * self.c_h.x.array
+        for facets in (spaces.dirichlet_facets, spaces.facets[outer]):
+            u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] -= constant
+        u_lift.x.scatter_forward()
+        psi_h[outer] -= constant
+        return replace(
+            self,
+            u_D=self.u_D.less(constant),
+            psi=self.psi.less(constant),
+            f_h=f_h,
+            u_lift=u_lift,
+            psi_h=psi_h,
+            inside=self.inside and self.inside.less(constant),
+        )
+
+    def with_bound(self, spaces: Spaces, psi_h: Array) -> Data:
+        """The data with other means of ψ on the facets of Γ_S (collective)."""
+        u_lift = self.u_lift.copy()
+        u_lift.x.array[cells_and_dofs(u_lift.function_space, spaces.facets)[1]] = psi_h
+        u_lift.x.scatter_forward()
+        return replace(self, psi_h=psi_h, u_lift=u_lift)
+
+
+def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -> Data:
+    """Take means over cells and facets, by quadrature of the degree that `quadrature_degree` gives (collective).
+
+    Args:
+        spaces: The discrete spaces.
+        problem: The data as given.
+        known: Keeps what was made of earlier data on these spaces.
+
+    Raises:
+        InputError: If a datum is not finite at some quadrature point, or so large or small that squares of the solution
+            leave the range of floating-point numbers; if κ is not symmetric positive definite, or has no value on some
+            cells; if c is negative somewhere.
+    """
+    check_kind("problem", problem, Problem)
+    problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known(spaces.mesh.comm)
+    problem = with_reactions(spaces, problem)
+    # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
+    kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
+    f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem, known))
+    c, c_h = known.get("c", problem.c, lambda: _reaction(spaces, problem))
+    of_laws = [(id(type(law)), law.parts, law.region, law.data()) for law in problem.laws]
+    on_boundary = [problem.u_D, problem.g_N, problem.psi, problem.q_S, problem.obstacle, of_laws]
+    boundary = known.get("boundary", on_boundary, lambda: _boundary(spaces, problem))
+    laws, q_Sh, sigma_lift = (boundary[name] for name in ("laws", "q_Sh", "sigma_lift"))
+    given_flux = sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
+    inside: CellLaws | None = boundary["inside"]
+    in_cells = (0.0, 0.0) if inside is None else inside.chains.extent()[2:]
+    lowest, highest = (
+        total(
+            np.concatenate(
+                [
+                    spaces.cell_measures * (owned_values(f_h) + in_cell),
+                    given_flux,
+                    (spaces.facet_measure * (q_Sh + flux))[spaces.outer_rows],
+                ]
+            ),
+            spaces.mesh.comm,
+        )
+        for flux, in_cell in zip(laws.chains.extent()[2:], in_cells, strict=True)
+    )
+    return Data(
+        f=f,
+        kappa=kappa,
+        c=c,
+        f_h=f_h,
+        kappa_h=kappa_h,
+        c_h=c_h,
+        conductance=conductance,
+        total_load=(lowest, highest),
+        exact=known.get("exact", problem.exact, lambda: _exact(spaces, problem.exact)),
+        trees=_trees(problem),
+        given=values_in(problem),
+        **boundary,
+    )
+
+
+def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Function]:
+    """The datum f, and f_h (collective)."""
+    f = regional_datum(spaces, "f", problem.f)
+    f_h, degree = fem.Function(spaces.Q, name="f_h"), quadrature_degree(f)
+    if isinstance(problem.f, TREES):
+        means = known.combination(
+            f"f in degree {degree}",
+            problem.f,
+            lambda tree: cell_means(spaces, datum_of(spaces, "f", tree, continuous=False), degree),
+        )
+    else:
+        means = cell_means(spaces, f)
+    set_owned(f_h, means)
+    check_means("f", "in the domain", means, spaces)
+    return f, f_h
+
+
+def _boundary(spaces: Spaces, problem: Problem) -> dict[str, Any]:
+    """The data on Γ_D, Γ_N and Γ_S and what is made of them, by the names that `Data` has for them (collective)."""
+    u_D, g_N, psi, q_S = (datum_of(spaces, name, getattr(problem, name)) for name in ("u_D", "g_N", "psi", "q_S"))
+    laws, psi_h, q_Sh = boundary_laws(spaces, problem, psi, q_S)
+    dirichlet_means = facet_means(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
+    neumann_means = facet_means(spaces, "g_N", g_N, spaces.neumann_facets, "on Γ_N")
+    near_dirichlet = np.unique(cells_and_dofs(spaces.V, spaces.dirichlet_facets)[0])
+    check_nodes(spaces, "u_D", u_D, spaces.dirichlet_facets, "on Γ_D")
+    check_finite(spaces, "[problem] u_D", "in the cells at Γ_D", u_D, near_dirichlet)
+    sigma_lift = fem.Function(spaces.V, name="sigma_lift")
+    sigma_lift.x.array[spaces.neumann_dofs] = neumann_means * spaces.neumann_measure / spaces.neumann_basis_flux
+    sigma_lift.x.array[spaces.flux_dofs] = q_Sh * spaces.facet_measure / spaces.basis_flux
+    u_lift = fem.Function(spaces.crouzeix_raviart, name="u_lift")
+    for facets, means in ((spaces.dirichlet_facets, dirichlet_means), (spaces.facets, psi_h)):
+        u_lift.x.array[cells_and_dofs(u_lift.function_space, facets)[1]] = means
+    for lift in (u_lift, sigma_lift):
+        lift.x.scatter_forward()
+    spaces.carry_across(sigma_lift)
+    inside = cell_laws(spaces, problem, u_D, laws.of_parts)
+    given = {"u_D": u_D, "g_N": g_N, "psi": psi, "q_S": q_S, "laws": laws, "inside": inside}
+    return given | {"psi_h": psi_h, "q_Sh": q_Sh, "u_lift": u_lift, "sigma_lift": sigma_lift}
+
+
+def _exact(spaces: Spaces, given: Given | Mapping[str, Given] | None) -> Datum | None:
+    if given is None:
+        return None
+    try:
+        u = regional_datum(spaces, "exact", given) if isinstance(given, Mapping) else datum_of(spaces, "exact", given)
+    except InputError as error:
+        raise InputError(str(error).replace("[problem] exact", "[exact] u")) from None
+    check_finite(spaces, "[exact] u", "in the domain", u, owned_cells(spaces.mesh))
+    return u
+
+
+def _trees(problem: Problem) -> dict[str, Tree | Rows]:
+    given: dict[str, Any] = {name: getattr(problem, name) for name in ("u_D", "g_N", "psi", "q_S", "obstacle")}
+    for name, whole in (("f", problem.f), ("kappa", problem.kappa), ("c", problem.c)):
+        of_regions = {f"{name}.{key}": value for key, value in whole.items()} if isinstance(whole, Mapping) else None
+        given |= {name: whole} if of_regions is None else of_regions
+    return {name: value for name, value in given.items() if isinstance(value, TREES | tuple | list)}
+
+
+def _mean_eigenvalues(spaces: Spaces, kappa: Datum, kappa_h: fem.Function | fem.Constant) -> Array:
+    """Mean eigenvalue of κ_h on each owned cell."""
+    if kappa.number is not None:
+        return np.full(len(spaces.cell_measures), kappa.number)
+    shape = kappa.shape or (1, 1)
+    return np.trace(owned_values(kappa_h).reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
+
+
+def _conductivity(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | fem.Constant, float]:
+    """The datum κ, κ_h and the conductance (collective)."""
+    kappa = conductivity_of(spaces, problem.kappa)
+    kappa_h = _projected_conductivity(spaces, kappa)
+    integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
+    return kappa, kappa_h, spaces.mesh.comm.allreduce(integral) / spaces.length ** (spaces.mesh.geometry.dim + 1)
+
+
+def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.Constant:
+    """κ_h (collective)."""
+    means = cell_means(spaces, kappa)
+    check_means("kappa", "in the domain", means, spaces)
+    matrices = means.reshape(len(means), *(kappa.shape or (1, 1)))
+    size = np.abs(matrices).max(axis=(1, 2))
+    symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= ROUNDING * size
+    comm = spaces.mesh.comm
+    if not comm.allreduce(bool(symmetric.all()), MPI.LAND):
+        raise InputError("[problem] kappa: is not symmetric everywhere")
+    positive = np.linalg.eigvalsh(matrices)[:, 0]
+    smallest, what = comm.allreduce(float(positive.min(initial=np.inf)), MPI.MIN), "a mean over a cell"
+    place: tuple[float, ...] = ()
+    if smallest > 0 and kappa.number is None:
+        smallest, place = least_value(spaces, kappa, TINY * positive)
+        what = "its value"
+    if not smallest > 0:
+        what = f"{what} has the eigenvalue" if kappa.shape else f"{what} is"
+        raise InputError(f"[problem] kappa: must be positive; {what} {smallest:.3g}{_near(place)}")
+    if kappa.number is not None:
+        return fem.Constant(spaces.mesh, kappa.number)
+    return function_of(spaces.Q_matrix if kappa.shape else spaces.Q, means.ravel(), "kappa_h")
+
+
+def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | None]:
+    """The datum c, and c_h or None if it is 0 (collective)."""
+    c = regional_datum(spaces, "c", problem.c)
+    if c.number == 0:
+        return c, None
+    comm = spaces.mesh.comm
+    means = cell_means(spaces, c)
+    c_h = function_of(spaces.Q, means, "c_h")
+    check_means("c", "in the domain", means, spaces)
+    rounding = ROUNDING * comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
+    least, place = least_value(spaces, c, np.full(len(means), -rounding))
+    if least < -rounding:
+        raise InputError(f"[problem] c: must not be negative; it is {least:.3g}{_near(place)}")
+    return c, c_h if comm.allreduce(bool(means.any()), MPI.LOR) else None
+
+
+def _near(place: tuple[float, ...]) -> str:
+    """A place in the words of a message."""
+    return f" near ({', '.join(f'{x:.4g}' for x in place)})" if place else ""
+
+
+def cell_means(spaces: Spaces, datum: Datum, degree: int | None = None) -> Array:
+    """Mean on each cell of this rank, shape (cells, *shape), by quadrature of this degree or its own (collective)."""
+    cells = owned_cells(spaces.mesh)
+    if datum.number is not None:
+        return np.full(len(cells), datum.number)
+    blocks = cell_quadrature(spaces.mesh, cells, degree or quadrature_degree(datum))
+    return np.concatenate([points.means(datum.values(points)) for points in blocks])

@@ -1,0 +1,178 @@
+"""Nodes of continuous functions on facets: those of each facet, values on which all ranks agree, jumps in the domain.
+
+On facets inside the domain, where the mesh is cut, a function v has two nodes in one place: one of the named side and
+one of the other. With the jump of v in the node of the named side, and all else as it is, a condition on the jump is
+one on a node. At the edge of the cut both sides share a node, and there is no jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.discrete.continuity import facet_nodes
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.matrices import identity_with
+from signorini_fenicsx.discrete.mesh_spaces import extreme_around
+from signorini_fenicsx.discrete.points import (
+    Entities,
+    facet_lattice,
+    facet_type,
+    from_inside,
+    in_facets,
+    quadratic_nodes,
+)
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+
+
+def largest_around(space: fem.FunctionSpace, nodes: Entities, values: Array) -> Array:
+    """For values ≥ 0 per facet, the largest value of the facets around each node, or 0 without facets (collective)."""
+    of_nodes = np.broadcast_to(values[:, None], nodes.shape)
+    return np.maximum(extreme_around(space, nodes, of_nodes, largest=True), 0.0)
+
+
+def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:
+    """Set the nodes of some facets to the means of what the facets say (collective)."""
+    index_map = function.function_space.dofmap.index_map
+    total, count = sums_at(index_map, nodes, values), sums_at(index_map, nodes)
+    has_place = count > 0
+    function.x.array[has_place] = total[has_place] / count[has_place]
+
+
+def quadratic_on_sides(datum: Datum, space: fem.FunctionSpace, spaces: Spaces) -> fem.Function:
+    """A datum by its values in the nodes of quadratics; on a cut in the domain by those of each side (collective)."""
+    dim, inner = spaces.mesh.topology.dim, spaces.inner
+    function = datum.at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell()))
+    if inner.present and datum.number is None:
+        facets = np.concatenate([spaces.facets[inner.rows], inner.facets])
+        points = in_facets(spaces.mesh, facets, quadratic_nodes(facet_type(dim)))
+        set_means(function, facet_nodes(space, facets), from_inside(datum.values, points))
+    return function
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """The change of unknowns of a continuous function to jumps at facets inside the domain.
+
+    Attributes:
+        jump: Mask of the nodes of this rank that have the jump; no other part of Γ_S has these nodes.
+        tips: Nodes of this rank at the edge of the cut.
+        meets: Nodes of this rank in places where inner parts meet each other or other parts of Γ_S, or Γ_D on one side
+            only. They keep the values of the function.
+        pairs: Nodes of the inner facets, and those in the same places of the other side, shape (facets, nodes) each.
+        basis: The matrix from the jumps, and the values in all other nodes, to the values in all nodes, and its
+            inverse; None without facets inside the domain.
+    """
+
+    jump: Mask
+    tips: npt.NDArray[np.intp]
+    meets: npt.NDArray[np.intp]
+    pairs: tuple[Entities, Entities]
+    basis: tuple[PETSc.Mat, PETSc.Mat] | None = None
+
+    @classmethod
+    def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps:
+        """The jumps of a space of linear or quadratic functions (collective)."""
+        if not spaces.inner.present:
+            return cls.nowhere(space)
+        numbers, inner = space.dofmap.index_map, spaces.inner
+        pairs = named, across = _in_pairs(space, spaces.facets[inner.rows], inner.facets)
+        tip = named == across
+        named, across, tips = (nodes.ravel()[:, None] for nodes in (named[~tip], across[~tip], named[tip]))
+        other = largest_around(space, named, 1.0 + numbers.local_to_global(across.ravel()))
+        below, at_edge, beside = (
+            largest_around(space, nodes, np.ones(len(nodes))) > 0
+            for nodes in (across, tips, facet_nodes(space, spaces.facets[spaces.outer_rows]))
+        )
+        wall = np.zeros(len(other), dtype=bool)
+        wall[fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, spaces.dirichlet_facets)] = True
+        meets = (other > 0) & below | beside & (below | at_edge | (other > 0))
+        half = wall[named] != wall[across]
+        meets[named[half]] = meets[across[half]] = True
+        meets = _over_places(space, pairs, meets.astype(np.float64)) > 0
+        jump = (other > 0) & ~meets
+        own = np.flatnonzero(jump[: numbers.size_local])
+        more = numbers.local_range[0] + own, other[own].astype(np.int64) - 1
+        basis, inverse = (
+            identity_with(space.mesh.comm, numbers.size_local, *more, np.full(len(own), sign)) for sign in (1.0, -1.0)
+        )
+        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), pairs, (basis, inverse))
+
+    @classmethod
+    def nowhere(cls, space: fem.FunctionSpace) -> Jumps:
+        """The change of unknowns on a mesh that is not cut, which is none."""
+        numbers, none, pairs = space.dofmap.index_map, np.empty(0, dtype=np.intp), np.empty((0, 1), dtype=np.int32)
+        return cls(np.zeros(numbers.size_local + numbers.num_ghosts, dtype=bool), none, none, (pairs, pairs))
+
+    def join(self, v: fem.Function, at: Mask, given: Entities) -> None:
+        """Let v be continuous in the places of some nodes, in place: of `given` values, else the largest (collective).
+
+        Args:
+            v: A function by the values in its nodes, ghosts updated.
+            at: Mask of nodes of this rank.
+            given: Nodes of this rank that keep their values.
+        """
+        space, is_known, value = v.function_space, np.zeros(len(at)), v.x.array.copy()
+        is_known[given] = 1.0
+        somewhere = _over_places(space, self.pairs, is_known) > 0
+        value[somewhere & (is_known == 0)] = -np.inf
+        is_joined = _over_places(space, self.pairs, at.astype(np.float64)) > 0
+        v.x.array[is_joined] = _over_places(space, self.pairs, value)[is_joined]
+
+    def taken(self, v: fem.Function) -> None:
+        """Put the jumps of a function in the place of its values, ghosts updated (collective)."""
+        if self.basis is not None:
+            _apply(self.basis[1], v)
+
+    def undone(self, v: fem.Function) -> None:
+        """Put the values of a function in the place of its jumps, ghosts updated (collective)."""
+        if self.basis is not None:
+            _apply(self.basis[0], v)
+
+    def transposed(self, values: Array) -> Array:
+        """The transpose of `basis` times values of the owned nodes (collective)."""
+        if self.basis is None:
+            return values
+        right, left = self.basis[0].createVecs()
+        left.array_w[:] = values
+        self.basis[0].multTranspose(left, right)
+        return right.array_r.copy()
+
+
+def _apply(matrix: PETSc.Mat, v: fem.Function) -> None:
+    right, left = matrix.createVecs()
+    right.array_w[:] = v.x.array[: right.getLocalSize()]
+    matrix.mult(right, left)
+    v.x.array[: left.getLocalSize()] = left.array_r
+    v.x.scatter_forward()
+
+
+def _over_places(space: fem.FunctionSpace, pairs: tuple[Entities, Entities], values: Array) -> Array:
+    """In each node the largest value of the nodes in its place, which pairs connect (collective)."""
+    nodes = np.vstack(pairs)
+    while True:
+        larger = np.maximum(*(values[side] for side in pairs))
+        larger_values = np.maximum(values, extreme_around(space, nodes, np.vstack([larger, larger]), largest=True))
+        if not space.mesh.comm.allreduce(bool((larger_values > values).any()), MPI.LOR):
+            return larger_values
+        values = larger_values
+
+
+def _in_pairs(space: fem.FunctionSpace, named: Entities, across: Entities) -> tuple[Entities, Entities]:
+    """The nodes of facets, and for each the node in the same place of the facet that lies on it."""
+    corners = [facet_lattice(space.mesh, facets, 1).vertices for facets in (named, across)]
+    dim = space.mesh.topology.dim
+    same = np.all(corners[0][:, :, None] == corners[1][:, None], axis=3)
+    vertex = np.argmax(same, axis=2)
+    nodes = [facet_nodes(space, facets) for facets in (named, across)]
+    order = vertex
+    if nodes[0].shape[1] > dim:  # an edge has the number of the vertex opposite to it, in 2D it is the facet
+        order = np.hstack([vertex, dim + (vertex if dim == 3 else np.zeros_like(vertex[:, :1]))])
+    return nodes[0], np.take_along_axis(nodes[1], order, axis=1)

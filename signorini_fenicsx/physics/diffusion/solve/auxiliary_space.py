@@ -1,0 +1,122 @@
+"""Auxiliary-space multigrid for the Crouzeix-Raviart system: a smoother on facets, multigrid on conforming P1."""
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from petsc4py import PETSc
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.mesh_spaces import owned_on_facets
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.two_level import TwoLevel, choose_smoother, facet_vertices
+from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.solve.coarser_levels import use_coarser_meshes
+from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
+
+SMOOTHERS = {
+    f"{level}_{name}": value
+    for level in ("mg_levels", "mg_coarse_mg_levels", "mg_coarse_mg_coarse_mg_levels")
+    for name, value in (("pc_jacobi_type", "rowl1"), ("ksp_chebyshev_eigenvalues", "0.1,1.0"))
+}
+"""Where Jacobi divides by the sum of the absolute values of a row, no eigenvalue is above 1 for any sets, so none is
+estimated. Estimates would cost ten products and twenty reductions on each level for each set, and are too small at
+times: then the preconditioner is indefinite."""
+DEFAULTS = SMOOTHERS | {"mg_coarse_pc_mg_galerkin": "both", "mg_coarse_mg_coarse_pc_gamg_aggressive_coarsening": "0"}
+"""The last two matter on refined meshes only, see `coarser_levels`."""
+TIED = 1e-4
+"""Share of its diagonal that makes an operator regular without Γ_D, while GAMG's interpolations are built."""
+
+
+class AuxiliarySpace:
+    """The coarse level of a two-level PCMG: P1 ⊂ CR has 3 times (2D) to 12 times (3D) fewer unknowns.
+
+    Its operator is Galerkin's, which is that of P1. It has the facet conditions too, otherwise many more iterations are
+    needed: vertices of ZERO_TRACE facets and of Γ_D are fixed, ROBIN facets add their lumped mass. Where the facet
+    system has jumps, P1 has them too.
+    """
+
+    def __init__(self, spaces: Spaces, system: FacetSystem, pc: PETSc.PC):
+        """Make the interpolation and the P1 operator, and make `pc` a two-level multigrid (collective)."""
+        self._spaces, self._system = spaces, system
+        self._space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
+        self._jumps = Jumps.of(self._space, spaces)
+        self._interpolation = facet_means(self._space, system.space)
+        to_jumps = system.sides.matrix(system.space, back=True)
+        if self._jumps.basis is not None and to_jumps is not None:
+            self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis[0]))
+        self._operator = ConstrainedMatrix(self._galerkin(), PETSc.Mat.Option.SPD)
+        self._dirichlet = owned_on_facets(self._space, spaces.dirichlet_facets)
+        self._has_hierarchy = False
+        self._all = np.arange(self._space.dofmap.index_map.size_local, dtype=np.int32)
+        self._levels = TwoLevel(pc, self._interpolation)
+        choose_smoother(pc, 1, spaces.mesh.topology.dim, jumps=self._jumps.basis is not None)
+        self._levels.coarse.setOperators(self._operator.matrix)
+        if self._jumps.basis is None:
+            use_coarser_meshes(self._levels.coarse.getPC(), self._space, spaces.domain)
+
+    def update(self, conditions: SiteConditions, essential: npt.NDArray[np.int32]) -> None:
+        """Take over new facet conditions, which the system has (collective).
+
+        Args:
+            conditions: Conditions of the Γ_S facets.
+            essential: Owned Crouzeix-Raviart unknowns that are fixed.
+        """
+        if not self._has_hierarchy:
+            self._build_hierarchy()
+        if self._system.follows_cells:
+            self._galerkin().copy(self._operator.natural, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        held = owned_on_facets(self._space, self._spaces.facets[conditions.kind == Condition.ZERO_TRACE])
+        held = np.setdiff1d(held, self._jumps.tips)
+        fixed = np.union1d(self._dirichlet, held).astype(np.int32)
+        self._operator.impose(fixed, self._all, self._lumped_robin(conditions))
+        self._levels.leave_out(essential, fixed)
+
+    def _build_hierarchy(self) -> None:
+        """Build the interpolations once; later only the operators are renewed (collective).
+
+        Those of GAMG come from the problem with all of Γ_S free. If they vanished on Γ_S, they could not correct
+        errors on facets that a later set frees. Vertices that a later set fixes do no harm: the operators have them.
+        """
+        share = 0.0 if self._spaces.held else TIED
+        self._operator.impose(self._dirichlet, self._all, share * self._operator.natural.getDiagonal().array_r)
+        self._levels.coarse.setFromOptions()
+        self._levels.coarse.setUp()
+        self._has_hierarchy = True
+
+    def _galerkin(self) -> PETSc.Mat:
+        """The operator without conditions on facets, without what PETSc keeps for another product (collective)."""
+        product = self._system.natural.ptap(self._interpolation)
+        operator = product.duplicate(copy=True)
+        product.destroy()
+        return operator
+
+    def _lumped_robin(self, conditions: SiteConditions) -> npt.NDArray[np.float64]:
+        robin = conditions.kind == Condition.ROBIN
+        lumped, of_facets = self._interpolation.createVecs()
+        of_facets.set(0.0)
+        added = conditions.beta_where(robin) * self._spaces.facet_measure[robin]
+        of_facets.array_w[self._system.trace_dofs[robin]] = added
+        self._interpolation.multTranspose(of_facets, lumped)
+        return lumped.array_r
+
+
+def facet_means(vertices: fem.FunctionSpace, facets: fem.FunctionSpace) -> PETSc.Mat:
+    """The inclusion of P1 in the Crouzeix-Raviart functions: a facet has the mean of its vertices (collective).
+
+    `dolfinx.fem.petsc.interpolation_matrix` is not used: it takes about as long as the assembly of both stiffness
+    matrices, and stores a 0 for the vertex opposite to each facet.
+
+    Args:
+        vertices: P1.
+        facets: Crouzeix-Raviart functions on the same mesh.
+    """
+    owned, columns, rows = facet_vertices(vertices, facets), vertices.dofmap.index_map, facets.dofmap.index_map
+    d = owned.shape[1]
+    indices = np.sort(columns.local_to_global(owned.ravel()).reshape(owned.shape), axis=1).astype(PETSc.IntType)
+    return PETSc.Mat().createAIJ(
+        [(space.size_local, space.size_global) for space in (rows, columns)],
+        csr=(np.arange(len(owned) + 1, dtype=PETSc.IntType) * d, indices.ravel(), np.full(owned.size, 1 / d)),
+        comm=facets.mesh.comm,
+    )

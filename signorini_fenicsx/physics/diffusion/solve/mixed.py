@@ -1,0 +1,217 @@
+"""The saddle-point backend: (11b)-(11c) on RT0/P0, assembled once, solved with MUMPS unless PETSc options differ."""
+
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from petsc4py import PETSc
+from ufl import Form
+from ufl.core.expr import Expr
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.owned import function_of, owned_values
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.kept_forms import Coefficient
+from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.jumps import with_one_flux
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.solve.facets import FacetBackend
+
+
+class MixedBackend(FacetBackend):
+    """The mixed method as the slides state it: unknowns σ_h and u_h, then p_h from the identity (12).
+
+        (κ_h⁻¹σ, τ) + (u, ∇·τ) = (p, τ·n)_ΓS + (u_D, τ·n)_ΓD,
+        (∇·σ, v) − ((c_h + ε)u, v) = −(f_h, v) − ε(u_before, v).
+
+    ε = 0 is the mixed method. ε > 0 with u_before = 0 is Slimane's stabilisation of it. ε > 0 with another u_before is
+    a step of the proximal iteration u = u_before + (1/ε)(∇·σ + f_h).
+
+    The matrix is assembled once; the unknowns are σ − σ_lift and u. A NO_FLUX facet is an essential condition on its
+    flux degree of freedom, a ZERO_TRACE facet is a natural one, and a ROBIN facet adds to the diagonal. So a step
+    changes only rows and columns of facets, and the sparsity pattern with its symbolic factorisation stays. Laws in Ω
+    fix u in a cell as well, or add to the diagonal, and the residual of its mass balance is the s of its law.
+
+    Attributes:
+        before: u_before.
+    """
+
+    name = "mixed"
+
+    def __init__(self, spaces: Spaces, data: Data, *, stabilisation: float = 0.0):
+        """Assemble (collective).
+
+        Args:
+            spaces: The discrete spaces.
+            data: The data and their means over cells and facets.
+            stabilisation: ε ≥ 0.
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        super().__init__(spaces, data)
+        V, Q = spaces.V, spaces.Q
+        self._stabilisation = stabilisation
+        W = [V, Q]
+        basis = with_one_flux(spaces, sum(space.dofmap.index_map.size_local for space in W))
+        saddle_point = spaces.kept(_saddle_point, *self._coefficients())
+        self._system = ConstrainedMatrix(saddle_point, PETSc.Mat.Option.SYMMETRIC, basis)
+        self._flux_size = V.dofmap.index_map.size_local
+        self.dofs = self._system.matrix.getSize()[0]
+        self._cells = spaces.cell_measures
+        across = spaces.across[0] if spaces.inner.present else spaces.neumann_dofs[:0]
+        self._given = np.concatenate([spaces.neumann_dofs, across])  # these fluxes are never unknown
+        self._load = self._right_side()
+        self.before = fem.Function(Q)
+        self._b, self._x, self._residual = (self._system.matrix.createVecRight() for _ in range(3))
+        self._solver = direct_solver(self._system.matrix, "lu", "mixed_")
+        self._imposed: SiteConditions | None = None
+
+    def renew(self, data: Data) -> bool:
+        """Go on with other data, see `Renewable` (collective)."""
+        same = data.same_operator(self.data, self.spaces)
+        self.data = data
+        if not same:
+            self._system.renew(self.spaces.kept(_saddle_point, *self._coefficients()))
+            self._imposed = None
+        self._load = self._right_side()
+        self.before.x.array[:] = 0.0
+        return True
+
+    def _coefficients(self) -> tuple[Coefficient, Coefficient]:
+        if self.data.c_h is None:
+            return self.data.kappa_h, fem.Constant(self.spaces.mesh, self._stabilisation)
+        c = self.data.c_h.copy()
+        c.x.array[:] += self._stabilisation
+        return self.data.kappa_h, c
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return self._solver.name()
+
+    def solve(self, conditions: SiteConditions) -> Iterate:
+        """Solve as `Backend.solve` says (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        values = np.array(np.broadcast_to(conditions.value, self.sites))
+        return self.respond(conditions, flux=values, trace=values)
+
+    def respond(self, conditions: SiteConditions, *, flux: Array, trace: Array, loaded: bool = True) -> Iterate:
+        """Solve with given values of σ·n on NO_FLUX facets and of p on ZERO_TRACE facets (collective).
+
+        Args:
+            conditions: Conditions on the sites, whose own values are those of ROBIN facets only.
+            flux: σ·n − q_S per site.
+            trace: p − ψ per site.
+            loaded: If False, all data and u_before are replaced by 0.
+
+        Raises:
+            LinearSolveFailure: If the linear solver does not converge.
+        """
+        spaces, b, x, residual = self.spaces, self._b, self._x, self._residual
+        self._impose(conditions)
+        given_flux, given_trace = (conditions.kind == kind for kind in (Condition.NO_FLUX, Condition.ZERO_TRACE))
+        inside, held, in_cells = self.data.inside, self.cells.of(given_trace), self.cells.of(conditions)
+        on_facets, given = self.facets.of(conditions), self.facets.of(given_flux)
+        load = np.empty(0) if inside is None else inside.as_linear(in_cells)[1]
+        essential = np.append(spaces.flux_dofs[given], self._of_cells(held))
+        values = (self.facets.of(flux) * spaces.facet_measure / spaces.basis_flux)[given]
+        values = np.append(values, load[held])
+        x.set(0.0)
+        x.array_w[essential] = values
+        self._system.natural.mult(x, b)
+        b.scale(-1.0)
+        b.array_w[spaces.flux_dofs] += self.facets.of(np.where(given_trace, trace, 0.0)) * spaces.basis_flux
+        robin = on_facets.kind == Condition.ROBIN
+        of_robin = on_facets.values_where(robin) / on_facets.beta_where(robin)
+        b.array_w[spaces.flux_dofs[robin]] += of_robin * spaces.basis_flux[robin]
+        if loaded:
+            b.array_w[:] += self._load
+            b.array_w[self._flux_size :] -= self._stabilisation * self._cells * owned_values(self.before)
+            if inside is not None:
+                b.array_w[self._flux_size :] -= self._cells * load
+        b.array_w[self._given] = 0.0
+        b.array_w[essential] = values
+        self._solver.solve(b, x)
+
+        self._system.natural.mult(x, residual)
+        if loaded:
+            residual.array_w[:] -= self._load
+        p = residual.array_r[spaces.flux_dofs] / spaces.basis_flux  # (12) with τ_h = the facet's basis function
+        sigma, u = self._fields(x)
+        normal_flux = spaces.normal_flux(sigma)
+        if inside is not None:
+            p = np.append(p, owned_values(u) - inside.means)
+            normal_flux = np.append(normal_flux, -residual.array_r[self._flux_size :] / self._cells)
+        p, normal_flux = conditions.clean(p, normal_flux, self.data.conductance)
+        if loaded:
+            sigma.x.array[:] += self.data.sigma_lift.x.array
+        spaces.carry_across(sigma)
+        return Iterate(
+            p=np.where(given_trace, trace, p),
+            flux=np.where(given_flux, flux, normal_flux),
+            linear_iterations=self._solver.ksp.getIterationNumber(),
+            sigma=sigma,
+            u=u,
+        )
+
+    def _of_cells(self, cells: Mask) -> npt.NDArray[np.int32]:
+        """The unknowns u of some cells."""
+        return (self._flux_size + np.flatnonzero(cells)).astype(np.int32)
+
+    def _impose(self, conditions: SiteConditions) -> None:
+        """Make the matrix that of these conditions (collective)."""
+        if conditions.same(self._imposed, self.comm):
+            return
+        spaces, in_cells = self.spaces, self.cells.of(conditions)
+        of_cells, sloped = (self._of_cells(in_cells.kind == kind) for kind in (Condition.ZERO_TRACE, Condition.ROBIN))
+        self._imposed, conditions = conditions, self.facets.of(conditions)
+        no_flux, robin = conditions.kind == Condition.NO_FLUX, conditions.kind == Condition.ROBIN
+        # (1/β)(σ·n, τ·n)_e is one diagonal entry per ROBIN facet: its basis function alone has a flux there.
+        added = (spaces.basis_flux**2 / spaces.facet_measure)[robin] / conditions.beta_where(robin)
+        essential = np.concatenate([self._given, spaces.flux_dofs[no_flux], of_cells])
+        grows = in_cells.kind == Condition.ROBIN
+        added = np.append(added, -self._cells[grows] * in_cells.beta_where(grows) if len(sloped) else np.empty(0))
+        self._system.impose(essential, np.append(spaces.flux_dofs[robin], sloped), added)
+
+    def _right_side(self) -> Array:
+        """Right side for σ − σ_lift and u, with u_D on Γ_D and ψ on Γ_S: owned entries (collective)."""
+        spaces, data, size = self.spaces, self.data, self._flux_size
+        lift, right = self._system.natural.createVecs()
+        lift.set(0.0)
+        lift.array_w[:size] = data.sigma_lift.x.array[:size]
+        self._system.natural.mult(lift, right)
+        right.scale(-1.0)
+        right.array_w[:size] += assembled(spaces.kept(_traces, data.u_lift))[:size]
+        right.array_w[size:] -= assembled(spaces.kept(_load, data.f_h))[: len(self._cells)]
+        return right.array_r.copy()
+
+    def _fields(self, x: PETSc.Vec) -> tuple[fem.Function, fem.Function]:
+        """σ_h − σ_lift and u_h (collective)."""
+        sigma, u = np.split(x.array_r, [self._flux_size])
+        return function_of(self.spaces.V, sigma, "sigma"), function_of(self.spaces.Q, u, "u")
+
+
+def _saddle_point(spaces: Spaces, kappa: Expr, c: Expr) -> list[list[Form]]:
+    """[(κ_h⁻¹σ, τ), (u, ∇·τ); (∇·σ, v), −(cu, v)]."""
+    W = ufl.MixedFunctionSpace(spaces.V, spaces.Q)
+    (sigma, u), (tau, v) = ufl.TrialFunctions(W), ufl.TestFunctions(W)
+    block = -c * u * v * ufl.dx  # stored even where 0, for MatZeroRowsColumns
+    blocks = flux_equation(sigma, u, tau, ufl.dx, kappa) + mass_balance(sigma, v, ufl.dx) + block  # (11b), (11c)
+    extracted: list[list[Form]] = ufl.extract_blocks(blocks)
+    return extracted
+
+
+def _traces(spaces: Spaces, u_lift: Expr) -> Form:
+    return trace_term(u_lift, ufl.TestFunction(spaces.V), spaces.n, spaces.ds_dirichlet + spaces.ds)
+
+
+def _load(spaces: Spaces, f_h: Expr) -> Form:
+    return load(f_h, ufl.TestFunction(spaces.Q), ufl.dx)

@@ -1,0 +1,154 @@
+"""The penalty formulations (25) and (26) by PETSc SNES: RT0, P0 and the facet multiplier as one block system."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem.petsc import NonlinearProblem, assign
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.history import OnStep, Outcome
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
+from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law
+from signorini_fenicsx.linear.petsc import set_direct, snes_failure, solver_name, take_options
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.solve.recorder import Recorder
+from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask
+
+PREFIX = "newton_"
+"""Prefix of its PETSc options."""
+CONTINUATION = 10.0
+"""Factor between successive ε when the direct start fails."""
+
+
+def solve_by_newton(penalty: Penalty, task: DiffusionTask) -> Outcome:
+    """(25) or (26) by SNES (collective).
+
+    Raises:
+        InputError: If PETSc refuses an option.
+    """
+    with task.watch.phase("assembly"):
+        newton = PenaltyNewton(task.spaces, task.data, penalty, eps=task.eps, max_iterations=task.max_iterations)
+    return newton.solve(task.on_step)
+
+
+class PenaltyNewton:
+    """Semismooth Newton for (MPε-I)_h or (MPε-II)_h by PETSc SNES.
+
+    SNES gets the laws without 1/ε of `forms/penalty.py` and their derivative by UFL, for σ − σ_lift, u and p − ψ. The
+    user may set all its options: -snes_monitor, -snes_linesearch_type bt, -newton_snes_type newtontr, …
+    """
+
+    def __init__(self, spaces: Spaces, data: Data, penalty: Penalty, *, eps: float, max_iterations: int):
+        """Compile the forms and set up SNES (collective).
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self._spaces, self._data, self._penalty, self._eps = spaces, data, penalty, eps
+        V, Q, Lambda = spaces.V, spaces.Q, spaces.Lambda
+        self._fields = fem.Function(V, name="sigma"), fem.Function(Q, name="u"), fem.Function(Lambda, name="p")
+        sigma, u, p = self._fields
+        tau, v, q = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TestFunction(Lambda)
+        self._eps_now = fem.Constant(spaces.mesh, eps)
+        self._reset()
+        law = trace_penalty_law if penalty is Penalty.TRACE else flux_penalty_law
+        flux, n, dx, ds = sigma + data.sigma_lift, spaces.n, ufl.dx, spaces.ds
+        of_data = trace_term(data.u_lift, tau, n, spaces.ds_dirichlet + ds)
+        source = data.f_h if data.c_h is None else data.f_h - data.c_h * u
+        residual = [
+            flux_equation(flux, u, tau, dx, data.kappa_h) - trace_term(p, tau, n, ds) - of_data,  # (25a)
+            mass_balance(flux, v, dx) + load(source, v, dx),  # (25b)
+            law(sigma, p, q, self._eps_now, n, ds),
+        ]
+        self._problem = NonlinearProblem(
+            residual,
+            list(self._fields),
+            kind="mpi",
+            bcs=[fem.dirichletbc(fem.Function(V), spaces.neumann_dofs)],
+            entity_maps=[spaces.entity_map],
+            petsc_options_prefix="signorini_",  # required; with defaults DOLFINx would delete the user's options
+        )
+        self._snes = self._problem.solver
+        self._set_defaults(max_iterations)
+        self._snes.setOptionsPrefix("")
+        take_options(self._snes, PREFIX)
+
+    def _set_defaults(self, max_iterations: int) -> None:
+        """Full Newton steps with MUMPS until a step is tiny; a small residual is no test, its set may be wrong."""
+        snes = self._snes
+        snes.setType("newtonls")
+        snes.getLineSearch().setType("basic")
+        snes.setTolerances(rtol=0.0, atol=0.0, stol=LINEAR, max_it=max_iterations)
+        snes.setDivergenceTolerance(PETSc.UNLIMITED)
+        set_direct(snes.getKSP(), "lu")
+
+    def solve(self, on_step: OnStep = lambda step: None) -> Outcome:
+        """Solve, directly or, if that fails, by continuation in ε from 1 down (collective)."""
+        start = self._iterate()
+        recorder = Recorder(self._spaces, start, self._conditions(start), on_step)
+
+        def record(snes: PETSc.SNES, iteration: int, _norm: float) -> None:
+            if iteration > 0:
+                assign(snes.getSolution(), list(self._fields))
+                iterate = self._iterate()
+                recorder.add(iterate, self._conditions(iterate))
+
+        failure = self._newton(self._eps, record)
+        remark = ""
+        if failure is not None and self._eps < 1:
+            remark = f", by continuation from ε = 1: the direct start ended with {failure}"
+            self._reset()
+            stages = int(np.ceil(-np.log(self._eps) / np.log(CONTINUATION)))
+            for exponent in range(stages + 1):
+                failure = self._newton(self._eps ** (exponent / stages), record)
+        self._snes.cancelMonitor()  # PETSc and this object hold each other: a cycle that Python cannot collect
+        iterate = self._iterate()
+        state, reason = (iterate, self._conditions(iterate)), (failure or "SNES converged") + remark
+        solver = f"{self._snes.getType()}+{solver_name(self._snes.getKSP())}"
+        system = "mixed", self._problem.x.getSize(), solver
+        return recorder.outcome(state, reason, system, converged=failure is None)
+
+    def _reset(self) -> None:
+        """The start: 0, or without Γ_D contact everywhere: otherwise the first problem is a Neumann problem."""
+        for field in self._fields:
+            field.x.array[:] = 0.0
+        if not self._spaces.has_dirichlet:
+            self._fields[2].x.array[:] = -1.0
+
+    def _newton(self, eps: float, record: Callable[[PETSc.SNES, int, float], None]) -> str | None:
+        """One run of SNES from the current fields; return the reason of its failure, or None (collective)."""
+        self._eps_now.value[...] = eps
+        self._snes.cancelMonitor()
+        take_options(self._snes, PREFIX)  # cancelling removed the user's monitors as well
+        self._snes.setMonitor(record)
+        return snes_failure(self._snes, self._problem.solve, PREFIX)
+
+    def _iterate(self) -> Iterate:
+        """A copy of the current fields, with the exact values that their facet conditions prescribe (collective)."""
+        sigma, u, p = (field.copy() for field in self._fields)
+        sigma.x.scatter_forward()
+        u.x.scatter_forward()
+        size = len(self._spaces.facets)
+        trace = p.x.array[:size].astype(np.float64)
+        flux = self._spaces.normal_flux(sigma)
+        sigma.x.array[:] += self._data.sigma_lift.x.array
+        linear_iterations = self._snes.getKSP().getIterationNumber()
+        raw = Iterate(p=trace, flux=flux, linear_iterations=linear_iterations, sigma=sigma, u=u)
+        p_clean, flux_clean = self._conditions(raw).clean(raw.p, raw.flux, self._data.conductance)
+        return replace(raw, p=p_clean, flux=flux_clean)
+
+    def _conditions(self, iterate: Iterate) -> SiteConditions:
+        """The branch of min that each facet is on, as facet conditions."""
+        p, flux = self._penalty.shift(iterate.p, iterate.flux, self._eps)
+        if self._penalty is Penalty.TRACE:
+            kind = np.where(flux < p, Condition.NO_FLUX, Condition.ROBIN)
+        else:
+            kind = np.where(p < flux, Condition.ZERO_TRACE, Condition.ROBIN)
+        return SiteConditions(kind.astype(np.int8), self._penalty.beta(self._eps))

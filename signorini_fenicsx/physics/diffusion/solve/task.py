@@ -1,0 +1,84 @@
+"""What a method gets of a diffusion problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Indices
+from signorini_fenicsx.contact.backend import Backend, Iterate
+from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.floating import Floating
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.discrete.contact_sets import Segments
+from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM
+from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, kkt_residuals
+from signorini_fenicsx.physics.diffusion.solve.solvability import floating_sites
+
+COARSENING_IN_CELLS = 2.0
+"""Mesh size of the coarser mesh of a prediction with laws in Ω, divided by that of the finer mesh."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiffusionTask(Task):
+    """A discrete diffusion problem and the parameters of its method.
+
+    Attributes:
+        alone: Gives what runs a method that only diffusion has, by its name there.
+    """
+
+    spaces: Spaces
+    data: Data
+    alone: Callable[[str], Callable[..., Outcome]]
+    start: Segments | None = None
+
+    def is_large(self, _backend: object) -> bool:
+        """Whether the mesh has so many facets that a prediction saves more than it costs."""
+        return self.tuning.predicts(self.spaces.facets_of_mesh, PREDICT_FROM)
+
+    def coarsening(self, backend: object) -> float | None:
+        """See `Task.coarsening`; None in space, where a mesh that coarse predicts too little for its cost.
+
+        With laws in Ω the edge of a set of cells, such as those on an obstacle, moves by one cell per step from a cold
+        start, so that the number of steps grows like 1/h. From the contact on a mesh that is coarser by 2 a few steps
+        are left.
+        """
+        facets, tuning = self.spaces.facets_of_mesh, self.tuning
+        if self.data.inside is not None:
+            return COARSENING_IN_CELLS if facets >= tuning.predict_in_cells_from else None
+        fine = self.spaces.mesh.topology.dim == 2 and facets >= tuning.coarsen_from
+        return tuning.coarsening if fine and self.is_large(backend) else None
+
+    def begin(self, _backend: object, start: Segments) -> Indices:
+        """The segments on another mesh: for a facet that at its midpoint, for a cell that of the cell there."""
+        return start.on(self.spaces).segment
+
+    def own_start(self, backend: Backend[Iterate]) -> SiteConditions | None:
+        """The steepest segments if there is no Γ_D: an algorithm's own start may be a Neumann problem."""
+        return None if self.spaces.held else backend.chains.conditions(backend.chains.steepest())
+
+    def found(self, _backend: object, segment: Indices) -> Segments:
+        """The segments (collective)."""
+        return Segments(self.spaces, segment)
+
+    def floating(self) -> Floating | None:
+        """The components that have neither facets of Γ_D nor cells with a term cu (collective)."""
+        return floating_sites(self.spaces, self.data)
+
+    def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
+        """KKT residuals of an iterate (collective)."""
+        p = self.spaces.multiplier(self.spaces.site_kinds["facet"].of(iterate.p) + self.data.psi_h)
+        return kkt_residuals(self.spaces, self.data, iterate.sigma, iterate.u, p, penalty, self.eps)
+
+
+def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:
+    """σ = 0, u = 0, p = 0 and NO_FLUX everywhere: the start of the history of a method that has no start solve."""
+    zero = np.zeros(len(spaces.facets))
+    iterate = Iterate(p=zero, flux=zero, linear_iterations=0, sigma=fem.Function(spaces.V), u=fem.Function(spaces.Q))
+    return iterate, SiteConditions.everywhere(Condition.NO_FLUX, len(zero))

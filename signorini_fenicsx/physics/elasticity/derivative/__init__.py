@@ -1,0 +1,1 @@
+"""Solutions of elastic problems, linearised: how they change with their data."""

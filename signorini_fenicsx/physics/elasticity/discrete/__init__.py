@@ -1,0 +1,1 @@
+"""Spaces, data and laws of elastic problems on a mesh."""

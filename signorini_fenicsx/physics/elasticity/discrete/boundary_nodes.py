@@ -1,0 +1,344 @@
+"""Nodes of a conforming displacement on the boundary: where it is given, and what it must not pass.
+
+On each facet of Γ_D, Γ_C and of parts that are fixed in some components, a displacement has coefficients in Bernstein's
+basis. As a polynomial is a mean of its coefficients, v_n ≤ g on a facet if the coefficients are in that relation. A
+node has one such condition for each of its facets of Γ_C, each along the normal of that facet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import basix
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+from mpi4py import MPI
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.base.text import place_in_words
+from signorini_fenicsx.base.tolerances import LINEAR
+from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.points import from_within, in_facets
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
+from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.vector_datum import VectorDatum
+from signorini_fenicsx.physics.elasticity.problem import NORMAL
+
+ALONG = 1e-12
+"""v is given at a node along directions on which the squares of what is given of unit directions add up to more."""
+HALVINGS = 3
+"""How often the edges of facets in space are halved where lengths of vectors are integrated."""
+TURNED = 0.5
+"""The sine of the angle by which the normal of a facet may differ from that of a curved body."""
+
+
+@dataclass(frozen=True)
+class GivenNodes:
+    """Given displacements at the nodes of this rank, ghosts too, each node with an orthonormal frame.
+
+    Attributes:
+        frames: Directions, a column each, shape (nodes, d, d): first those in which v is given; inner nodes have the
+            axes.
+        given: Whether v is given along each of them, shape (nodes, d).
+        values: v along these, and 0 along the others, shape (nodes, d).
+        apart: How far a facet of this rank is from what its nodes have, at most, and the place, in words. It is more
+            than rounding where parts meet on which different displacements are given.
+    """
+
+    frames: Array
+    given: Mask
+    values: Array
+    apart: tuple[float, str] = (0.0, "")
+
+
+@dataclass(frozen=True)
+class FacetCoefficients:
+    """Facets on the split mesh or a part of it, and the nodes of a displacement on each.
+
+    Attributes:
+        facets: The facets.
+        rows: Where they are among those asked for.
+        cells: The cell of the split mesh behind each, which is opposite to its last vertex.
+        nodes: Shape (facets, coefficients).
+        degree: Of the displacement.
+    """
+
+    facets: BoundaryFacets
+    rows: Indices
+    cells: Indices
+    nodes: npt.NDArray[np.int32]
+    degree: int
+
+    @cached_property
+    def _element(self) -> basix.finite_element.FiniteElement:
+        facet = SIMPLEX[self.facets.vertices.shape[2] - 1]
+        return basix.create_element(basix.ElementFamily.P, facet, self.degree, basix.LagrangeVariant.bernstein)
+
+    def basis(self, points: Array) -> Array:
+        """Bernstein's basis in points of the reference facet, shape (points, coefficients)."""
+        return self._element.tabulate(0, points)[0, :, :, 0]
+
+    def lengths(self, vectors: Array, bound: Array, moments: Array) -> Array:
+        """Bounds of the means of g|v| over facets: |v| is at most a mean of the lengths of its coefficients.
+
+        In space these are the coefficients on parts of a facet, on which v turns less.
+
+        Args:
+            vectors: The coefficients of v, shape (facets, coefficients, components).
+            bound: G ≥ 0 at the vertices, linear between them, shape (facets, d).
+            moments: ∫ φ_a B for the hats and the basis, the facet being of measure 1, shape (d, coefficients).
+        """
+        hats, on_parts = self._parts
+        lengths = np.linalg.norm(np.einsum("pkl,nlm->npkm", on_parts, vectors), axis=3)
+        weights = np.einsum("pab,nb->npa", hats, bound) @ moments
+        return np.asarray((weights * lengths).sum(axis=(1, 2)) / len(hats))
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        """The hats at the vertices of the parts of a facet, and the coefficients on each from those on the facet.
+
+        Shapes (parts, d, d) and (parts, coefficients, coefficients). An edge is one part.
+        """
+        corners = np.eye(self.facets.vertices.shape[2])[None]
+        for _ in range(HALVINGS if corners.shape[1] == 3 else 0):
+            a, b, c = (corners[:, i] for i in range(3))
+            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+            quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+            corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
+        points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        places = (hats @ corners)[:, :, 1:]
+        values = self.basis(places.reshape(-1, places.shape[2])).reshape(len(corners), len(points), -1)
+        return corners, np.linalg.inv(self.basis(points)) @ values
+
+    @property
+    def hats(self) -> Array:
+        """The hats of the vertices in the points of the coefficients, shape (coefficients, d).
+
+        A linear function has the coefficients that are its values in these points.
+        """
+        cell = self._element.cell_type
+        lagrange = basix.create_element(basix.ElementFamily.P, cell, self.degree, basix.LagrangeVariant.equispaced)
+        return np.column_stack([1 - lagrange.points.sum(axis=1), lagrange.points])
+
+    def places(self) -> Array:
+        """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""
+        return np.asarray(self.hats @ self.facets.vertices)
+
+    def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum | NormalLaw) -> Array:
+        """Coefficients of the polynomials that interpolate at equidistant points (collective).
+
+        What is not a polynomial may jump where a punch ends, so the values are limits from inside the facets.
+        """
+        points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
+        at = in_facets(mesh, self.facets.facets, points)
+        values = from_within(datum.values, at) if datum.polynomial is None else datum.values(at)
+        steps = np.rint(self.degree * np.column_stack([1 - points.sum(axis=1), points])).astype(np.int64)
+        weights = (self.degree + 1) ** np.arange(steps.shape[1])
+        number_of = np.zeros(weights[-1] * (self.degree + 1), dtype=np.int64)
+        number_of[steps @ weights] = np.arange(len(points))
+        where = number_of[weights[self.facets.ranking] @ steps.T]  # the points in the order of the facet's vertices
+        at_points = np.take_along_axis(values, where.reshape(*where.shape, *[1] * (values.ndim - 2)), axis=1)
+        return np.einsum("kp,np...->nk...", np.linalg.inv(self.basis(points)), at_points)
+
+
+def facet_coefficients(split: SplitMesh, space: fem.FunctionSpace, facets: BoundaryFacets) -> FacetCoefficients:
+    """The nodes in a space on the split mesh or a part of it, on those of the facets that it has."""
+    behind = split.cells[facets.cells, facets.local]
+    rows = np.flatnonzero(behind >= 0)
+    element = space.element.basix_element
+    nodes = space.dofmap.list[behind[rows]][:, element.entity_closure_dofs[-2][-1]]
+    return FacetCoefficients(facets.take(rows), rows, behind[rows], nodes, element.degree)
+
+
+@dataclass(frozen=True)
+class ContactCoefficients(FacetCoefficients):
+    """The facets of Γ_C; where two bodies touch they are those of the named side.
+
+    Attributes:
+        touched: Which of them are inside the domain, ascending.
+        across: The nodes of their other sides, in the same places, shape (touched, coefficients).
+    """
+
+    touched: Indices
+    across: npt.NDArray[np.int32]
+
+    def jump(self, values: Array) -> Array:
+        """Values of nodes on the facets, less those of the other side where there is one: (facets, coefficients, …)."""
+        jumps = values[self.nodes]
+        jumps[self.touched] -= values[self.across]
+        return jumps
+
+    def openings(self, mesh: dolfinx.mesh.Mesh, data: ElasticData) -> Array:
+        """The coefficients of g, less p at the references of the laws (collective)."""
+        openings = self.of(mesh, data.gap)
+        for law in data.laws.of_parts:
+            mine = np.flatnonzero(np.isin(self.rows, law.rows))
+            part = FacetCoefficients(
+                self.facets.take(mine), self.rows[mine], self.cells[mine], self.nodes[mine], self.degree
+            )
+            openings[mine] -= part.of(mesh, law)
+        return openings
+
+    def pairs(self, rows: Indices, places: Indices) -> tuple[Indices, Array]:
+        """The two nodes whose values make the jump at some places of facets, and their signs, shape (places, 2) each.
+
+        Where there is only one node, on a foundation or at the edge of a cut, it is there twice, with signs 1 and 0 or
+        0 and 0.
+        """
+        nodes = np.repeat(self.nodes[rows, places][:, None], 2, axis=1).astype(np.int64)
+        inside = np.isin(rows, self.touched)
+        nodes[inside, 1] = self.across[np.searchsorted(self.touched, rows[inside]), places[inside]]
+        signs = np.column_stack([np.ones(len(rows)), np.where(inside, -1.0, 0.0)])
+        signs[inside & (nodes[:, 0] == nodes[:, 1])] = 0.0
+        return nodes, signs
+
+    def of_jumps(self, rows: Indices) -> tuple[Indices, Array]:
+        """The nodes of both sides of some facets and their signs in the jump, shape (facets, 2 coefficients) each."""
+        number = self.nodes.shape[1]
+        places = np.tile(np.arange(number), len(rows))
+        nodes, signs = self.pairs(np.repeat(rows, number), places)
+        shape = len(rows), 2 * number
+        return nodes.reshape(shape), signs.reshape(shape)
+
+
+def contact_coefficients(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> ContactCoefficients:
+    """The nodes of Γ_C on the split mesh, or on a part of it that has both sides of a facet or none."""
+    named = facet_coefficients(split, space, spaces.contact)
+    other = facet_coefficients(split, space, spaces.across)
+    touched = np.searchsorted(named.rows, spaces.inner.rows[other.rows])
+    order = np.argsort(touched)
+    return ContactCoefficients(**vars(named), touched=touched[order], across=other.nodes[order])
+
+
+def given_nodes(
+    spaces: ElasticSpaces, data: ElasticData, split: SplitMesh, space: fem.FunctionSpace, v: fem.Function | None = None
+) -> GivenNodes:
+    """Collect what is given at the nodes from the facets of all ranks (collective).
+
+    Args:
+        spaces: The spaces.
+        data: The data.
+        split: The split mesh, or a part of it.
+        space: Displacements on that.
+        v: A displacement in this space; it is given in the place of u_D, and where the part ends inside the domain.
+    """
+    dim, index_map = spaces.dim, space.dofmap.index_map
+    products, pulls = la.vector(index_map, dim**2), la.vector(index_map, dim)  # sums of d dᵀ and of (d·u_D)d
+    on_facets = []
+    for facets, k, letter in spaces.fixed:
+        coefficients = facet_coefficients(split, space, facets)
+        axis = np.broadcast_to(np.eye(dim)[k], coefficients.facets.normals.shape)
+        directions = (coefficients.facets.normals if letter == NORMAL else axis)[:, None]
+        displacement = (
+            coefficients.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[coefficients.nodes]
+        )
+        along = np.einsum("nai,nbi->na", displacement, directions)
+        on_facets.append((coefficients, directions[:, 0], displacement))
+        add_at(products, coefficients.nodes, np.einsum("nbi,nbj->nbij", directions, directions))
+        add_at(pulls, coefficients.nodes, along[:, :, None] * directions)
+    if v is not None:
+        ends = _ends(spaces, split, space)
+        products.array.reshape(-1, dim, dim)[ends] += np.eye(dim)
+        pulls.array.reshape(-1, dim)[ends] += v.x.array.reshape(-1, dim)[ends]
+    for sums in (products, pulls):
+        sums.scatter_reverse(la.InsertMode.add)
+        sums.scatter_forward()
+    given = _framed(products.array.reshape(-1, dim, dim), pulls.array.reshape(-1, dim))
+    return replace(given, apart=max([(0.0, ""), *_apart(given, on_facets)]))
+
+
+def _apart(
+    given: GivenNodes, on_facets: Sequence[tuple[FacetCoefficients, Array, Array]]
+) -> Iterator[tuple[float, str]]:
+    """How far the facets of each part are from what their nodes have, at most, and the place, see `GivenNodes`."""
+    at_nodes = np.einsum("nij,nj->ni", given.frames, given.values)
+    onto = np.einsum("nij,nj,nkj->nik", given.frames, given.given, given.frames)
+    for coefficients, directions, displacement in on_facets:
+        nodes = coefficients.nodes
+        off = at_nodes[nodes] - np.einsum("nkij,nkj->nki", onto[nodes], displacement)
+        apart = np.abs(np.einsum("nki,ni->nk", off, directions))
+        if apart.size:
+            facet, place = np.unravel_index(int(apart.argmax()), apart.shape)
+            yield float(apart[facet, place]), place_in_words(coefficients.places()[facet, place])
+
+
+def _ends(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> npt.NDArray[np.int32]:
+    """Nodes where a part of the split mesh ends inside the domain (collective)."""
+    dim, topology = spaces.dim, split.mesh.topology
+    topology.create_connectivity(dim - 1, dim)
+    topology.create_connectivity(dim, dim - 1)
+    boundary = [spaces.contact, spaces.across, spaces.neumann, spaces.dirichlet]
+    behind = np.concatenate([facet_coefficients(split, space, facets).cells for facets in boundary])
+    of_domain = topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[behind, dim]
+    ends = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), of_domain)
+    return fem.locate_dofs_topological(space, dim - 1, ends.astype(np.int32), remote=False)
+
+
+def _framed(products: Array, pulls: Array) -> GivenNodes:
+    number, dim = pulls.shape
+    frames = np.broadcast_to(np.eye(dim), (number, dim, dim)).copy()
+    is_given, values = np.zeros((number, dim), dtype=bool), np.zeros((number, dim))
+    some = np.flatnonzero(np.einsum("nii->n", products) > 0)
+    sizes, vectors = np.linalg.eigh(products[some])
+    sizes, frames[some] = sizes[:, ::-1], vectors[:, :, ::-1]
+    is_given[some] = sizes > ALONG
+    along = np.einsum("nij,ni->nj", frames[some], pulls[some])
+    values[some] = np.where(is_given[some], along / np.where(is_given[some], sizes, 1.0), 0.0)
+    return GivenNodes(frames, is_given, values)
+
+
+def add_at(sums: la.Vector, nodes: npt.NDArray[np.int32], values: Array) -> None:
+    """Add values of nodes to them; they may be the same for all nodes of a facet."""
+    rows = sums.array.reshape(-1, sums.block_size)
+    np.add.at(rows, nodes, values.reshape(*values.shape[: nodes.ndim], sums.block_size))
+
+
+def given_along_normals(contact: ContactCoefficients, at: GivenNodes) -> tuple[Array, Array]:
+    """What is given of v_n, or of its jump, at the coefficients on Γ_C, −∞ where some of it is not; the jump of v."""
+    normals, jump = contact.facets.normals, contact.jump(np.einsum("nij,nj->ni", at.frames, at.values))
+    left = np.einsum("nij,nj,nkj->nik", at.frames, ~at.given, at.frames)  # onto what is not given at a node
+    sums = left[contact.nodes]
+    sums[contact.touched] += left[contact.across]
+    free = np.einsum("nkij,ni,nj->nk", sums, normals, normals)
+    return np.where(free <= ALONG, np.einsum("nki,ni->nk", jump, normals), -np.inf), jump
+
+
+def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
+    """Make sure that what is given of u does not pass the foundation where parts meet (collective).
+
+    There no displacement could satisfy both. On a curved Γ_C the facets have other normals than the body, so what is
+    less than the share `TURNED` of the given displacement is let pass here; the certificate judges it.
+
+    Raises:
+        InputError: If it does; the place is told.
+    """
+    split, dim, comm = spaces.split, spaces.dim, spaces.mesh.comm
+    element = basix.ufl.element("P", split.mesh.basix_cell(), 1, basix.LagrangeVariant.bernstein, shape=(dim,))
+    space = fenicsx.function_space(split.mesh, element)
+    at, contact = given_nodes(spaces, data, split, space), contact_coefficients(spaces, split, space)
+    lowest = data.laws.chains.extent()[0].reshape(-1, dim).max(axis=1)[contact.rows]
+    gap, (passed, jump) = contact.openings(spaces.mesh, data) - lowest[:, None], given_along_normals(contact, at)
+    past = passed - gap - TURNED * np.linalg.norm(jump, axis=2)
+    sizes = np.where(np.isfinite(gap), np.abs(gap), 0.0)
+    size = comm.allreduce(float(max(np.abs(at.values).max(initial=0.0), sizes.max(initial=0.0))), MPI.MAX)
+    worst = float(past.max(initial=-np.inf)), ""
+    if worst[0] > LINEAR * size + spaces.displacement_rounding:
+        facet, place = np.unravel_index(int(past.argmax()), past.shape)
+        u_n, g, x = passed[facet, place], gap[facet, place], place_in_words(contact.places()[facet, place])
+        worst = worst[0], f"u_n = {u_n:.4g} is given and the gap is {g:.4g} at {x}"
+    _, told = max(comm.allgather(worst))
+    if told:
+        raise InputError(
+            f"[problem] u_D passes the foundation where parts meet, {told}: no displacement satisfies both"
+        )

@@ -1,0 +1,170 @@
+"""What is given on facets: moments of data against the hats of the vertices, and tractions with their loads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+from dolfinx import la
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.discrete.data_values import check_means
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
+from signorini_fenicsx.discrete.points import in_facets
+from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum, vector_datum_of
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, GivenVector
+
+DEGREE, LARGEST_DEGREE = DEGREES
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A traction on a part of Γ_N or Γ_C besides those of the problem, or of its foundation.
+
+    Attributes:
+        facets: The facets of the part.
+        datum: The traction.
+        moments: ∫ value φ_a, shape (facets, d, d).
+    """
+
+    facets: BoundaryFacets
+    datum: VectorDatum | PressureDatum
+    moments: Array
+
+
+def facet_rule(dim: int, degree: int) -> tuple[Array, Array]:
+    """Points and weights of the reference facet, exact for hats times a polynomial of this degree."""
+    points, weights = basix.make_quadrature(SIMPLEX[dim - 1], min(degree + 1, LARGEST_DEGREE))
+    return points, weights
+
+
+def facet_moments(
+    spaces: ElasticSpaces, name: str, datum: Datum | VectorDatum | PressureDatum, facets: BoundaryFacets, where: str
+) -> Array:
+    """∫ value φ_a over facets (collective).
+
+    Raises:
+        InputError: If the values are not finite, or of no usable size.
+    """
+    degree = DEGREE if datum.polynomial is None else datum.polynomial
+    points = in_facets(spaces.mesh, facets.facets, *facet_rule(spaces.dim, degree))
+    values = datum.values(points)
+    check_means(name, where, values, spaces)
+    return facets.moments(values, points.points, points.weights)
+
+
+def tractions_given(spaces: ElasticSpaces, problem: ElasticProblem) -> dict[str, VectorDatum | PressureDatum]:
+    """The tractions and pressures by part (collective).
+
+    Raises:
+        InputError: If a text cannot be read, a part is unknown, or it has both.
+    """
+    by_part = problem.g_N if isinstance(problem.g_N, Mapping) else {"": problem.g_N} if problem.g_N is not None else {}
+    tractions: dict[str, VectorDatum | PressureDatum] = {
+        part: vector_datum_of(spaces, f"g_N.{part}".rstrip("."), each) for part, each in by_part.items()
+    }
+    for part, given in problem.pressure.items():
+        name = f"pressure.{part}"
+        if part in tractions or "" in tractions:
+            raise InputError(f"[problem] {name}: a traction g_N is given there, too; give one of them, by part")
+        _check_loaded(spaces, "pressure", part)
+        datum = datum_of(spaces, name, parsed(given, "xyz"[: spaces.dim], f"[problem] {name}"))
+        tractions[part] = PressureDatum(name, datum, spaces.part(part).normals)
+    return tractions
+
+
+def _check_loaded(spaces: ElasticSpaces, key: str, part: str) -> None:
+    """Refuse a load on a part that is not in Γ_N.
+
+    Raises:
+        InputError: If it is not.
+    """
+    loaded = [*spaces.boundary.neumann, *spaces.boundary.fixed]
+    if part not in loaded:
+        where = f"only on {', '.join(loaded)}" if loaded else "as no part is in Γ_N"
+        raise InputError(f"[problem] {key}: no traction is given on part '{part}', {where}")
+
+
+def traction_moments(spaces: ElasticSpaces, g_N: Mapping[str, VectorDatum | PressureDatum]) -> Array:
+    """∫ g_N φ_a over the facets of `spaces.neumann`; 0 on parts without one (collective).
+
+    Raises:
+        InputError: If σn is given on no such part.
+    """
+    facets = spaces.neumann
+    moments = np.zeros((len(facets.facets), spaces.dim, spaces.dim))
+    for name, datum in g_N.items():
+        if name:
+            _check_loaded(spaces, "g_N", name)
+        part = spaces.part(name) if name else facets
+        rows = np.searchsorted(facets.facets, part.facets)
+        moments[rows] = facet_moments(spaces, datum.name, datum, part, "where the traction is given")
+    return moments
+
+
+def add_tractions(spaces: ElasticSpaces, moments: Array, pulled: Array, load: la.Vector) -> None:
+    """⟨g_N, q⟩ on Γ_N, on parts that are fixed in some components, and on Γ_C, each for its own unknowns."""
+    size, contact = spaces.dim**2, spaces.contact
+    by_block = load.array.reshape(-1, size)
+    by_block[spaces.neumann.blocks] = moments.reshape(-1, size)
+    mass = (1 + np.eye(spaces.dim)) / (spaces.dim * (spaces.dim + 1))
+    by_block[contact.blocks] = np.einsum("n,ab,nbi->nai", contact.measure, mass, pulled).reshape(-1, size)
+    (contact, matrices), _, *fixed = spaces.frames
+    by_block[contact.blocks] = np.einsum("nij,ni->nj", matrices, by_block[contact.blocks])
+    for part, matrices in fixed:
+        by_block[part.blocks] = np.einsum("nij,ni->nj", matrices, by_block[part.blocks])
+
+
+def pulls_of(spaces: ElasticSpaces, given: Mapping[str, GivenVector | Given]) -> tuple[Pull, ...]:
+    """Tractions on parts, or pressures where a scalar is given (collective).
+
+    Raises:
+        InputError: If a text cannot be read.
+    """
+    pulls = []
+    for name, each in given.items():
+        facets, key = spaces.part(name), f"traction.{name}"
+        datum: VectorDatum | PressureDatum
+        if isinstance(each, Sequence) and not isinstance(each, str):
+            datum = vector_datum_of(spaces, key, each)
+        else:
+            pressure = datum_of(spaces, key, parsed(each, "xyz"[: spaces.dim], key))
+            datum = PressureDatum(key, pressure, facets.normals)
+        pulls.append(Pull(facets, datum, facet_moments(spaces, key, datum, facets, f"on the part '{name}'")))
+    return tuple(pulls)
+
+
+def add_pulls(spaces: ElasticSpaces, pulls: Sequence[Pull], tractions: Array) -> Array:
+    """Add tractions on Γ_N to the moments there; those on Γ_C are returned by their values at the vertices.
+
+    Where two bodies touch they are those on the named side, and pull at the other side the other way.
+
+    Args:
+        spaces: The spaces.
+        pulls: The tractions.
+        tractions: Moments on the facets of `spaces.neumann`, which are changed.
+    """
+    on_contact = np.zeros((len(spaces.contact.facets), spaces.dim, spaces.dim))
+    for pull in pulls:
+        for facets, moments in ((spaces.neumann, tractions), (spaces.contact, on_contact)):
+            order = np.argsort(facets.facets)
+            mine = np.flatnonzero(np.isin(pull.facets.facets, facets.facets))
+            rows = order[np.searchsorted(facets.facets, pull.facets.facets[mine], sorter=order)]
+            moments[rows] += pull.moments[mine]
+    return linear_values(on_contact, spaces.contact.measure)
+
+
+def neighbours(spaces: ElasticSpaces) -> tuple[Indices, Indices]:
+    """The sites near each site, those of its facet or its vertex, itself once; and the normal site of its vertex."""
+    dim, (normal, slip) = spaces.dim, spaces.site_kinds
+    number = np.arange(len(spaces.site_kinds))
+    near = np.full((len(number), dim), -1)
+    normal.of(near)[:] = np.repeat(normal.rows_of(number), dim, axis=0)
+    slip.of(near)[:, : dim - 1] = np.repeat(slip.of(number).reshape(-1, dim - 1), dim - 1, axis=0)
+    return near, np.append(normal.of(number), np.repeat(slip.pressing, dim - 1))

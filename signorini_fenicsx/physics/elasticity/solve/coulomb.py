@@ -1,0 +1,223 @@
+"""Coulomb's friction as an equation for the bound of the shear, solved by Newton's method.
+
+Let T(g) be μ times the pressure of Tresca's problem with the bound g. Coulomb's law is g = T(g). The sequence g, T(g),
+T(T(g)), … tends to a solution if μ is small, with a rate that grows with μ, and to none if μ is large. Newton's method
+needs few steps in both cases: under the sets of the last problem its solution is linear in g, so the product of T' and
+a vector is one linear solve with these sets, and GMRES finds (I − T')⁻¹ of what is left of the equation. A step that
+leaves more than there was is halved. The first g is T(∞), where nothing slips.
+
+For large μ there may be several solutions, and no theorem known to us tells where there is one only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.parallel import on_root
+from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.contact.backend import Pairs
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.history import FoundSets, Outcome
+from signorini_fenicsx.linear.gmres import EXACT, gmres
+from signorini_fenicsx.physics.elasticity.discrete.friction import STICKS
+from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.solve.coulomb_path import Sites, State
+
+CHANGE = 1e-9
+"""The bound is found when it differs from μ times the pressure by this share of itself."""
+MOST = 20
+"""Problems of Tresca at most, before a path is followed."""
+MOST_SITES = 2000
+"""No path is followed with more sites: its matrix would be too large."""
+ROUGH = 1e-2
+"""Share of what is left at which GMRES stops at most, where Newton's method may be rough."""
+SHORTEST = 1 / 64
+"""Share of Newton's step below which a step is taken as it is."""
+GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+def balanced[S: FoundSets](
+    backend: ElasticBackend, tresca: Callable[[], S], changes: list[float], *, roughly: bool = False
+) -> S:
+    """Find the bound of the shear that is μ times the pressure, by Newton's method (collective).
+
+    Args:
+        backend: The backend; its friction ends with this bound.
+        tresca: Solves Tresca's problem with the present bound of the backend, from the sets of the last time.
+        changes: Gets, for each problem, how much the bound still differs from μ times the pressure, relative to that.
+        roughly: Whether Newton's steps need not be more exact than their squares.
+
+    Returns:
+        The last problem; after `MOST` of them the bound is not found.
+    """
+    spaces, accepted, step, share, least = backend.spaces, backend.friction, np.empty(0), 1.0, np.inf
+    while True:
+        outcome, present = tresca(), backend.friction
+        if not present.by_pressure or not outcome.converged:
+            return outcome
+        following = present.following(pressure(backend, outcome.iterate))
+        changes.append(present.change(following, spaces))
+        if changes[-1] <= CHANGE or len(changes) == MOST:
+            return outcome
+        left = present.distance(following, spaces)
+        if backend.comm.allreduce(bool((present.bound >= STICKS).any()), MPI.LOR):
+            accepted = backend.friction = following  # nothing slipped before
+            step = np.zeros_like(following.bound)
+        elif left < least or share <= SHORTEST:
+            accepted, least, share = present, left, 1.0
+            segments = present.chains.segments(spaces.site_kinds["slip"].of(outcome.conditions))
+            law = present.directions(segments), present.slope(spaces.pressure_of(outcome.iterate.flux))
+            enough = EXACT
+            if roughly:
+                enough = max(EXACT, min(changes[-1] ** 2, ROUGH), CHANGE / (100 * changes[-1]))
+            step = _step(backend, outcome.conditions, law, following.bound - present.bound, enough)
+            backend.friction = accepted.moved(step)
+        else:
+            share /= 2
+            backend.friction = accepted.moved(share * step)
+
+
+def pressure(backend: ElasticBackend, pairs: Pairs) -> Array:
+    """The pressure at the vertices with friction, shape (facets, d), 0 where it is rounding."""
+    return backend.spaces.pressure_of(np.where(np.abs(pairs.flux) > backend.sizes.rounding, pairs.flux, 0.0))
+
+
+def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome], changes: list[float]) -> Outcome:
+    """Find the bound where Newton's method did not, along the path from no friction (collective).
+
+    Args:
+        backend: As for `balanced`.
+        tresca: The same from given segments; None for the sets of the last time.
+        changes: As for `balanced`.
+
+    Returns:
+        The outcome of the problem at the end of the path, or of that at its begin.
+    """
+    friction, comm, spaces = backend.friction, backend.comm, backend.spaces
+    backend.friction = friction.moved(-friction.bound)
+    outcome = tresca(None)
+    if (
+        not outcome.converged
+        or backend.iterates
+        or backend.data.laws.of_parts
+        or backend.spaces.dim == 3
+        or backend.tools
+        or comm.allreduce(backend.sites) > MOST_SITES
+    ):
+        return outcome.ended(
+            f"the bound of the friction still changes by {min(changes):.1e} after {len(changes)} steps"
+        )
+    normal, slip = spaces.site_kinds
+    coulomb = np.repeat(friction.coulomb, 2)
+    segments = backend.friction.chains.segments(slip.of(outcome.conditions))
+    slips = np.array([State.MINUS, State.STICK, State.PLUS])[segments]
+    state = np.concatenate(
+        [
+            np.where(normal.of(outcome.conditions.kind) == Condition.ZERO_TRACE, State.PRESSED, State.OPEN),
+            np.where(coulomb, State.FREE, slips),
+        ]
+    )
+    first = comm.exscan(backend.sites) or 0
+    zeros = np.zeros(len(normal))
+    own = (
+        *_reactions(backend),
+        _shares(backend),
+        np.concatenate([np.full(len(normal), -1), first + slip.pressing.ravel()]),
+        np.concatenate([zeros, np.where(coulomb, friction.mu.ravel(), 0.0)]),
+        np.concatenate([zeros, np.where(coulomb, 0.0, friction.bound.ravel())]),
+        state,
+        outcome.iterate.flux,
+    )
+    of_ranks = comm.gather(own)
+
+    def along_path() -> tuple[Indices, Array, Array] | None:
+        *parts, state, flux = (np.concatenate(each) for each in zip(*of_ranks or [], strict=True))
+        return Sites(*parts).follow(state, flux)
+
+    end = on_root(comm, along_path)  # whose turns are decisions, which one rank makes for all
+    if end is None:
+        return outcome.ended("no solution with this friction was found, neither by Newton's method nor along a path")
+    own_sites = slice(first, first + backend.sites)
+    state, p, flux = end[0][own_sites], end[1][own_sites], end[2][own_sites]
+    backend.friction = friction.following(backend.spaces.pressure_of(flux))
+    segments = np.select([state == State.OPEN, state == State.STICK, state == State.PLUS], [1, 1, 2], 0)
+    slip.of(segments)[slip.of((state == State.FREE) & (p > 0))] = 2
+    outcome = tresca(segments)
+    changes.append(backend.friction.change(backend.friction.following(pressure(backend, outcome.iterate)), spaces))
+    if changes[-1] > CHANGE:
+        return outcome.ended(f"the bound of the friction still changes by {changes[-1]:.1e} at the end of a path")
+    return outcome
+
+
+def _reactions(backend: ElasticBackend) -> tuple[Array, Array]:
+    """The flux at the sites of this rank as `matrix @ p + force`, for any p at the sites of all (collective).
+
+    The matrix has the sites of all ranks one rank after another. Costs a linear solve for each.
+    """
+    sites, none = backend.spaces.site_kinds, np.zeros_like(backend.system.load)
+    held = SiteConditions.everywhere(Condition.ZERO_TRACE, backend.sites)
+    force = backend.flux(backend.solve_homogeneous(held, backend.system.load), backend.system.load)
+    columns = [np.empty((backend.sites, 0))]
+    for rank, count in enumerate(backend.comm.allgather(backend.sites)):
+        for site in range(count):
+            lift = none.copy()
+            if rank == backend.comm.rank:
+                lift[sites.unknown[site]] = sites.sign[site]
+            columns.append(backend.flux(backend.solve_homogeneous(held, none, lift), none)[:, None])
+    return np.concatenate(columns, axis=1), force
+
+
+def _shares(backend: ElasticBackend) -> Array:
+    """A number from 1 to 2 for each site, not the same for two, on any number of ranks (collective)."""
+    comm, places = backend.comm, backend.places()
+    order = np.lexsort(in_digits(np.concatenate(comm.allgather(places))).T)
+    shares = np.empty(len(order))
+    shares[order] = 1 + (GOLDEN * np.arange(1, len(order) + 1)) % 1
+    first = comm.exscan(backend.sites) or 0
+    return shares[first : first + backend.sites]
+
+
+def _step(
+    backend: ElasticBackend, conditions: SiteConditions, law: tuple[Array, Array], left: Array, share: float
+) -> Array:
+    """The step of `newton`; one GMRES finds it where CG solves for contact, and the solution follows."""
+    friction, (directions, slope) = backend.friction, law
+    if not backend.iterates or backend.data.laws.of_parts or backend.tools:
+        return newton(backend, conditions, law, left, share)
+    left = np.where(friction.coulomb[:, None], left, 0.0)
+    forces, slopes = (directions * np.repeat(each, backend.spaces.dim - 1) for each in (left, slope))
+    flux = backend.follow_bounds(forces, slopes, share)
+    return left + slope * backend.spaces.pressure_of(flux)
+
+
+def newton(
+    backend: ElasticBackend,
+    conditions: SiteConditions,
+    law: tuple[Array, Array],
+    left: Array,
+    share: float = EXACT,
+) -> Array:
+    """(I − T')⁻¹ of what is left, shape (facets, d), under these sets (collective).
+
+    Args:
+        backend: The backend.
+        conditions: The sets.
+        law: The derivatives of σ_t by the bounds at the sites, and of the bounds by the pressure, shape (facets, d).
+        left: What is left.
+        share: GMRES stops at this share of it.
+    """
+    friction, spaces, none = backend.friction, backend.spaces, np.zeros(len(backend.system.load))
+    (directions, slope), slip = law, spaces.site_kinds["slip"]
+
+    def without_response(values: Array) -> Array:
+        load = none.copy()
+        load[slip.unknown] = directions * slip.measure * np.repeat(values, spaces.dim - 1)
+        pressure = spaces.pressure_of(backend.response(conditions, load))
+        return values - (slope * pressure.reshape(slope.shape)).ravel()
+
+    right = np.where(friction.coulomb[:, None], left, 0.0).ravel()
+    return gmres(backend.comm, without_response, right, share=share)[0].reshape(left.shape)

@@ -1,0 +1,169 @@
+"""The facet system of elasticity: one SPD problem for the traces, and the stresses recovered from them.
+
+See `forms/elasticity.py` for what is eliminated on each cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from hashlib import blake2b
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
+    Cells,
+    compliance_product,
+    facet_normals,
+    reference,
+    to_entries,
+    to_matrices,
+)
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
+
+
+class ElasticSystem(HybridSystem):
+    """The elastic facet system, assembled once.
+
+    Attributes:
+        spaces: The spaces.
+        load: Right side for x − lift.
+        tractions: ⟨g_N, q⟩ for each owned unknown.
+        element: The reference element.
+        loaded: Whether there are loads, or strains and stresses that the body has without them.
+    """
+
+    def __init__(self, spaces: ElasticSpaces, data: ElasticData):
+        """Eliminate and assemble (collective)."""
+        self.spaces, self.element = spaces, reference(spaces.dim)
+        self._take(data)
+        super().__init__(spaces.traces, spaces.dofs, spaces.sides)
+        self._take_loads()
+
+    def _take(self, data: ElasticData) -> None:
+        """Take data, with digests of what the solver, but for laws, and of what the loads of cells have of them."""
+        self._data, self._digests = data, (blake2b(data.supports.masses.tobytes() + data.fixed.tobytes()), blake2b())
+
+    def renew(self, data: ElasticData) -> bool:
+        """Go on with other data; False if these have another matrix (collective)."""
+        before = self._digests
+        self._take(data)
+        for numbers in blocks_of_cells(self.spaces):
+            self._of_cells(numbers, Cells(self.spaces.vertices[numbers]).measure)
+        same = np.array([one.digest() == other.digest() for one, other in zip(before, self._digests, strict=True)])
+        self.spaces.mesh.comm.Allreduce(MPI.IN_PLACE, same, MPI.LAND)
+        if same[0] and not same[1]:
+            self._take(data)
+            self._blocks = list(self.eliminated())
+        if same[0]:
+            self._take_loads()
+        return bool(same[0])
+
+    def _take_loads(self) -> None:
+        """Find the right side (collective)."""
+        spaces, data = self.spaces, self._data
+        owned = self._size * self._numbers.size_local
+        self.tractions = data.load[:owned]
+        self.load = self.load_of(self._blocks, data.lift) + self.tractions
+        given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
+        self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
+
+    def _of_cells(self, numbers: npt.NDArray[np.int32], measure: Array) -> tuple[Array, Array, Array | None]:
+        """The compliances of cells with these |T|, their moments of f and those of strains, if any (collective)."""
+        spaces, data, (of_matrix, of_loads) = self.spaces, self._data, self._digests
+        compliances, of_f = data.compliances(spaces, numbers), data.moments_of_f(spaces, numbers, measure)
+        strains = data.strains(spaces, numbers, measure) if data.material.own else None
+        of_matrix.update(compliances.tobytes())
+        for loads in (of_f, of_f[:0] if strains is None else strains):
+            of_loads.update(loads.tobytes())
+        return compliances, of_f, strains
+
+    def eliminated(self, stresses: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
+        """The cells after elimination, with the data or another right side (collective).
+
+        Args:
+            stresses: A functional of the stress: its values for unit entries of the stress at each vertex of each
+                subcell, shape (cells, d + 1, d + 1, d, d).
+            moments: (f, φ_v) of each cell, shape (cells, d + 1, d).
+        """
+        spaces, data = self.spaces, self._data
+        framed = [(facets.cells, facets.local, matrices) for facets, matrices in spaces.frames]
+        for numbers in blocks_of_cells(spaces):
+            cells = Cells(spaces.vertices[numbers])
+            if stresses is None or moments is None:
+                compliances, of_f, own = self._of_cells(numbers, cells.measure)
+            else:
+                compliances, of_f, own = data.compliances(spaces, numbers), moments[numbers], None
+            masses = data.masses(spaces, numbers, cells.measure, compliances)
+            if len(numbers) == 0:  # other ranks have more cells
+                continue
+            basis = cells.stresses(self.element.stresses)
+            functional: Array | float = 0.0
+            given = -own if own is not None else to_entries(stresses[numbers]) if stresses is not None else None
+            if given is not None:
+                functional = np.einsum("nve,nveb->nb", given.reshape(basis.shape[:3]), basis)
+            product = compliance_product(basis, masses)
+            tractions = cells.tractions(self.element.tractions)
+            for facets, local, matrices in framed:
+                mine = np.flatnonzero(np.isin(facets, numbers))
+                transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
+            balance = -np.linalg.solve(cells.derivative, of_f.transpose(0, 2, 1)).transpose(0, 2, 1)
+            balance = balance.reshape(len(numbers), -1)
+            eliminated = eliminate(numbers, cells, tractions, product, balance, functional)
+            _add_supports(eliminated.matrix, data.supports, numbers)
+            yield eliminated
+
+    def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
+        """σ at the vertices of the subcells and u at those of the cells.
+
+        Shapes (cells, d + 1, d + 1, d, d) and (cells, d + 1, d), with the vertices as in `ElasticSpaces.order`.
+        """
+        count, dim = len(self.spaces.order), self.spaces.dim
+        sigma, u = np.empty((count, dim + 1, dim + 1, dim, dim)), np.empty((count, dim + 1, dim))
+        for block, of_stress, of_u in parts:
+            cells = block.geometry
+            on_reference = np.tensordot(of_stress, self.element.stresses, (1, 2))
+            mapped = to_matrices(on_reference @ cells.mapped.swapaxes(1, 2))
+            sigma[block.cells] = mapped.reshape(-1, dim + 1, dim + 1, dim, dim)
+            pulled = of_u.reshape(-1, dim + 1, dim).transpose(0, 2, 1)
+            u[block.cells] = np.linalg.solve(cells.derivative.transpose(0, 2, 1), pulled).transpose(0, 2, 1)
+        return sigma, u
+
+    def of_supports(self, x: Array) -> Array:
+        """⟨Kû, q⟩ over the supports for each owned unknown, from the owned unknowns x."""
+        supports, forces = self._data.supports, np.zeros((len(x) // self.spaces.dim**2, self.spaces.dim**2))
+        blocks = supports.facets.blocks
+        forces[blocks] = np.einsum("nij,nj->ni", supports.masses, x.reshape(forces.shape)[blocks])
+        return forces.ravel()
+
+    def forces(self, stresses: Array) -> Array:
+        """⟨σn, q⟩ summed over the cells for each owned unknown, from values as `recover` gives them (collective)."""
+        spaces, dim = self.spaces, self.spaces.dim
+        mass = (1 + np.eye(dim)) / (dim * (dim + 1))
+        pulls = np.einsum("nsaij,nsj->nsai", stresses[:, :, :dim], facet_normals(spaces.vertices))
+        by_block = sums_at(spaces.traces.dofmap.index_map, spaces.dofs, mass @ pulls).reshape(-1, dim**2)
+        for facets, matrices in spaces.frames:
+            by_block[facets.blocks] = np.einsum("nij,ni->nj", matrices, by_block[facets.blocks])
+        return self._sides.forces(by_block.ravel()[: len(self.load)])
+
+
+def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.int32]) -> None:
+    """Add the stiffness of supports to the matrices of these cells."""
+    facets, size = supports.facets, supports.stiffness.shape[1] ** 2
+    mine = np.flatnonzero(np.isin(facets.cells, numbers))
+    rows = facets.local[mine, None] * size + np.arange(size)
+    cells = (facets.cells[mine] - numbers[0])[:, None, None]
+    np.add.at(matrices, (cells, rows[:, :, None], rows[:, None]), supports.masses[mine])
+
+
+def transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:
+    """Let tractions be those of the unknowns of a frame on some facets."""
+    size = matrices.shape[1]
+    rows = local[:, None] * size + np.arange(size)
+    tractions[cells[:, None], rows] = matrices.transpose(0, 2, 1) @ tractions[cells[:, None], rows]
