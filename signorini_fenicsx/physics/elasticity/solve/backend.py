@@ -395,7 +395,7 @@ class ElasticBackend(PlainBackend):
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
         stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self.data.lift)
-        if refine:
+        if refine and not (self._last is not None and self._last.loose):  # else the next set is larger, see the module
             stresses, displacements = self._refined(stresses, displacements)
         p, flux = self._cleaned(conditions, self._beside_tools(self._x), self.data.reactions(spaces, stresses))
         self.sizes.take(displacements, stresses)
