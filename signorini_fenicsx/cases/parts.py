@@ -66,7 +66,7 @@ class Parts(Section):
             )
         left = [part for part in known if part not in self.listed()]
         if "dirichlet" in self.named and left:
-            *others, last = (key for key in keys_of(type(self)) if key not in ("inner", "sides"))
+            *others, last = (key for key in keys_of(type(self)) if key not in ("inner", "sides", "impervious"))
             raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
 
     def condition_of(self, part: str) -> str:

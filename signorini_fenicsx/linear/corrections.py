@@ -64,5 +64,23 @@ def corrected(
     return fields
 
 
+def stepped(
+    comm: MPI.Comm,
+    fields: Fields,
+    left_by: Callable[[Fields], Array],
+    correction: Callable[[Array], Fields],
+    enough: Callable[[Array], bool],
+) -> Fields:
+    """Fields with corrections as they are, while what is left falls, see `corrected` (collective).
+
+    These are steps of the proximal point method where the solver has springs that what is left has not.
+    """
+    left, before = left_by(fields), float("inf")
+    while not enough(left) and (size := comm.allreduce(float(left @ left))) < before:
+        fields, before = _sum(fields, correction(left)), size
+        left = left_by(fields)
+    return fields
+
+
 def _sum(fields: Fields, more: Fields, share: float = 1.0) -> Fields:
     return [field + share * each for field, each in zip(fields, more, strict=True)]

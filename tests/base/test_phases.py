@@ -27,4 +27,4 @@ def test_log_view_reads_like_the_program(tmp_path: Path, ranks: int):
     assert done.returncode == 0, done.stderr
     table = (tmp_path / "log").read_text().partition("Summary of Stages:")[2].partition("\n---")[0]
     stages = [line.split(":")[1].strip() for line in table.splitlines() if line[:2].strip().isdigit()]
-    assert stages == ["Main Stage", "mesh", "assembly", "solve", "prediction", "kkt", "output", "certificate"]
+    assert stages == ["Main Stage", "mesh", "assembly", "solve", "kkt", "output", "certificate"]

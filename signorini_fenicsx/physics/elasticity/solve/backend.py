@@ -21,7 +21,7 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.linear.corrections import corrected
+from signorini_fenicsx.linear.corrections import corrected, stepped
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
@@ -395,7 +395,7 @@ class ElasticBackend(PlainBackend):
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
         spaces = self.spaces
         stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self.data.lift)
-        if refine and not (self._last is not None and self._last.loose):  # else the next set is larger, see the module
+        if refine:
             stresses, displacements = self._refined(stresses, displacements)
         p, flux = self._cleaned(conditions, self._beside_tools(self._x), self.data.reactions(spaces, stresses))
         self.sizes.take(displacements, stresses)
@@ -432,7 +432,8 @@ class ElasticBackend(PlainBackend):
             return size <= TIE * scale
 
         fields = [self._x.array_r.copy(), stresses, displacements]
-        return tuple(corrected(self.comm, fields, left_by, correction, enough)[1:])
+        by = stepped if posed.loose else corrected
+        return tuple(by(self.comm, fields, left_by, correction, enough)[1:])
 
     def scales(self, pairs: Pairs) -> tuple[Array, Array]:
         """The largest |u| and the largest |σ|, see `Backend.scales`."""
