@@ -76,7 +76,9 @@ def stepped(
     These are steps of the proximal point method where the solver has springs that what is left has not.
     """
     left, before = left_by(fields), float("inf")
-    while not enough(left) and (size := comm.allreduce(float(left @ left))) < before:
+    for _ in range(MOST):
+        if enough(left) or not (size := comm.allreduce(float(left @ left))) < before:
+            break
         fields, before = _sum(fields, correction(left)), size
         left = left_by(fields)
     return fields

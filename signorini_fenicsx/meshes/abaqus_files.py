@@ -24,6 +24,7 @@ SIDES: dict[str, list[tuple[int, ...]]] = {
     "tetra": [(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)],
 }
 """The corners of the faces S1, S2, … of an element."""
+FLAGS = re.MULTILINE | re.IGNORECASE
 type Lines = list[list[str]]
 
 
@@ -37,15 +38,12 @@ def read_abaqus(path: Path) -> tuple[meshio.Mesh, dict[str, Indices]]:
         InputError: If it needs another file, or a surface is on elements that there are not.
     """
     text = path.read_text(encoding="utf-8", errors="replace")
-    if re.search(r"^\s*\*INCLUDE", text, flags=re.MULTILINE | re.IGNORECASE):
+    if re.search(r"^\s*\*INCLUDE", text, flags=FLAGS):
         raise InputError("needs another file, by *INCLUDE; write all into one file")
     for known, others in LIKE.items():
-        text = re.sub(rf"^(\*ELEMENT\b.*TYPE\s*=\s*)({others})[A-Z]*(?=\s*(,|$))", rf"\g<1>{known}", text, flags=_FLAGS)
+        text = re.sub(rf"^(\*ELEMENT\b.*TYPE\s*=\s*)({others})[A-Z]*(?=\s*(,|$))", rf"\g<1>{known}", text, flags=FLAGS)
     mesh = meshio.read(io.StringIO(text), file_format="abaqus")
     return mesh, dict(_surfaces(mesh, text))
-
-
-_FLAGS = re.MULTILINE | re.IGNORECASE
 
 
 def _blocks(text: str, keyword: str) -> Iterator[tuple[dict[str, str], Lines]]:
@@ -61,11 +59,13 @@ def _blocks(text: str, keyword: str) -> Iterator[tuple[dict[str, str], Lines]]:
 
 def _surfaces(mesh: meshio.Mesh, text: str) -> Iterator[tuple[str, Indices]]:
     """The facets of each surface that consists of faces of elements."""
-    labels = []
+    surfaces, labels = list(_blocks(text, "SURFACE")), []
+    if not surfaces:
+        return
     for block, (_, lines) in zip(mesh.cells, _blocks(text, "ELEMENT"), strict=True):
         numbers = np.array([int(entry) for line in lines for entry in line], dtype=np.int64)
         labels.append(numbers.reshape(len(block.data), -1)[:, 0])
-    for options, lines in _blocks(text, "SURFACE"):
+    for options, lines in surfaces:
         if options.get("TYPE", "ELEMENT").upper() != "ELEMENT":
             continue
         name, found = options.get("NAME", "surface"), list[Indices]()

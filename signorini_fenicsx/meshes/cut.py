@@ -88,8 +88,8 @@ def _corner(cells: Indices, row: Indices, of: Indices, vertex: Indices) -> Indic
 
 type Side = str | Sequence[float]
 """How a user names a side of an inner part: by a region of cells, or by a direction that points to it."""
-ANY = ""
-"""Of a part of which it does not matter which side is the named one."""
+ANY: Side = ()
+"""Of a part of which it does not matter which side is the named one; nothing that a user can write."""
 
 
 def opened(mesh: FileMesh, inner: Sequence[str], sides: Mapping[str, Side]) -> FileMesh:
@@ -179,23 +179,17 @@ def on_side(
     Raises:
         InputError: If the side is neither a region nor a direction.
     """
-    dim = corners.shape[2]
-    across = unit_normals(corners[:, 1:] - corners[:, :1])
-    if side == ANY:
-        slanted = across @ np.sqrt(np.arange(2.0, dim + 2))
-        return (
-            slanted * np.einsum("fi,fi->f", middle - corners[:, 0], across) > 0,
-            np.zeros(len(across), dtype=bool),
-            "",
-        )
     if isinstance(side, str):
         if side not in regions:
             raise InputError(f"{key}: unknown region '{side}'; the mesh has {', '.join(regions) or 'none'}")
         first, second = np.isin(cells, regions[side]).T
         return second, first == second, f"not between '{side}' and another region"
-    direction = np.asarray(side, dtype=np.float64)
+    dim = corners.shape[2]
+    direction = np.sqrt(np.arange(2.0, dim + 2)) if side is ANY else np.asarray(side, dtype=np.float64)
     if direction.shape != (dim,) or not np.isfinite(direction).all() or not direction.any():
         raise InputError(f"{key}: must be a region, or a direction of {dim} numbers, not {side}")
+    across = unit_normals(corners[:, 1:] - corners[:, :1])
     along = across @ (direction / np.linalg.norm(direction))
     second = along * np.einsum("fi,fi->f", middle - corners[:, 0], across) > 0
-    return second, np.abs(along) < PARALLEL, f"parallel to the direction {tuple(direction.tolist())}"
+    unclear = (np.abs(along) < PARALLEL) & (side is not ANY)
+    return second, unclear, f"parallel to the direction {tuple(direction.tolist())}"

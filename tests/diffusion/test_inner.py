@@ -172,6 +172,7 @@ def test_cut_in_space():
     [
         ({}, {"fault": (0, 0, 1)}, r"sides\.fault: 4 facets are parallel to the direction \(0\.0, 1\.0\), the first"),
         ({"fault": "left"}, {"fault": (0, 0, 1)}, "unknown region 'left'; the mesh has right"),
+        ({"fault": ""}, {"fault": (1, 0, 1)}, "unknown region ''; the mesh has right"),
         ({"fault": "right"}, {"fault": (1, 0, 1)}, "4 facets are not between 'right' and another region"),
         ({"fault": [0, 0, 1]}, {"fault": (1, 0, 1)}, "must be a region, or a direction of 2 numbers"),
         ({}, {"fault": (1, 0.25, 0.5)}, "part 'fault' opens nowhere, all its vertices are at its edge"),
