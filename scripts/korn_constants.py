@@ -16,13 +16,12 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, regular_simplex, stretch
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     compliance_product,
-    facet_normals,
     hats_in_subcells,
-    opposite,
     reference,
 )
 

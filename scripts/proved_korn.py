@@ -16,10 +16,10 @@ import typer
 from korn_constants import bound_of, lattice
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.physics.elasticity.bound.korn import regular_simplex, stretch
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells as Shapes
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite
 from signorini_fenicsx.rigorous.discrete import Cells
 from signorini_fenicsx.rigorous.elasticity.loads import MOMENTS, PROVED
 from signorini_fenicsx.rigorous.elasticity.stress import (

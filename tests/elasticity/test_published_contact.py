@@ -10,8 +10,8 @@ from plate_values import values
 from signorini_fenicsx import Coulomb, Elasticity, evolve_case, load_case, solve, solve_case
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.discrete.spaces import linear_from_means
 from signorini_fenicsx.physics.elasticity.problem import Contact
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 

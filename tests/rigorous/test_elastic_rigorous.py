@@ -17,15 +17,14 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 from signorini_fenicsx.expressions import Binary, Tree, exactly, read, values
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import enclosing
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, stretch
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
-    facet_normals,
     hats_in_subcells,
-    opposite,
     reference,
     split_vertices,
     to_matrices,

@@ -14,13 +14,15 @@ from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.meshes.domain import AXES
-from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells, elastic_data
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, law_of_sites
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, to_entries
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, linear_from_means
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.show import shown
 from signorini_fenicsx.physics.elasticity.show.differences import differences
@@ -256,7 +258,7 @@ class ElasticSolution(Solution):
         u, squares = spaces.displacement_values(self.u), np.zeros(3)
         size = spaces.dim + 1
         squares[0] = energy_squares(spaces, data, self.stresses).sum()
-        for cells in blocks_of_cells(spaces):
+        for cells in blocks_of_cells(spaces.mesh):
             measure = Cells(spaces.vertices[cells]).measure
             stresses, values = self.stresses[cells], u[cells]
             own, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
@@ -275,7 +277,7 @@ class ElasticSolution(Solution):
         quadrature = SplitQuadrature.of_degree(dim, ERROR_DEGREE)
         exact = self.data.exact
         u_h, squares = spaces.displacement_values(self.u), np.zeros(2)
-        for cells in blocks_of_cells(spaces):
+        for cells in blocks_of_cells(spaces.mesh):
             points = CellPoints(spaces.mesh, cells, quadrature.points, quadrature.weights)
             where, subcell, vertex = spaces.as_dolfinx(cells)
             mine = np.empty_like(self.stresses[cells])

@@ -27,9 +27,9 @@ from scipy.sparse.csgraph import connected_components
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.forms.elasticity import pairs
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.discrete import Cells
 from signorini_fenicsx.rigorous.elasticity.discrete import NONE

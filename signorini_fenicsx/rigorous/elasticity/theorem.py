@@ -28,11 +28,12 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 from signorini_fenicsx.expressions import Binary, Tree, interval, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import Negative, exactly
 from signorini_fenicsx.forms.elasticity import pairs
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import facet_normals, opposite, split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.scope import outside
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.data import deviation

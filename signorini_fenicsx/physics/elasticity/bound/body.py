@@ -41,15 +41,10 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.discrete.matrices import OfCells, of_cells
+from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, LinearSolver, set_direct
 from signorini_fenicsx.physics.elasticity.bound.korn import MOMENTS, korn_constants
-from signorini_fenicsx.physics.elasticity.discrete.data import blocks_of_cells
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
-    Cells,
-    compliance_product,
-    facet_normals,
-    reference,
-)
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, compliance_product, reference
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
 from signorini_fenicsx.physics.elasticity.solve.rigid_motions import Bodies
@@ -143,7 +138,7 @@ def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, the
     """Whether K_θ with these θl is proved to be positive definite, but for rounding (collective)."""
     comm, index_map, size = spaces.mesh.comm, spaces.traces.dofmap.index_map, spaces.dim**2
     inside, parts = True, list[OfCells]()
-    for numbers in blocks_of_cells(spaces):
+    for numbers in blocks_of_cells(spaces.mesh):
         cells = Cells(spaces.vertices[numbers])
         matrices, positive = _on_cells(cells, compliance[numbers], of_facets[numbers], theta)
         inside &= positive

@@ -14,6 +14,7 @@ import numpy as np
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.points import facet_lattice
+from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.enclosures import surely_above
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
@@ -22,7 +23,6 @@ from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
     given_nodes,
 )
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 PARTS = 4

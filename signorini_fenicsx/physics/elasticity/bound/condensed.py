@@ -20,10 +20,10 @@ from petsc4py import PETSc
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
+from signorini_fenicsx.discrete.simplices import BLOCK, opposite
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
-from signorini_fenicsx.physics.elasticity.discrete.data import BLOCK, OnSplit
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite
+from signorini_fenicsx.physics.elasticity.discrete.data import OnSplit
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.solve.multigrid import DEFAULTS, ElasticCoarse

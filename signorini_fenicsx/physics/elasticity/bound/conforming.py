@@ -23,6 +23,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
@@ -33,7 +34,7 @@ from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDispla
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import add_at, contact_coefficients, given_nodes
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, linear_from_means
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.solve.multigrid import STIFF
 

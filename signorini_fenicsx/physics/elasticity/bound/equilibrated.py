@@ -14,8 +14,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.bound.clear import floors
-from signorini_fenicsx.physics.elasticity.discrete.data import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.discrete.friction import shortened
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
@@ -85,7 +85,7 @@ def _energy_of_residuals(solution: ElasticSolution) -> float:
     """‖σ_h‖ in L² times the root of the largest eigenvalue of 𝔸: the residuals times this are energies (collective)."""
     spaces, data = solution.spaces, solution.data
     softest = 0.0
-    for cells in blocks_of_cells(spaces):
+    for cells in blocks_of_cells(spaces.mesh):
         compliance = data.compliances(spaces, cells)
         softest = max(softest, float(np.linalg.eigvalsh(compliance).max(initial=0.0)))
     softest = spaces.mesh.comm.allreduce(softest, MPI.MAX)

@@ -40,7 +40,9 @@ from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.lattices import lagrange, lattice
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients
@@ -50,10 +52,10 @@ from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, co
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
-from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, LARGEST_DEGREE, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, LARGEST_DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 
@@ -269,7 +271,7 @@ def degree_of_square(datum: VectorDatum | PressureDatum, otherwise: int) -> int:
 def _of_force(spaces: ElasticSpaces, data: ElasticData, enough: float) -> _Missed:
     """What may be missed of f (collective)."""
     size, enclosures = spaces.dim + 1, _Enclosures(spaces, data.f, INSIDE, enough)
-    for numbers in blocks_of_cells(spaces):
+    for numbers in blocks_of_cells(spaces.mesh):
         _, near, seen = force_near(spaces, data, numbers)
         vertices = split_vertices(corners(spaces.mesh, numbers)).reshape(-1, size, spaces.dim)
         near, seen = (each.reshape(len(vertices), *each.shape[2:]) for each in (near, seen))

@@ -9,8 +9,9 @@ from dolfinx import fem
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.of_field import FieldBound, joined
 from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.physics.elasticity.bound.certify import certificate_of
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite, to_entries, to_matrices
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 

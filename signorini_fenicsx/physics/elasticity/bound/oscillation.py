@@ -14,6 +14,7 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.lattices import lagrange, lattice, numbers_in
 from signorini_fenicsx.discrete.points import in_facets
+from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.physics.elasticity.bound.hidden import (
     fit,
     force_near,
@@ -25,8 +26,8 @@ from signorini_fenicsx.physics.elasticity.bound.hidden import (
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS, local_stresses
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution, beyond
-from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, facet_normals, split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 
@@ -46,7 +47,7 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
     dim, of_cells = spaces.dim, np.zeros(len(spaces.order))
     cells_of, local, traction = _tractions(spaces, data, of_cells)
     everywhere = compliances_above(spaces, data)
-    for numbers in blocks_of_cells(spaces):
+    for numbers in blocks_of_cells(spaces.mesh):
         cells, compliance = Cells(spaces.vertices[numbers]), everywhere[numbers]
         inside, rest = _force(spaces, data, stresses, numbers)
         rows = np.flatnonzero(np.isin(cells_of, numbers))
@@ -64,7 +65,7 @@ def compliances_above(spaces: ElasticSpaces, data: ElasticData) -> Array:
     """On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries) (collective)."""
     number = spaces.dim * (spaces.dim + 1) // 2
     matrices = np.empty((len(spaces.order), number, number))
-    for cells in blocks_of_cells(spaces):
+    for cells in blocks_of_cells(spaces.mesh):
         matrices[cells] = above(data.compliances(spaces, cells))
         matrices[cells] += beyond(spaces, data, cells)[:, None, None] * np.eye(number)
     return matrices

@@ -34,12 +34,13 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.certificate.certificate import Places, first_places
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.expressions import TREES, values
 from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly
 from signorini_fenicsx.physics.elasticity.bound.body import why_no_constant
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
-from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE, ElasticData, blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.material import Material, Strain
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -216,7 +217,7 @@ class Resolution:
     def _energy_of(self, name: str) -> Array:
         """The root of the largest eigenvalue of ℂ or 𝔸 in space on the owned cells (collective)."""
         energy = np.empty(len(self.coarse))
-        for cells in blocks_of_cells(self.spaces):
+        for cells in blocks_of_cells(self.spaces.mesh):
             softness = self.data.material.softness_in_space(self.data.points(self.spaces, cells).first)[:, 0]
             energy[cells] = softness[:, -1] if name == "initial_stress" else 1 / softness[:, 0]
         return np.sqrt(energy)
@@ -240,7 +241,7 @@ class Resolution:
         if self._stiffness is not None:
             return np.asarray(self._stiffness.most[:2].max(axis=0).reshape(len(self.coarse), -1).max(axis=1))
         largest = np.zeros(len(self.coarse))
-        for cells in blocks_of_cells(self.spaces):
+        for cells in blocks_of_cells(self.spaces.mesh):
             eigenvalues = np.linalg.eigvalsh(self.data.compliances(self.spaces, cells))
             largest[cells] = 1 / eigenvalues[..., 0].min(axis=1)
         return largest

@@ -36,10 +36,10 @@ from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.loop import settled_change
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.derivative.moments import Moments, of_laws, on_boundary
 from signorini_fenicsx.physics.elasticity.derivative.tangent import Tangent, stiffness_times
-from signorini_fenicsx.physics.elasticity.discrete.data import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, entries, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
@@ -257,7 +257,7 @@ class Linearised:
         spaces, sigma = self._spaces, self._at_points(self._solution.stresses)
         for name, moved in self._materials.items():
             changes = np.empty_like(sigma)
-            for cells in blocks_of_cells(spaces):
+            for cells in blocks_of_cells(spaces.mesh):
                 points, stress = self._data.points(spaces, cells), sigma[cells]
                 changed = moved.change_of_strain(points, stress.reshape(*points.shape, -1))
                 changes[cells] = changed.reshape(stress.shape)

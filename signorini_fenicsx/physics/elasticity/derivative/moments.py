@@ -15,12 +15,13 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
 from signorini_fenicsx.discrete.seen import Seen
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaws, lines_by_data
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw, ElasticProblem, is_normal
 

@@ -26,10 +26,11 @@ from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import VectorDatum
 from signorini_fenicsx.physics.elasticity.problem import NORMAL

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,8 +19,10 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
+from signorini_fenicsx.discrete.linear_traces import linear_values
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, FromBefore, friction_bounds
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import SplitQuadrature, split_vertices
@@ -41,7 +43,7 @@ from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
     tractions_given,
 )
 from signorini_fenicsx.physics.elasticity.discrete.raised_gap import RaisedGap, beyond_surfaces
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports, supports_of
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool, moves_at_sites, tools_at, tools_of
@@ -54,8 +56,6 @@ from signorini_fenicsx.physics.elasticity.discrete.vector_datum import (
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
 
 DEGREE, LARGEST_DEGREE = DEGREES
-BLOCK = {2: 4096, 3: 512}
-"""Cells, by dimension, whose values are held at a time: some tens of megabytes."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class ElasticData:
     def stiffness_of_volume(self, spaces: ElasticSpaces) -> float:
         """The largest λ/μ, without limit as ν → ½; in plane stress λ is that in the plane (collective)."""
         largest = 0.0
-        for cells in blocks_of_cells(spaces):
+        for cells in blocks_of_cells(spaces.mesh):
             of_shape, of_volume = mean_compliances(self.compliances(spaces, cells))
             largest = max(largest, float((2 * (of_shape / of_volume - 1) / spaces.dim).max(initial=0.0)))
         return float(spaces.mesh.comm.allreduce(largest, MPI.MAX))
@@ -196,13 +196,6 @@ class ElasticData:
         sums = np.einsum("q,qa,nsqe->nsae", weights, local, values, optimize=True)[spaces.as_dolfinx(cells)]
         strains: Array = measure[:, None, None, None] / local.shape[1] * sums
         return strains
-
-
-def blocks_of_cells(spaces: ElasticSpaces) -> Iterator[npt.NDArray[np.int32]]:
-    """The owned cells, so many at a time and equally often on all ranks (collective)."""
-    size = len(spaces.order)
-    parts = max(spaces.mesh.comm.allreduce(-(-size // BLOCK[spaces.dim]), MPI.MAX), 1)
-    yield from np.array_split(np.arange(size, dtype=np.int32), parts)
 
 
 def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBefore | None = None) -> ElasticData:
@@ -277,11 +270,11 @@ def _check_where_given(spaces: ElasticSpaces, u_D: Any) -> None:
 def _check_cells(spaces: ElasticSpaces, data: ElasticData) -> None:
     """Make sure of f and of the material in the points of the quadrature (collective)."""
     force = 0.0
-    for cells in blocks_of_cells(spaces):
+    for cells in blocks_of_cells(spaces.mesh):
         values = data.f.values(data.points(spaces, cells))
         force = max(force, float(np.nan_to_num(abs(values), nan=np.inf, posinf=np.inf).max(initial=0.0)))
     check_means("f", "in the domain", np.array([force]), spaces)
-    check_material(spaces, data.material, (data.points(spaces, cells) for cells in blocks_of_cells(spaces)))
+    check_material(spaces, data.material, (data.points(spaces, cells) for cells in blocks_of_cells(spaces.mesh)))
 
 
 @dataclass(frozen=True)
@@ -376,7 +369,7 @@ def _on_split(
         element = basix.ufl.quadrature_element(cell, value_shape=shape, degree=rule.degree, symmetry=symmetry)
     function = fem.Function(fenicsx.function_space(split.mesh, element))
     by_point = function.x.array.reshape(-1, function.function_space.dofmap.index_map_bs)
-    for block in blocks_of_cells(spaces):
+    for block in blocks_of_cells(spaces.mesh):
         cells = block[split.cells[block, 0] >= 0]
         size = len(cells), spaces.dim + 1, len(rule.weights)
         points, order = CellPoints(spaces.mesh, cells, rule.points, rule.weights), spaces.order[cells]

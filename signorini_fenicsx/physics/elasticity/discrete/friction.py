@@ -19,9 +19,10 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.lattices import lattice
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, GivenVector, is_normal
 

@@ -15,8 +15,9 @@ from math import factorial
 import basix
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.discrete.simplices import Simplices, facet_normals, null_space, opposite
 from signorini_fenicsx.forms.elasticity import pairs as entries
 
 
@@ -112,28 +113,6 @@ def split_vertices(vertices: Array) -> Array:
     return np.concatenate([vertices[:, opposite(size - 1)], centroid], axis=2)
 
 
-def opposite(dim: int) -> Indices:
-    """Vertices of each facet of a simplex, ascending: shape (d + 1, d)."""
-    return np.array([[k for k in range(dim + 1) if k != i] for i in range(dim + 1)])
-
-
-def facet_normals(vertices: Array) -> Array:
-    """|e| n for the facet opposite to each vertex, n pointing outwards, shape (cells, d + 1, d)."""
-    dim = vertices.shape[2]
-    edges = vertices[:, 1:] - vertices[:, :1]
-    gradients = np.linalg.inv(edges).transpose(0, 2, 1)
-    gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
-    measures = np.abs(np.linalg.det(edges)) / factorial(dim)
-    return -dim * measures[:, None, None] * gradients
-
-
-def null_space(matrix: Array) -> Array:
-    """An orthonormal basis of the vectors that a matrix maps to 0, as columns; as SciPy's, which is slow to load."""
-    _, sizes, vectors = np.linalg.svd(matrix)
-    rank = int(np.count_nonzero(sizes > 1e-10 * sizes.max(initial=0.0)))
-    return vectors[rank:].T
-
-
 def normal_of(simplex: Array) -> Array:
     """A normal of d points in R^d."""
     return null_space(simplex[1:] - simplex[:1])[:, 0]
@@ -174,34 +153,8 @@ class SplitQuadrature:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """Some cells by their vertices.
-
-    Attributes:
-        vertices: Shape (cells, d + 1, d).
-    """
-
-    vertices: Array
-
-    @property
-    def dim(self) -> int:
-        """The dimension d."""
-        return int(self.vertices.shape[2])
-
-    @cached_property
-    def derivative(self) -> Array:
-        """F, shape (cells, d, d)."""
-        return (self.vertices[:, 1:] - self.vertices[:, :1]).transpose(0, 2, 1)
-
-    @cached_property
-    def determinant(self) -> Array:
-        """|det F|."""
-        return np.abs(np.linalg.det(self.derivative))
-
-    @cached_property
-    def measure(self) -> Array:
-        """|T|."""
-        return self.determinant / factorial(self.dim)
+class Cells(Simplices):
+    """Some cells by their vertices, see `Simplices`."""
 
     @property
     def hat_gradients(self) -> Array:

@@ -27,6 +27,7 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.law import Graph, Law
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
 from signorini_fenicsx.discrete.part_laws import (
     COMPLEX_STEP,
     PartLaw,
@@ -36,7 +37,7 @@ from signorini_fenicsx.discrete.part_laws import (
     refuse_data,
 )
 from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 
 @dataclass(frozen=True)

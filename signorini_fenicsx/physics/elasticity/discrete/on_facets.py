@@ -14,9 +14,10 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum, vector_datum_of
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, GivenVector
 

@@ -18,10 +18,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.surfaces import read_surface
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 
 @dataclass(frozen=True)

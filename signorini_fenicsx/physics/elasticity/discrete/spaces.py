@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
-import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -14,69 +13,19 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.contact.sites import Kind, Sites
-from signorini_fenicsx.discrete.hybrid_system import Sides
-from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces, cells_and_dofs
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
+from signorini_fenicsx.discrete.mesh_spaces import build_mesh_spaces
+from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.meshes.domain import AXES, Domain
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import facet_normals, opposite
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh, split_mesh
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticBoundary
 
 
-@dataclass(frozen=True)
-class BoundaryFacets:
-    """Some boundary facets of this rank, all owned. Their vertices are in the order of `ElasticSpaces.order`.
-
-    Attributes:
-        facets: Their numbers.
-        cells: The cell behind each.
-        local: Which vertex of that cell is opposite, in the order of `ElasticSpaces.order`.
-        ranking: Where the vertices are among those that DOLFINx gives the facet, shape (facets, d).
-        blocks: Block of unknowns of each.
-        vertices: Shape (facets, d, d).
-        normals: Outer unit normals.
-        measure: |e|.
-    """
-
-    facets: npt.NDArray[np.int32]
-    cells: npt.NDArray[np.int32]
-    local: Indices
-    ranking: Indices
-    blocks: npt.NDArray[np.int32]
-    vertices: Array
-    normals: Array
-    measure: Array
-
-    def take(self, rows: Indices) -> BoundaryFacets:
-        """A selection of the facets."""
-        return BoundaryFacets(*(getattr(self, each.name)[rows] for each in fields(self)))
-
-    def moments(self, values: Array, points: Array, weights: Array) -> Array:
-        """∫ value φ_a over each facet, shape (facets, d, …), from values in points of the reference facet."""
-        hats = np.column_stack([1 - points.sum(axis=1), points])
-        by_dolfinx = np.einsum("q,qa,nq...->na...", weights / weights.sum(), hats, values)
-        order = self.ranking.reshape(*self.ranking.shape, *[1] * (values.ndim - 2))
-        scale = self.measure.reshape(-1, *[1] * (values.ndim - 1))
-        return scale * np.take_along_axis(by_dolfinx, order, axis=1)
-
-
-def linear_values(moments: Array, measure: Array) -> Array:
-    """Values at the vertices of the linear functions with these moments ∫ φ_a, the vertices being axis 1."""
-    size = moments.shape[1]
-    dual = (size + 1) * np.eye(size) - 1
-    scale = (size / measure).reshape(-1, *[1] * (moments.ndim - 1))
-    return scale * np.einsum("ab,nb...->na...", dual, moments)
-
-
-def linear_from_means(means: Array) -> Array:
-    """Values at the vertices of linear functions with these means weighted by the hats, shape (facets, d, …)."""
-    return (means.shape[1] + 1) * means - means.sum(axis=1, keepdims=True)
-
-
 @dataclass(frozen=True, kw_only=True)
-class ElasticSpaces(MeshSpaces):
-    """Spaces on one domain, with the cells' vertices in an order that is the same on any rank, see `node_ranks`.
+class ElasticSpaces(LinearTraces):
+    """Spaces on one domain, with the cells' vertices in an order that is the same on any rank, see `LinearTraces`.
 
     Unknown (a, k) of a facet is at its vertex a. On Γ_C and on parts that are fixed in the normal component k = 0 is
     that along n, in other places k is a coordinate. On Γ_C the normal part is in the basis dual to the hats φ_a, so
@@ -88,26 +37,13 @@ class ElasticSpaces(MeshSpaces):
 
     Attributes:
         boundary: The parts.
-        traces: A block of d² unknowns per facet.
         displacements: Linear on each cell.
-        order: Vertices of the owned cells in this order.
-        dofs: Blocks of the facets opposite to them, shape (cells, d + 1).
-        contact: The facets of Γ_C, in the order of `facets`.
         rough_rows: Which of them have friction; there the tangential part has the dual basis, too.
     """
 
     boundary: ElasticBoundary
-    traces: fem.FunctionSpace
     displacements: fem.FunctionSpace
-    order: Indices
-    dofs: npt.NDArray[np.int32]
-    contact: BoundaryFacets
     rough_rows: Indices
-
-    @property
-    def dim(self) -> int:
-        """The dimension d."""
-        return self.mesh.topology.dim
 
     @cached_property
     def distances(self) -> dict[tuple[str, str], Array]:
@@ -118,21 +54,6 @@ class ElasticSpaces(MeshSpaces):
     def constants_of_body(self) -> dict[bytes, float]:
         """Constants of Korn of the body by a digest of what they depend on, see `bound/body.py`; each is found once."""
         return {}
-
-    @property
-    def nodes(self) -> npt.NDArray[np.integer]:
-        """The nodes at the vertices of the owned cells in this order, shape (cells, d + 1)."""
-        return np.take_along_axis(super().nodes, self.order, axis=1)
-
-    @property
-    def corners(self) -> Array:
-        """The vertices of the facets of Γ_C in this order."""
-        return self.contact.vertices
-
-    @cached_property
-    def vertices(self) -> Array:
-        """Vertices of the owned cells, shape (cells, d + 1, d)."""
-        return self.mesh.geometry.x[self.nodes, : self.dim]
 
     def as_dolfinx(self, cells: npt.NDArray[np.int32]) -> tuple[Indices, Indices, Indices]:
         """Indices of subcell vertices in this order for DOLFINx's order of the cell's vertices.
@@ -145,36 +66,6 @@ class ElasticSpaces(MeshSpaces):
         place[:, :, :dim] = of_subcell - (of_subcell > order[:, :, None])
         place[:, :, dim] = dim  # the centroid
         return np.arange(len(cells))[:, None, None], order[:, :, None], place
-
-    def boundary_facets(self, numbers: npt.NDArray[np.int32]) -> BoundaryFacets:
-        """Boundary facets by their numbers."""
-        return _boundary_facets(self.traces, self.order, numbers)
-
-    def part(self, name: str) -> BoundaryFacets:
-        """The facets of a part."""
-        return self.boundary_facets(self.domain.facets[name])
-
-    @cached_property
-    def neumann(self) -> BoundaryFacets:
-        """All facets on which some component of σn is given."""
-        return self.boundary_facets(self.neumann_facets)
-
-    @cached_property
-    def dirichlet(self) -> BoundaryFacets:
-        """The facets of Γ_D."""
-        return self.boundary_facets(self.dirichlet_facets)
-
-    @cached_property
-    def across(self) -> BoundaryFacets:
-        """The other sides of the facets inside the domain, in the order of `inner.rows`."""
-        return self.boundary_facets(self.inner.facets)
-
-    @cached_property
-    def sides(self) -> Sides:
-        """The unknowns of the facets inside the domain."""
-        blocks, size = (self.contact.blocks[self.inner.rows], self.across.blocks), self.dim**2
-        named, across = ((each[:, None].astype(np.int64) * size + np.arange(size)).ravel() for each in blocks)
-        return Sides(named, across, self.inner.present)
 
     @cached_property
     def frames(self) -> list[tuple[BoundaryFacets, Array]]:
@@ -293,59 +184,14 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
     if domain.mesh.geometry.dim == 2 and flat:
         raise InputError(f"[boundary] fixed: part '{flat[0]}' is fixed in z, which there is only in space")
     on_mesh = build_mesh_spaces(domain, boundary.contact, [*boundary.neumann, *boundary.fixed], boundary.inner)
-    mesh = domain.mesh
-    dim = mesh.topology.dim
-    traces = fenicsx.function_space(mesh, ("CR", 1, (dim, dim)))
-    order = np.argsort(node_ranks(mesh, cut=on_mesh.inner.present)[cell_nodes(mesh)], axis=1)
-    dofs = np.take_along_axis(cell_dofs(traces), order, axis=1)
-    displacements = fenicsx.function_space(mesh, ("DG", 1, (dim,)))
+    dim = domain.mesh.topology.dim
+    displacements = fenicsx.function_space(domain.mesh, ("DG", 1, (dim,)))
     names = [index for index, name in enumerate(on_mesh.part_names) if name in rough]
     return ElasticSpaces(
-        **vars(on_mesh),
+        **linear_traces(on_mesh, (dim, dim)),
         boundary=boundary,
-        traces=traces,
         displacements=displacements,
-        order=order,
-        dofs=dofs,
-        contact=_boundary_facets(traces, order, on_mesh.facets),
         rough_rows=np.flatnonzero(np.isin(on_mesh.part_of_facet, names)),
-    )
-
-
-def node_ranks(mesh: dolfinx.mesh.Mesh, *, cut: bool) -> Indices:
-    """The numbers by which the nodes of this rank are ordered: their global ones.
-
-    Of a mesh that is cut inside the domain they are the places among the nodes sorted by x, then y, then z. So vertices
-    that lie on each other have the same order in the cells of both sides.
-    """
-    if not cut:
-        return mesh.geometry.input_global_indices
-    places = np.empty(len(mesh.geometry.x), dtype=np.int64)
-    places[np.lexsort(mesh.geometry.x.T[::-1])] = np.arange(len(places))
-    return places
-
-
-def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDArray[np.int32]) -> BoundaryFacets:
-    mesh = traces.mesh
-    dim = mesh.topology.dim
-    cells, blocks = cells_and_dofs(traces, facets)
-    own = np.argmax(traces.dofmap.list[cells] == blocks[:, None], axis=1)  # the facet in DOLFINx's order of the cell
-    local = np.argmax(order[cells] == own[:, None], axis=1)
-    among = np.take_along_axis(order[cells], opposite(dim)[local], axis=1)  # DOLFINx's numbers of the facet's vertices
-    ranking = among - (among > own[:, None])
-    nodes = np.take_along_axis(cell_nodes(mesh)[cells], order[cells], axis=1)
-    vertices = mesh.geometry.x[nodes, :dim]
-    areas = facet_normals(vertices)[np.arange(len(cells)), local]
-    measure = np.linalg.norm(areas, axis=1)
-    return BoundaryFacets(
-        facets=facets,
-        cells=cells,
-        local=local,
-        ranking=ranking,
-        blocks=blocks,
-        vertices=np.take_along_axis(vertices, opposite(dim)[local][:, :, None], axis=1),
-        normals=areas / measure[:, None],
-        measure=measure,
     )
 
 

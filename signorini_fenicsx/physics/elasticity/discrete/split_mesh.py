@@ -12,8 +12,8 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_nodes, original_cells
+from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.meshes.domain import distribute
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite
 
 
 @dataclass(frozen=True)

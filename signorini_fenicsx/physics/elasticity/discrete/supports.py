@@ -23,8 +23,9 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
 from signorini_fenicsx.expressions.given import number_of, parsed
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import GivenStiffness
 
 HELD = 1e-12

@@ -13,11 +13,13 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.laws import Friction, Signorini
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
+from signorini_fenicsx.discrete.simplices import blocks_of_cells, opposite
 from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable, along_parts
-from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import opposite, to_entries
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces, linear_from_means
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import to_entries
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.solve.residuals import imbalance
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED, Drawn, whole_boundary
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields, von_mises
@@ -68,7 +70,7 @@ def in_space(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array
     missing = 3 - spaces.dim
     padded = np.pad(stresses, (*[(0, 0)] * 3, (0, missing), (0, missing)))
     if data.material.in_strain:
-        for cells in blocks_of_cells(spaces):
+        for cells in blocks_of_cells(spaces.mesh):
             share, rest = (values.mean(axis=1) for values in data.material.out_of_plane(data.points(spaces, cells)))
             padded[cells, :, :, 2, 2] = np.einsum("ne,nsae->nsa", share, to_entries(stresses[cells]))
             padded[cells, :, :, 2, 2] += rest[:, None, None]

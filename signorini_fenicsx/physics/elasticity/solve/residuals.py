@@ -11,15 +11,12 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals, squares_off
-from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
-    Cells,
-    facet_normals,
-    hats_in_subcells,
-    to_entries,
-)
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
+from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, hats_in_subcells, to_entries
 from signorini_fenicsx.physics.elasticity.discrete.material import mean_compliances
-from signorini_fenicsx.physics.elasticity.discrete.spaces import BoundaryFacets, ElasticSpaces, linear_values
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import unbalanced
 from signorini_fenicsx.physics.elasticity.problem import NORMAL
 
@@ -65,7 +62,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     volume = square = of_loads = 0.0
     stiffness = np.empty(len(spaces.order))
     missing = imbalance(spaces, data, stresses)
-    for cells in blocks_of_cells(spaces):
+    for cells in blocks_of_cells(spaces.mesh):
         measure = Cells(spaces.vertices[cells]).measure
         square += float((subcell_squares(stresses[cells]) * measure[:, None] / (dim + 1)).sum())
         stiffness[cells] = 1 / mean_compliances(data.compliances(spaces, cells))[0].mean(axis=1)
@@ -116,7 +113,7 @@ def subcell_squares(stresses: Array) -> Array:
 def energy_squares(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:
     """(𝔸σ, σ) of each owned cell, from values as in `SplitMesh.values` (collective)."""
     squares = np.empty(len(spaces.order))
-    for cells in blocks_of_cells(spaces):
+    for cells in blocks_of_cells(spaces.mesh):
         masses = data.masses(spaces, cells, Cells(spaces.vertices[cells]).measure)
         stress = to_entries(stresses[cells]).reshape(*masses.shape[:3], 1)
         squares[cells] = (stress * (masses @ stress)).sum(axis=(1, 2, 3))
@@ -127,7 +124,7 @@ def imbalance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Arra
     """Moments of ∇·σ + f against the hats of the cells' vertices, over |T|, shape (cells, d + 1, d)."""
     dim = spaces.dim
     left = np.empty((len(spaces.order), dim + 1, dim))
-    for numbers in blocks_of_cells(spaces):
+    for numbers in blocks_of_cells(spaces.mesh):
         cells = Cells(spaces.vertices[numbers])
         volume = cells.measure / (dim + 1)
         divergence = np.einsum("nsvij,nsvj->nsi", stresses[numbers], cells.hat_gradients)
@@ -196,7 +193,7 @@ def balance(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> tuple[
     box = spaces.domain.box()[:, : spaces.dim]
     everything = [spaces.contact, spaces.across, spaces.neumann, spaces.dirichlet]
     pairs = [(facets.vertices, _pulls(spaces, stresses, facets)) for facets in everything]
-    for cells in blocks_of_cells(spaces):
+    for cells in blocks_of_cells(spaces.mesh):
         x = spaces.vertices[cells]
         pairs.append((x, data.moments_of_f(spaces, cells, Cells(x).measure)))
     total = np.sum([_wrench(x - box.mean(axis=0), forces) for x, forces in pairs], axis=0)

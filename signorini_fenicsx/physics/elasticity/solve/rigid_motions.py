@@ -12,7 +12,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
@@ -276,7 +277,7 @@ class Bodies:
         pairs = [(self.of_cell[neumann.cells], neumann.vertices, data.tractions)]
         beside = (pull for pull in data.pulls if not np.isin(pull.facets.facets, neumann.facets).any())
         pairs += [(self.of_cell[pull.facets.cells], pull.facets.vertices, pull.moments) for pull in beside]
-        for cells in blocks_of_cells(spaces):
+        for cells in blocks_of_cells(spaces.mesh):
             vertices = spaces.vertices[cells]
             moments = data.moments_of_f(spaces, cells, Cells(vertices).measure)
             pairs.append((self.of_cell[cells], vertices, moments))

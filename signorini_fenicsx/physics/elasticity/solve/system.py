@@ -15,11 +15,11 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
-from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, blocks_of_cells
+from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     compliance_product,
-    facet_normals,
     reference,
     to_entries,
     to_matrices,
@@ -54,7 +54,7 @@ class ElasticSystem(HybridSystem):
         """Go on with other data; False if these have another matrix (collective)."""
         before = self._digests
         self._take(data)
-        for numbers in blocks_of_cells(self.spaces):
+        for numbers in blocks_of_cells(self.spaces.mesh):
             self._of_cells(numbers, Cells(self.spaces.vertices[numbers]).measure)
         same = np.array([one.digest() == other.digest() for one, other in zip(before, self._digests, strict=True)])
         self.spaces.mesh.comm.Allreduce(MPI.IN_PLACE, same, MPI.LAND)
@@ -94,7 +94,7 @@ class ElasticSystem(HybridSystem):
         """
         spaces, data = self.spaces, self._data
         framed = [(facets.cells, facets.local, matrices) for facets, matrices in spaces.frames]
-        for numbers in blocks_of_cells(spaces):
+        for numbers in blocks_of_cells(spaces.mesh):
             cells = Cells(spaces.vertices[numbers])
             if stresses is None or moments is None:
                 compliances, of_f, own = self._of_cells(numbers, cells.measure)

@@ -1,0 +1,188 @@
+"""Traces that are linear on each facet: the facets with their vertices in one order, their unknowns, the two sides.
+
+Both elements of order two have them: that of Johnson and Mercier for stresses, and RT1 for fluxes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.discrete.hybrid_system import Sides
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs
+from signorini_fenicsx.discrete.simplices import facet_normals, opposite
+
+
+@dataclass(frozen=True)
+class BoundaryFacets:
+    """Some boundary facets of this rank, all owned. Their vertices are in the order of `LinearTraces.order`.
+
+    Attributes:
+        facets: Their numbers.
+        cells: The cell behind each.
+        local: Which vertex of that cell is opposite, in the order of `LinearTraces.order`.
+        ranking: Where the vertices are among those that DOLFINx gives the facet, shape (facets, d).
+        blocks: Block of unknowns of each.
+        vertices: Shape (facets, d, d).
+        normals: Outer unit normals.
+        measure: |e|.
+    """
+
+    facets: npt.NDArray[np.int32]
+    cells: npt.NDArray[np.int32]
+    local: Indices
+    ranking: Indices
+    blocks: npt.NDArray[np.int32]
+    vertices: Array
+    normals: Array
+    measure: Array
+
+    def take(self, rows: Indices) -> BoundaryFacets:
+        """A selection of the facets."""
+        return BoundaryFacets(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def moments(self, values: Array, points: Array, weights: Array) -> Array:
+        """∫ value φ_a over each facet, shape (facets, d, …), from values in points of the reference facet."""
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        by_dolfinx = np.einsum("q,qa,nq...->na...", weights / weights.sum(), hats, values)
+        order = self.ranking.reshape(*self.ranking.shape, *[1] * (values.ndim - 2))
+        scale = self.measure.reshape(-1, *[1] * (values.ndim - 1))
+        return scale * np.take_along_axis(by_dolfinx, order, axis=1)
+
+
+def linear_values(moments: Array, measure: Array) -> Array:
+    """Values at the vertices of the linear functions with these moments ∫ φ_a, the vertices being axis 1."""
+    size = moments.shape[1]
+    dual = (size + 1) * np.eye(size) - 1
+    scale = (size / measure).reshape(-1, *[1] * (moments.ndim - 1))
+    return scale * np.einsum("ab,nb...->na...", dual, moments)
+
+
+def linear_from_means(means: Array) -> Array:
+    """Values at the vertices of linear functions with these means weighted by the hats, shape (facets, d, …)."""
+    return (means.shape[1] + 1) * means - means.sum(axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearTraces(MeshSpaces):
+    """Spaces with traces that are linear on each facet.
+
+    The vertices of cells and facets are in an order that is the same on any rank, see `node_ranks`.
+
+    Attributes:
+        traces: A block of unknowns per facet: one for each of its vertices and components.
+        order: Vertices of the owned cells in this order.
+        dofs: Blocks of the facets opposite to them, shape (cells, d + 1).
+        contact: The facets of Γ_S or Γ_C, in the order of `facets`.
+    """
+
+    traces: fem.FunctionSpace
+    order: Indices
+    dofs: npt.NDArray[np.int32]
+    contact: BoundaryFacets
+
+    @property
+    def dim(self) -> int:
+        """The dimension d."""
+        return self.mesh.topology.dim
+
+    @property
+    def nodes(self) -> npt.NDArray[np.integer]:
+        """The nodes at the vertices of the owned cells in this order, shape (cells, d + 1)."""
+        return np.take_along_axis(super().nodes, self.order, axis=1)
+
+    @property
+    def corners(self) -> Array:
+        """The vertices of the facets of Γ_C in this order."""
+        return self.contact.vertices
+
+    @cached_property
+    def vertices(self) -> Array:
+        """Vertices of the owned cells, shape (cells, d + 1, d)."""
+        return self.mesh.geometry.x[self.nodes, : self.dim]
+
+    def boundary_facets(self, numbers: npt.NDArray[np.int32]) -> BoundaryFacets:
+        """Boundary facets by their numbers."""
+        return _boundary_facets(self.traces, self.order, numbers)
+
+    def part(self, name: str) -> BoundaryFacets:
+        """The facets of a part."""
+        return self.boundary_facets(self.domain.facets[name])
+
+    @cached_property
+    def neumann(self) -> BoundaryFacets:
+        """All facets on which some component of σn is given."""
+        return self.boundary_facets(self.neumann_facets)
+
+    @cached_property
+    def dirichlet(self) -> BoundaryFacets:
+        """The facets of Γ_D."""
+        return self.boundary_facets(self.dirichlet_facets)
+
+    @cached_property
+    def across(self) -> BoundaryFacets:
+        """The other sides of the facets inside the domain, in the order of `inner.rows`."""
+        return self.boundary_facets(self.inner.facets)
+
+    @cached_property
+    def sides(self) -> Sides:
+        """The unknowns of the facets inside the domain."""
+        blocks, size = (self.contact.blocks[self.inner.rows], self.across.blocks), self.traces.dofmap.index_map_bs
+        named, across = ((each[:, None].astype(np.int64) * size + np.arange(size)).ravel() for each in blocks)
+        return Sides(named, across, self.inner.present)
+
+
+def linear_traces(spaces: MeshSpaces, shape: tuple[int, ...]) -> dict[str, Any]:
+    """The fields of `LinearTraces` with a block of this shape per facet (collective)."""
+    mesh = spaces.mesh
+    traces = fenicsx.function_space(mesh, ("CR", 1, shape))
+    order = np.argsort(node_ranks(mesh, cut=spaces.inner.present)[cell_nodes(mesh)], axis=1)
+    dofs = np.take_along_axis(cell_dofs(traces), order, axis=1)
+    contact = _boundary_facets(traces, order, spaces.facets)
+    return {**vars(spaces), "traces": traces, "order": order, "dofs": dofs, "contact": contact}
+
+
+def node_ranks(mesh: dolfinx.mesh.Mesh, *, cut: bool) -> Indices:
+    """The numbers by which the nodes of this rank are ordered: their global ones.
+
+    Of a mesh that is cut inside the domain they are the places among the nodes sorted by x, then y, then z. So vertices
+    that lie on each other have the same order in the cells of both sides.
+    """
+    if not cut:
+        return mesh.geometry.input_global_indices
+    places = np.empty(len(mesh.geometry.x), dtype=np.int64)
+    places[np.lexsort(mesh.geometry.x.T[::-1])] = np.arange(len(places))
+    return places
+
+
+def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDArray[np.int32]) -> BoundaryFacets:
+    mesh = traces.mesh
+    dim = mesh.topology.dim
+    cells, blocks = cells_and_dofs(traces, facets)
+    own = np.argmax(traces.dofmap.list[cells] == blocks[:, None], axis=1)  # the facet in DOLFINx's order of the cell
+    local = np.argmax(order[cells] == own[:, None], axis=1)
+    among = np.take_along_axis(order[cells], opposite(dim)[local], axis=1)  # DOLFINx's numbers of the facet's vertices
+    ranking = among - (among > own[:, None])
+    nodes = np.take_along_axis(cell_nodes(mesh)[cells], order[cells], axis=1)
+    vertices = mesh.geometry.x[nodes, :dim]
+    areas = facet_normals(vertices)[np.arange(len(cells)), local]
+    measure = np.linalg.norm(areas, axis=1)
+    return BoundaryFacets(
+        facets=facets,
+        cells=cells,
+        local=local,
+        ranking=ranking,
+        blocks=blocks,
+        vertices=np.take_along_axis(vertices, opposite(dim)[local][:, :, None], axis=1),
+        normals=areas / measure[:, None],
+        measure=measure,
+    )
