@@ -7,6 +7,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.discrete.bernstein import exponents
 from signorini_fenicsx.expressions import Tree, values
 from signorini_fenicsx.expressions.quadratics import Quadratic, edges, quadratic
 
@@ -23,23 +24,10 @@ def quadratic_of(vertices: Array, nodes: Array) -> Quadratic:
     return quadratic(vertices, nodes[:, :corners], nodes[:, edge_order(corners)])
 
 
-def coefficients_of(values: Array, cell: basix.CellType) -> Array:
-    """Bernstein coefficients of the quadratics with these values in the nodes of simplices, both as Basix has them."""
-    corners = len(basix.topology(cell)[0])
-    first, second = np.array(basix.topology(cell)[1]).T
-    with np.errstate(invalid="ignore"):
-        middle = 2 * values[:, corners:] - (values[:, first] + values[:, second]) / 2
-    middle = np.where(np.isfinite(middle), middle, values[:, corners:])
-    return np.hstack([values[:, :corners], middle])
-
-
-def in_nodes(tree: Tree, vertices: Array) -> Array:
-    """Values in the vertices and then the midpoints of edges, as Basix numbers them, shape (n, nodes)."""
-    corners = vertices.shape[1]
-    ends = np.empty((corners * (corners - 1) // 2, 2), dtype=np.int64)
-    ends[np.array(edge_order(corners)) - corners] = edges(corners)
-    x = np.concatenate([vertices, (vertices[:, ends[:, 0]] + vertices[:, ends[:, 1]]) / 2], axis=1)
-    return values(tree, x)
+def in_nodes(tree: Tree, vertices: Array, degree: int = 2) -> Array:
+    """Values in the nodes of polynomials of a degree, as Basix numbers them, shape (n, nodes)."""
+    shares = exponents(SIMPLEX[vertices.shape[1] - 1], degree) / degree
+    return values(tree, shares @ vertices)
 
 
 def quadratic_by(vertices: Array, coefficients: Array) -> Quadratic:

@@ -26,6 +26,7 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cells_of_facets
 from signorini_fenicsx.base.small_matrices import determinants, gathered, times
+from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import Entities, arms, corners, hat_gradients
 from signorini_fenicsx.meshes.domain import rounding
 
@@ -134,17 +135,10 @@ class Points(ABC):
         slope = times(nodes[:, None], self.slopes)
         return np.concatenate([value, np.broadcast_to(slope, (*self.shape, slope.shape[2]))], axis=2)
 
-    def quadratic(self, function: fem.Function, *, gradient: bool = False) -> Array:
-        """Jet of a function that is quadratic on each cell by its Bernstein coefficients, shape (n, points, …)."""
+    def bernstein(self, function: fem.Function, *, gradient: bool = False) -> Array:
+        """Jet of a function that is a polynomial on each cell by its Bernstein coefficients, shape (n, points, …)."""
         nodes = gathered(function.x.array, function.function_space.dofmap.list[self.rows])
-        number = self.barycentric.shape[2]
-        first, second = np.array(basix.topology(self.mesh.basix_cell())[1]).T
-        form = np.empty((len(nodes), number, number), order="F")  # the function is Σ form_vw λ_v λ_w
-        form[:, range(number), range(number)] = nodes[:, :number]
-        form[:, first, second] = form[:, second, first] = nodes[:, number:]
-        half = np.einsum("npv,nvw->npw", self.barycentric, form)
-        value = np.einsum("npv,npv->np", half, self.barycentric)[:, :, None]
-        return np.concatenate([value, 2 * times(half, self.slopes)], axis=2) if gradient else value
+        return jet(nodes, self.barycentric, self.slopes if gradient else None)
 
 
 @dataclass(frozen=True)

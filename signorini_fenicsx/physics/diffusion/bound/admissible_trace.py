@@ -70,7 +70,7 @@ class Trace:
         """The jet of the admissible function in points of `cells` (near) or of others (collective)."""
         if near and self.exact is not None:
             return self.exact(points, gradient=gradient)
-        return points.quadratic(self.v, gradient=gradient)
+        return points.bernstein(self.v, gradient=gradient)
 
 
 def bernstein(mesh: dolfinx.mesh.Mesh) -> fem.FunctionSpace:

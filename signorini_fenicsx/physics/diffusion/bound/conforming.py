@@ -37,9 +37,9 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
+from signorini_fenicsx.discrete.bernstein import coefficients_of, to_bernstein
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
-from signorini_fenicsx.discrete.interpolants import coefficients_of
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
@@ -59,7 +59,7 @@ from signorini_fenicsx.physics.diffusion.bound.levels import levels
 from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
-from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, all_edges, relax
+from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_around, quadratic_on_sides, set_means
@@ -96,7 +96,7 @@ def law_trace(
     spaces, data, goal, mesh = solution.spaces, solution.data, on.goal, solution.spaces.mesh
     v, near = (averaged(solution, metric), y) if field is None else (field.copy(), field.copy())
     space = v.function_space
-    edges, nodes, rays = all_edges(space), facet_nodes(space, spaces.facets), inside.rays
+    nodes, rays = facet_nodes(space, spaces.facets), inside.rays
     on_dirichlet, facet = _given(space, spaces, data.u_D), facet_type(mesh.topology.dim)
     at_nodes = goal.at(spaces, quadratic_nodes(facet))
     u_D = quadratic_on_sides(data.u_D, space, spaces)
@@ -124,8 +124,8 @@ def law_trace(
     )
     jumps.undone(v)
     for function in (v, u_D) if field is None else (v, u_D, near):
-        edges.to_bernstein(function.x.array)
-    limits_of_rays = [ray.limits(v, edges, spaces.frame) for ray in rays]
+        to_bernstein(function)
+    limits_of_rays = [ray.limits(v, spaces.frame) for ray in rays]
     for ray, (limit, _) in zip(rays, limits_of_rays, strict=True) if field is None else ():
         ray.touch(v, limit, on_dirichlet)
     jumps.taken(v)
@@ -143,7 +143,7 @@ def law_trace(
     relax(v, flux, data.kappa_h, load, given, box, robin, None if pieces is None else pieces.springs(space), jumps)
     jumps.undone(v)
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
-        ray.move_inside(v, limits_of_ray, edges, on_dirichlet)
+        ray.move_inside(v, limits_of_ray, on_dirichlet)
     return _with_exact_data(on, data, _with_levels(on, data, v, u_D, pieces), inside, hindrance=hindrance)
 
 

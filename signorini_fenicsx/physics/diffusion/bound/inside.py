@@ -46,6 +46,7 @@ from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Corners, Obstacle
+from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
@@ -57,7 +58,6 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
 from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LAW, Projection, at_points, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.bound.relaxation import Edges
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
@@ -123,7 +123,7 @@ class Ray:
         """Whether the bound is its own quadratic interpolant."""
         return self.datum.polynomial is not None and self.datum.polynomial <= 2
 
-    def limits(self, v: fem.Function, edges: Edges, frame: Frame) -> tuple[Array, Mask]:
+    def limits(self, v: fem.Function, frame: Frame) -> tuple[Array, Mask]:
         """What it asks of the coefficients of v, infinite in nodes off its cells, and the rough cells (collective)."""
         space, rough = v.function_space, np.zeros(len(self.touched), dtype=bool)
         if self.datum.number is None and self.datum.pieces is not None:
@@ -133,7 +133,7 @@ class Ray:
             )
             asked, rough[self.cells], _ = simplices.asked(self.datum, self.sign, space, frame)
             return extreme_around(space, nodes, asked, largest=self.sign > 0), rough
-        bound = coefficients(self.datum, space, edges)
+        bound = coefficients(self.datum, space)
         return bound if self.everywhere else np.where(_around(space, self.cells), bound, -self.sign * np.inf), rough
 
     def bound(self, linear: fem.FunctionSpace) -> Bound:
@@ -148,7 +148,7 @@ class Ray:
         touched[on_dirichlet] = False
         v.x.array[:] = np.where(touched, limit, v.x.array)
 
-    def move_inside(self, v: fem.Function, limits: tuple[Array, Mask], edges: Edges, given: Indices) -> None:
+    def move_inside(self, v: fem.Function, limits: tuple[Array, Mask], given: Indices) -> None:
         """Move v in the vertices all of whose cells touch, so that v cut off by ψ is ψ there (collective).
 
         In nodes where v is given, as on Γ_D, and in those of rough cells, it stays.
@@ -159,7 +159,7 @@ class Ray:
         above, interpolant = np.zeros(len(self.touched)), fem.Function(space)
         interpolant.x.array[:] = np.where(np.isfinite(limit), limit, 0.0)
         for points in cell_quadrature(mesh, self.cells.astype(np.int32), quadrature_degree(self.datum)):
-            missed = self.sign * (points.quadratic(interpolant)[:, :, 0] - self.datum.values(points))
+            missed = self.sign * (points.bernstein(interpolant)[:, :, 0] - self.datum.values(points))
             above[points.cells] = missed.max(axis=1, initial=0.0)
         cells = cell_dofs(space)
         vertices = cells[:, : mesh.topology.dim + 1]
@@ -171,14 +171,14 @@ class Ray:
             function.x.scatter_forward()
         depth.x.array[free.x.array > 0] = 0.0
         depth.x.array[given] = 0.0
-        depth.x.array[edges.middle] = depth.x.array[edges.ends].mean(axis=1)  # linear on each cell
+        make_linear(depth)
         v.x.array[:] -= self.sign * depth.x.array
 
 
-def coefficients(datum: Datum, space: fem.FunctionSpace, edges: Edges) -> Array:
+def coefficients(datum: Datum, space: fem.FunctionSpace) -> Array:
     """Bernstein coefficients of the quadratic interpolant of a datum (collective)."""
     interpolant = datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
-    edges.to_bernstein(interpolant.x.array)
+    to_bernstein(interpolant)
     return np.asarray(interpolant.x.array, dtype=np.float64)
 
 

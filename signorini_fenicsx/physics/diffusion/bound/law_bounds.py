@@ -126,11 +126,11 @@ class LawTrace:
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """The jet of the bound (collective)."""
         datum, interpolant = self.u_D
-        values = points.quadratic(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
+        values = points.bernstein(self.v, gradient=gradient) + points.linear(self.moved, gradient=gradient)
         kept = self._kept(points, gradient=gradient)
         values = values + kept
         if datum.number is None or self.levels:
-            missed = datum.jet(points, gradient=gradient) - points.quadratic(interpolant, gradient=gradient)
+            missed = datum.jet(points, gradient=gradient) - points.bernstein(interpolant, gradient=gradient)
             values = values + cut_off(points.linear(self.near_dirichlet, gradient=gradient), missed - kept)
         for bound in self.bounds:
             values = bound.apply(points, values, gradient=gradient)
@@ -153,7 +153,7 @@ class LawTrace:
         """The sum of all χ_b(b − I_hb) (collective)."""
         kept = np.zeros((*points.shape, 1 + gradient * points.mesh.geometry.dim))
         for level, quadratic, near in self.levels:
-            missed = level.jet(points, gradient=gradient) - points.quadratic(quadratic, gradient=gradient)
+            missed = level.jet(points, gradient=gradient) - points.bernstein(quadratic, gradient=gradient)
             kept += cut_off(points.linear(near, gradient=gradient), missed)
         return kept
 

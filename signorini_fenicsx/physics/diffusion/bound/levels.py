@@ -17,7 +17,6 @@ from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
 from signorini_fenicsx.physics.diffusion.bound.inside import coefficients
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import ROUNDING, level_of
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
-from signorini_fenicsx.physics.diffusion.bound.relaxation import all_edges
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_around
 
 
@@ -48,7 +47,7 @@ def _held_values(on: OnGammaS, v: fem.Function, linear: fem.FunctionSpace) -> It
         for first, last in _runs(on.steep[rows], spaces.mesh.comm):
             datum = level_of(part, first, last)
             if datum is not None and datum.number is None:
-                interpolant = coefficients(datum, space, all_edges(space))
+                interpolant = coefficients(datum, space)
                 held = steep & (first <= on.segment) & (on.segment <= last)
                 bounds = any(datum is bound for bound in part.bounds)
                 if bounds:
@@ -82,7 +81,7 @@ def _held_in_cells(
     once = np.sum([near for _, near in held], axis=0) == 1
     for datum, near in held:
         if datum is not None and datum.number is None:
-            yield datum, coefficients(datum, space, all_edges(space)), np.where(once & near, 1.0, 0.0)
+            yield datum, coefficients(datum, space), np.where(once & near, 1.0, 0.0)
 
 
 def _runs(steep: Mask, comm: MPI.Comm) -> Iterator[tuple[int, int]]:
@@ -103,5 +102,5 @@ def _held_jumps(
         if len(bounds) == 1 and bounds[0].number is None:
             rows = np.intersect1d(part.rows, on.spaces.inner.rows)
             is_held = largest_around(linear, facet_nodes(linear, on.spaces.facets[rows]), np.ones(len(rows)))
-            interpolant = coefficients(bounds[0], space, all_edges(space))
+            interpolant = coefficients(bounds[0], space)
             yield bounds[0], interpolant, np.where((is_held > 0) & jumps.jump, 1.0, 0.0)

@@ -21,9 +21,10 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Mask
 from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.discrete.bernstein import coefficients_of
 from signorini_fenicsx.discrete.continuity import jumps_inside
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.interpolants import coefficients_of, in_nodes
+from signorini_fenicsx.discrete.interpolants import in_nodes
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
 from signorini_fenicsx.expressions.cutting import Frame

@@ -177,7 +177,7 @@ class _Field:
         if self.trace is None:
             return np.zeros((*points.shape, dim))
         slope = self.trace.jet(points, near=near, gradient=True)[:, :, 1:]
-        return slope if self.less is None else slope - points.quadratic(self.less, gradient=True)[:, :, 1:]
+        return slope if self.less is None else slope - points.bernstein(self.less, gradient=True)[:, :, 1:]
 
     def flux_at(self, points: Points) -> Array:
         """Y in points."""

@@ -10,10 +10,10 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.certificate.of_field import FieldBound, joined
+from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
-from signorini_fenicsx.physics.diffusion.bound.relaxation import all_edges
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
@@ -28,7 +28,7 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         repaired = Admissible.of(solution, goal, field)
         parts = gap_parts(repaired, repaired, goal)
         of_repaired = summed(repaired, parts)
-        all_edges(field.function_space).to_bernstein(field.x.array)
+        to_bernstein(field)
         flux, of_field = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
         squares = own.energies.squares(flux, of_field)
         moved = np.sqrt(own.energies.squares(None, repaired.trace, field).most) + parts.hidden
@@ -43,9 +43,9 @@ def _in_nodes(v: fem.Function) -> fem.Function:
     corners = mesh.topology.dim + 1
     values = v.x.array[cell_dofs(v.function_space)]
     if values.shape[1] == corners:
-        ends = all_edges(quadratic.function_space)
         quadratic.x.array[nodes[:, :corners]] = values
-        quadratic.x.array[ends.middle] = quadratic.x.array[ends.ends].mean(axis=1)
+        quadratic.x.scatter_forward()
+        make_linear(quadratic)
     else:
         quadratic.x.array[nodes] = values
     quadratic.x.scatter_forward()

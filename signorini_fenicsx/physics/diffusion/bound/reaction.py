@@ -139,7 +139,7 @@ def reaction_terms(
         rough |= bent * np.sqrt(metric.kappa_min) > resolution.flux(metric)
     rows = np.flatnonzero(rough & ~near.apart)
     if spaces.mesh.comm.allreduce(len(rows)):
-        of_u = Term("c", data.c, lambda points: -points.quadratic(trace.v)[:, :, 0], farthest)
+        of_u = Term("c", data.c, lambda points: -points.bernstein(trace.v)[:, :, 0], farthest)
         numbers = c_h * level - (owned_values(data.memory) if memory and data.memory is not None else 0.0)
         cut = cut_loads([of_u, *memory], numbers, resolution, rows, fine, metric)
         known = np.isfinite(cut.unsure + cut.load.rest + cut.delta)
@@ -195,7 +195,7 @@ def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, s
             part = projected(values - some.means(values)[:, None], cell, OF_LOAD, points, weights)
             load.coefficients[own], load.rest[own] = part.coefficients, part.rest
             if near:
-                between = np.abs(v - some.quadratic(trace.v)[:, :, 0]).max(axis=1, initial=0.0)
+                between = np.abs(v - some.bernstein(trace.v)[:, :, 0]).max(axis=1, initial=0.0)
                 apart[own] = between > SAME * (np.abs(level) + nodes)[own]
     return _Near(mean, delta, missed, load, apart)
 

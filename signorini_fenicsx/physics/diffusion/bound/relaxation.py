@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-import basix
 import numpy as np
 import numpy.typing as npt
 import ufl
@@ -17,7 +16,6 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.small_matrices import gathered
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
@@ -42,31 +40,6 @@ NOTHING = 1e-28
 
 TIE = 1e-12
 """Relative size of what is rounding where coefficients are compared with bounds, and descents with 0."""
-
-
-@dataclass(frozen=True)
-class Edges:
-    """The middle nodes of some edges of this rank, and the nodes at their ends."""
-
-    middle: Indices
-    ends: Indices
-
-    def to_bernstein(self, values: Array) -> None:
-        """Turn values in the middle nodes into Bernstein coefficients, in place."""
-        means = gathered(values, self.ends).sum(axis=1)
-        means /= 2
-        values[self.middle] = 2 * values.take(self.middle) - means
-
-
-def all_edges(space: fem.FunctionSpace) -> Edges:
-    """The edges of this rank, each once, in a space of quadratics with the nodes of the Bernstein or Lagrange basis."""
-    nodes, numbers = space.dofmap.list, space.dofmap.index_map
-    vertices = space.mesh.topology.dim + 1
-    local = np.array(basix.topology(space.mesh.basix_cell())[1])
-    ends = np.full((numbers.size_local + numbers.num_ghosts, 2), -1, dtype=np.int32)
-    ends[nodes[:, vertices:]] = nodes[:, local]
-    middle = np.flatnonzero(ends[:, 0] >= 0).astype(np.int32)
-    return Edges(middle, ends[middle])
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ class Continuous:
         spaces = solution.spaces
         means = np.empty(len(spaces.cell_measures))
         for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), 2):
-            means[points.cells] = points.means(points.quadratic(v)[:, :, 0])
+            means[points.cells] = points.means(points.bernstein(v)[:, :, 0])
         dim = spaces.mesh.topology.dim
         mean_of_product = math.factorial(dim) / math.factorial(2 * dim + 1)
         return cls(v, (owned_values(solution.u) - means) / mean_of_product)
@@ -72,7 +72,7 @@ class Continuous:
     def __call__(self, points: Points) -> Array:
         """Values of the datum in points."""
         product = points.barycentric.prod(axis=2)
-        return points.quadratic(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
+        return points.bernstein(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,93 @@
+"""Polynomials on simplices by Bernstein coefficients, of any degree, in the order in which Basix has the nodes."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import basix
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.base.small_matrices import times
+
+
+@cache
+def nodes(cell: basix.CellType, degree: int) -> Array:
+    """The nodes of a reference simplex: vertices, then points that divide its edges equally, and so on."""
+    return basix.create_element(basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced).points
+
+
+@cache
+def exponents(cell: basix.CellType, degree: int) -> Indices:
+    """α of the Bernstein polynomial degree!/α! λ^α that belongs to each node, shape (nodes, vertices)."""
+    x = nodes(cell, degree)
+    return np.rint(degree * np.column_stack([1 - x.sum(axis=1), x])).astype(np.int64)
+
+
+def basis(cell: basix.CellType, degree: int, points: Array) -> Array:
+    """The Bernstein polynomials in points of the reference simplex, shape (points, nodes)."""
+    element = basix.create_element(basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.bernstein)
+    return np.asarray(element.tabulate(0, points)[0, :, :, 0])
+
+
+def coefficients_of(values: Array, cell: basix.CellType) -> Array:
+    """Bernstein coefficients of the polynomials with these values in the nodes of simplices, shape (n, nodes).
+
+    Where a value that it needs is not finite, the value in the node itself stands for a coefficient.
+    """
+    matrix = _from_values(cell, values.shape[1])
+    with np.errstate(invalid="ignore"):
+        coefficients = np.column_stack([values[:, row != 0] @ row[row != 0] for row in matrix])
+    return np.where(np.isfinite(coefficients), coefficients, values)
+
+
+@cache
+def _from_values(cell: basix.CellType, number: int) -> Array:
+    """The matrix from values in so many nodes to coefficients."""
+    degree = next(degree for degree in range(1, number) if len(nodes(cell, degree)) == number)
+    matrix = np.linalg.inv(basis(cell, degree, nodes(cell, degree)))
+    matrix[np.abs(matrix) < 1e-9] = 0.0
+    return matrix
+
+
+@cache
+def _raised(cell: basix.CellType, degree: int) -> Indices:
+    """The node of degree + 1 with α + e_v for each node of a degree, with α, and each vertex v."""
+    number = {tuple(alpha): row for row, alpha in enumerate(exponents(cell, degree + 1).tolist())}
+    dim = len(basix.topology(cell)) - 1
+    units = np.eye(dim + 1, dtype=np.int64)
+    return np.array([[number[tuple(alpha + unit)] for unit in units] for alpha in exponents(cell, degree)])
+
+
+def jet(coefficients: Array, barycentric: Array, slopes: Array | None = None) -> Array:
+    """Values, and gradients if the slopes of the barycentric coordinates are given, by de Casteljau's algorithm.
+
+    Args:
+        coefficients: Of n polynomials, of degree ≥ 1, shape (n, nodes).
+        barycentric: Of the points, shape (n or 1, points, vertices).
+        slopes: Shape (n, vertices, dim).
+    """
+    cell, degree, form = SIMPLEX[barycentric.shape[2] - 1], 1, coefficients[:, None]
+    while len(nodes(cell, degree)) < coefficients.shape[1]:
+        degree += 1
+    for lower in range(degree - 1, 0, -1):
+        form = np.einsum("npv,npav->npa", barycentric, form[:, :, _raised(cell, lower)])
+    form = np.broadcast_to(form, (len(form), barycentric.shape[1], form.shape[2]))
+    value = np.einsum("npv,npv->np", form, np.broadcast_to(barycentric, form.shape))[:, :, None]
+    return value if slopes is None else np.concatenate([value, degree * times(form, slopes)], axis=2)
+
+
+def to_bernstein(function: fem.Function) -> None:
+    """Turn values in the nodes of a function into Bernstein coefficients, in place, with ghosts."""
+    cells, cell = function.function_space.dofmap.list, function.function_space.mesh.basix_cell()
+    function.x.array[cells] = coefficients_of(function.x.array[cells], cell)
+
+
+def make_linear(function: fem.Function) -> None:
+    """Let a function be linear on each cell, with its values in the vertices, in place, with ghosts."""
+    cells, cell = function.function_space.dofmap.list, function.function_space.mesh.basix_cell()
+    shares = exponents(cell, function.function_space.element.basix_element.degree)
+    vertices = shares.shape[1]
+    function.x.array[cells] = function.x.array[cells[:, :vertices]] @ (shares / shares[0].sum()).T
