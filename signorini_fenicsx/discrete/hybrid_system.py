@@ -138,7 +138,12 @@ class HybridSystem(ABC):
 
     Attributes:
         matrix: Without conditions.
+        load: Right side for x − lift, of each owned unknown.
+        tractions: The part of it that is given on facets.
     """
+
+    load: Array
+    tractions: Array
 
     def __init__(self, traces: fem.FunctionSpace, dofs: npt.NDArray[np.int32], sides: Sides):
         """Eliminate and assemble (collective).
@@ -163,6 +168,10 @@ class HybridSystem(ABC):
     @abstractmethod
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
         """σ and u of all cells from their coefficients, block by block."""
+
+    @abstractmethod
+    def forces(self, sigma: Array) -> Array:
+        """⟨σn, q⟩ summed over the cells for each owned unknown q, from σ as `recover` gives it (collective)."""
 
     def load_of(self, blocks: Sequence[Eliminated], lift: Array) -> Array:
         """The right side for x − lift, without given fluxes: owned entries (collective)."""

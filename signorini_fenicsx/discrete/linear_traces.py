@@ -105,6 +105,22 @@ class LinearTraces(MeshSpaces):
         """The vertices of the facets of Γ_C in this order."""
         return self.contact.vertices
 
+    @property
+    def frames(self) -> list[tuple[BoundaryFacets, Array]]:
+        """Facets whose unknowns are no values at vertices, and the values there that the unknowns stand for.
+
+        These are matrices from the unknowns of a facet to values, shape (facets, block, block).
+        """
+        raise NotImplementedError
+
+    @property
+    def places(self) -> Array:
+        """For each vertex of the facets of Γ_S the vertex, the sum of those of its facet, and a zero."""
+        vertices = self.contact.vertices
+        of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
+        rows = np.concatenate([vertices, of_facet, np.zeros((*vertices.shape[:2], 1))], axis=2)
+        return np.asarray(rows.reshape(-1, rows.shape[2]))
+
     @cached_property
     def vertices(self) -> Array:
         """Vertices of the owned cells, shape (cells, d + 1, d)."""

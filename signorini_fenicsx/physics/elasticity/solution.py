@@ -119,7 +119,7 @@ class ElasticSolution(Solution):
         """
         laws, normal = self.data.laws, self.spaces.site_kinds["normal"]
         own, pressure = map(normal.of, (self.outcome.iterate.p, self.data.reactions(self.spaces, self.stresses)))
-        return normal.rows_of(laws.means(self.segment, own, pressure) + laws.opening)
+        return normal.rows_of(laws.means(self.segment, own, pressure) + laws.p_h)
 
     @cached_property
     def segment(self) -> Indices:
@@ -311,7 +311,7 @@ class ElasticSolution(Solution):
         if not self.data.laws.of_parts:
             return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
         chains = self.data.laws.chains[:: spaces.dim]  # of the first vertex of each facet
-        opening = open_by - self.data.laws.opening.reshape(-1, spaces.dim).mean(axis=1) - EXACT_CONTACT * largest
+        opening = open_by - self.data.laws.p_h.reshape(-1, spaces.dim).mean(axis=1) - EXACT_CONTACT * largest
         behind = (chains.p < opening[:, None]).sum(axis=1)
         return FacetSet(spaces, np.take_along_axis(chains.slope, behind[:, None], axis=1)[:, 0] > 0)
 

@@ -21,12 +21,12 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.discrete.simplices import BLOCK, opposite
+from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, TraceCoarse
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity.discrete.data import OnSplit
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.solve.multigrid import DEFAULTS, ElasticCoarse
 
 TOLERANCE = 1e-5
 """Relative residual of a solve by CG, which may stop before; the next solve also removes what the last one left."""
@@ -195,7 +195,7 @@ def displacement_solver(
     matrix: PETSc.Mat,
     *,
     iterate: bool,
-) -> FacetSolver[ElasticCoarse]:
+) -> FacetSolver[TraceCoarse]:
     """A solver for displacements at the nodes that are left: a factorisation, or CG with multigrid (collective).
 
     Args:
@@ -211,10 +211,10 @@ def displacement_solver(
         InputError: If PETSc refuses an option.
     """
 
-    def levels(pc: PETSc.PC) -> ElasticCoarse:
+    def levels(pc: PETSc.PC) -> TraceCoarse:
         linear = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
         interpolation = _from_linear(spaces, split, space, linear, nodes, frames)
-        return ElasticCoarse(matrix, spaces.dim, linear, interpolation, pc)
+        return TraceCoarse(matrix, spaces.dim, linear, interpolation, pc)
 
     solver = FacetSolver(matrix, "facet_", DEFAULTS[spaces.dim], levels if iterate else None, MOST, tolerance=TOLERANCE)
     if solver.iterates:

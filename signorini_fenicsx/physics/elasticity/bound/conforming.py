@@ -25,6 +25,7 @@ from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, ROUNDING
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.matrices import OfCells, add_of_cells, of_cells
+from signorini_fenicsx.discrete.trace_multigrid import STIFF
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
 from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condensed, displacement_solver, means_at_nodes
@@ -36,7 +37,6 @@ from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, mate
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.solve.multigrid import STIFF
 
 FREE = 1e-12
 """A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""

@@ -17,10 +17,11 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
 from signorini_fenicsx.discrete.seen import Seen
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaws, lines_by_data
+from signorini_fenicsx.physics.elasticity.discrete.normal_laws import lines_by_data
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw, ElasticProblem, is_normal
@@ -129,7 +130,7 @@ def _friction(spaces: ElasticSpaces, problem: ElasticProblem) -> Iterator[tuple[
 
 
 def of_laws(
-    spaces: ElasticSpaces, laws: NormalLaws, segment: Indices, opening: Array
+    spaces: ElasticSpaces, laws: VertexLaws, segment: Indices, opening: Array
 ) -> Iterator[tuple[str, str, Moments]]:
     """The moments of the data of laws that are given in UFL, which move the lines of these segments (collective).
 

@@ -23,6 +23,7 @@ from signorini_fenicsx.discrete.linear_traces import linear_values
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, FromBefore, friction_bounds
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import SplitQuadrature, split_vertices
@@ -32,7 +33,7 @@ from signorini_fenicsx.physics.elasticity.discrete.material import (
     material_of,
     mean_compliances,
 )
-from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaws, normal_laws
+from signorini_fenicsx.physics.elasticity.discrete.normal_laws import normal_laws
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
     Pull,
     add_pulls,
@@ -97,7 +98,7 @@ class ElasticData:
     pulled: Array
     supports: Supports
     gap: Datum
-    laws: NormalLaws
+    laws: VertexLaws
     exact: VectorDatum | None
     material: Material
     quadrature: SplitQuadrature
@@ -114,12 +115,12 @@ class ElasticData:
     @property
     def slip_before(self) -> Array:
         """What of û_t at the sites with friction is no slip: that of the last step, and of tools."""
-        return self.slipped + self.moved[len(self.laws.opening) :]
+        return self.slipped + self.moved[len(self.laws.p_h) :]
 
     def reactions(self, spaces: ElasticSpaces, stresses: Array) -> Array:
         """What foundations, or other bodies, do: −σ_nn at the sites from the references of the laws, then σ_t."""
         pulls = spaces.tractions(spaces.contact, stresses) - self.pulled
-        normal = -np.einsum("nai,ni->na", pulls, spaces.contact.normals).ravel() - self.laws.pressure
+        normal = -np.einsum("nai,ni->na", pulls, spaces.contact.normals).ravel() - self.laws.flux_h
         return np.append(normal, spaces.in_frames(pulls[spaces.rough_rows]))
 
     def after(self, spaces: ElasticSpaces, rho: Array) -> ElasticData:
@@ -220,11 +221,11 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     laws = normal_laws(spaces, problem.normal)
     fixed = _set_given(spaces, u_D, gap, lift)
     normal, slip = spaces.site_kinds
-    lift.x.array[normal.unknown] -= laws.opening
+    lift.x.array[normal.unknown] -= laws.p_h
     tractions = traction_moments(spaces, g_N)
     pulled = add_pulls(spaces, pulls, tractions)
     add_tractions(spaces, tractions, pulled, load)
-    load.array[normal.unknown] -= normal.measure * laws.pressure
+    load.array[normal.unknown] -= normal.measure * laws.flux_h
     slipped = np.zeros(len(slip)) if before.slipped is None else before.slipped
     lift.x.array[slip.unknown] = slipped
     lift.x.scatter_forward()

@@ -126,13 +126,11 @@ class ElasticSpaces(LinearTraces):
 
     @property
     def places(self) -> Array:
-        """For each site the vertex, the sum of its facet's vertices, and whether it is one of friction."""
-        dim, vertices = self.dim, self.contact.vertices
-        of_facet = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
-        rows = np.concatenate([vertices, of_facet, np.zeros((*vertices.shape[:2], 1))], axis=2)
-        rough = np.repeat(rows[self.rough_rows, :, None], dim - 1, axis=2)
+        """The place of each site, see `LinearTraces.places`; with friction its last number is the tangent's."""
+        dim, rows = self.dim, super().places
+        rough = np.repeat(rows.reshape(-1, dim, 1, rows.shape[1])[self.rough_rows], dim - 1, axis=2)
         rough[..., -1] = np.arange(1, dim)
-        return np.concatenate([each.reshape(-1, 2 * dim + 1) for each in (rows, rough)])
+        return np.concatenate([rows, rough.reshape(-1, rows.shape[1])])
 
     def pressure_of(self, flux: Array) -> Array:
         """The pressure at the vertices of the facets with friction, of values at all sites, shape (facets, d)."""

@@ -100,7 +100,7 @@ def _of_v(solution: ElasticSolution, problem: BestDisplacement, v: fem.Function,
     form = square(material.stiffness, vector(strain(v)) - material.eigenstrain, 0.5, material.dx)
     total = np.array([-1.0, 1.0]) * _work(solution, v, enough)
     total[0] += fem.assemble_scalar(fenicsx.form(form))
-    reference = data.laws.pressure.reshape(-1, spaces.dim)[contact.rows]
+    reference = data.laws.flux_h.reshape(-1, spaces.dim)[contact.rows]
     apart = facet_moments(spaces, "gap", data.gap, contact.facets, "on Γ_C")
     apart = apart - np.einsum("nai,ni->na", problem.moments_on_contact(v), contact.facets.normals)
     total[0] -= float((reference * apart).sum())

@@ -260,7 +260,7 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     middle = _middles(contact)
     apart = np.zeros((len(middle), spaces.dim))
     normal = spaces.site_kinds["normal"]
-    means = normal.rows_of(solution.data.lift[normal.unknown] + solution.data.laws.opening)
+    means = normal.rows_of(solution.data.lift[normal.unknown] + solution.data.laws.p_h)
     apart[spaces.inner.rows] = linear_from_means(means)[spaces.inner.rows]
     nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
     numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)

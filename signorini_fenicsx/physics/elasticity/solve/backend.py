@@ -1,6 +1,4 @@
-"""The elastic backend: the facet system with a contact condition per facet vertex of Γ_C.
-
-Small systems are factorised, larger ones solved by CG with multigrid.
+"""The elastic backend: a hybrid system with a contact condition per facet vertex of Γ_C.
 
 Where only contact holds the body, a set on the way may be too small for that. Then weak springs hold the free sites;
 under the load they give way so far that the next set is larger. No result has springs: its residuals would be large.
@@ -13,62 +11,43 @@ from functools import cached_property, partial
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.tolerances import STEP, TIE
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate, Pairs, PlainBackend
+from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
-from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
-from signorini_fenicsx.linear.corrections import corrected, stepped
-from signorini_fenicsx.linear.facet_solver import FacetSolver
-from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
+from signorini_fenicsx.discrete.hybrid_backend import HybridBackend
+from signorini_fenicsx.discrete.posed import Posed, State
+from signorini_fenicsx.discrete.sizes import Sizes
+from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, law_of_sites
-from signorini_fenicsx.physics.elasticity.discrete.normal_laws import Springs
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import neighbours
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Moving
-from signorini_fenicsx.physics.elasticity.solve.multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
-from signorini_fenicsx.physics.elasticity.solve.posed import Posed, State
 from signorini_fenicsx.physics.elasticity.solve.rigid_motions import check_rigid_motions, is_free
-from signorini_fenicsx.physics.elasticity.solve.sizes import Sizes
 from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.solve.weak_springs import SPRING, WeakSprings
 
-MOST_ITERATIONS = 400
-"""If CG needs more, it gives way to a factorisation."""
 ROUGH = 1e-2
 """What a rough solve with tools leaves, as a share of what there was at its start."""
 
 
-class ElasticBackend(PlainBackend):
+class ElasticBackend(HybridBackend):
     """Solves under one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
 
     ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is as
-    `NormalLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the
+    `VertexLaws.own` has it, and ROBIN is a spring. After these sites come those with friction, where p = u_t and the
     flux is σ_t: ZERO_TRACE sticks, NO_FLUX with the bound of the shear for its value slips. In space a vertex with
     friction has two of them, for the components of both, and `FrictionBounds.stiffness` is added where it slips.
-
-    It has the problem of the last solve, and a state that says what x is to it:
-
-        any ──solve, solve_until─────────> ROUGH or SOLVED    x is its solution, up to a share or to the end
-        ROUGH ──the same again───────────> goes on from x
-        SOLVED ──the same again──────────> nothing is done
-        any ──solve_homogeneous, other───> POSED              x is only a start, the solver is set up
-        ROUGH, SOLVED ──anchor, follow_bounds──> POSED
-        any ──turn, release, renew, a failure──> START        x is only a start, and the laws are others
-
-    Attributes:
-        stiffness: The diagonal entry of each site over its measure.
-        measure: |e| of each site, over its vertices.
-        sizes: The sizes of the last solution.
     """
 
     name = "elastic"
-    noun = ("vertex", "vertices")
-    cheap = False
+    spaces: ElasticSpaces
+    system: ElasticSystem
+    data: ElasticData
 
     def __init__(
         self,
@@ -89,22 +68,13 @@ class ElasticBackend(PlainBackend):
         Raises:
             InputError: If PETSc refuses an option.
         """
-        self.spaces, self.comm = spaces, spaces.mesh.comm
-        self._normal, self._slip = sites = spaces.site_kinds
-        self.sites, self._unknowns, self.measure, self._signs = len(sites), sites.unknown, sites.measure, sites.sign
-        self.system = ElasticSystem(spaces, data)
-        self._operator = ConstrainedMatrix(self.system.matrix, PETSc.Mat.Option.SPD)
-        self.dofs = (matrix := self._operator.matrix).getSize()[0]
-        large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
-        make = partial(of_facets, spaces, self._operator, data.stiffness_of_volume(spaces) >= STIFF) if large else None
-        prefix, defaults = "certificate_" if direct else "facet_", DEFAULTS[spaces.dim]
-        self._solver = FacetSolver(matrix, prefix, defaults, make, MOST_ITERATIONS)
-        near = self._near, self._pressing = neighbours(spaces)
-        self._factors = KeptFactors(self._solver, self._operator, data.fixed, self._unknowns, spaces.dim, *near)
-        self._x, self._held = matrix.createVecs()
-        self._x.set(0.0)
-        self._last: Posed | None = None
-        self.stiffness = self.system.matrix.getDiagonal().array_r[self._unknowns] / self.measure
+        self._normal, self._slip = spaces.site_kinds
+        system, near = ElasticSystem(spaces, data), neighbours(spaces)
+        self._pressing = near[1]
+        large = not direct and (tuning or Tuning()).is_large(system.matrix.getSize()[0], DIRECT_UP_TO[spaces.dim])
+        make = partial(of_facets, spaces, data.stiffness_of_volume(spaces) >= STIFF) if large else None
+        prefix = "certificate_" if direct else "facet_"
+        super().__init__(system, spaces, data.fixed, make, DEFAULTS[spaces.dim], prefix, near)
         self._take(data)
 
     def _take(self, data: ElasticData) -> None:
@@ -136,11 +106,6 @@ class ElasticBackend(PlainBackend):
         return replace(self.data.after(self.spaces, self.tools.rho), friction=self.friction)
 
     @property
-    def iterates(self) -> bool:
-        """Whether the linear solver iterates and may stop early."""
-        return self._solver.iterates
-
-    @property
     def inexact(self) -> Inexact | None:
         """The backend itself, as traces cost less than fields; with tools by rough solves, never where laws turn."""
         rough = self.iterates and not self.friction.by_pressure
@@ -151,15 +116,10 @@ class ElasticBackend(PlainBackend):
         """The backend itself, but in space with friction, whose law turns."""
         return self if self.friction.slipping is None else None
 
-    @property
-    def to_the_end(self) -> bool:
-        """Whether the last solve went to its end, and x is its solution."""
-        return self._state is State.SOLVED
-
     def anchor(self) -> bool:
         """Let weak springs pull as `Anchored.anchor` says (collective)."""
         assert self._last is not None
-        p, weak = self._beside_tools(self._x), self._weak
+        p, weak = self.openings(self._x), self._weak
         pull = np.abs(weak.pull(self._last.conditions, p) / self.measure)
         self._weak, self._state = WeakSprings(weak.stiffness, p), State.POSED
         return weak.anchor is None or self.sizes.extent(pull, pull)[0] > STEP * self.sizes.largest[1]
@@ -168,23 +128,6 @@ class ElasticBackend(PlainBackend):
         """Take the springs away that pull under all conditions."""
         self._weak = WeakSprings(self._weak.stiffness)
         self.turn(self.friction)
-
-    def solver(self) -> str:
-        """Name of the linear solver in use, after the user's PETSc options."""
-        return self._solver.name()
-
-    def solve(self, conditions: SiteConditions) -> Iterate:
-        """Solve as `Backend.solve` says, starting from the last solution (collective).
-
-        Raises:
-            LinearSolveFailure: If the linear solver fails.
-        """
-        self._solve(conditions)
-        return self._recovered(conditions, refine=self.to_the_end or not self.iterates)
-
-    def leave(self, share: float) -> None:
-        """Iterative solves leave this share of what there was at their start from now on; with 0 they go to the end."""
-        self._solver.share = share
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve as `Inexact.solve_until` says (collective).
@@ -197,161 +140,95 @@ class ElasticBackend(PlainBackend):
             self._solve(conditions)
             self.leave(0.0)
             return self._pairs(self._x, conditions)
-        if not (self.to_the_end and self._is_last(conditions)):
-            posed = self._pose(conditions)
-            load, given = self._loads(posed)
-            if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
-                p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
-                return self._cleaned(conditions, self._signs * p, self._signs * forces / self.measure)
+        return super().solve_until(conditions, enough)
 
-        def is_enough(x: PETSc.Vec) -> bool:
-            whole = x + self._held
-            pairs = self._pairs(whole, conditions)
-            whole.destroy()  # on several ranks it would wait for the next `PETSc.garbage_cleanup`
-            return enough(*pairs)
-
-        with self._solver.stopping(is_enough):
-            self._solve(conditions)
-        return self._pairs(self._x, conditions)
-
-    def reached(self, conditions: SiteConditions) -> Iterate | None:
-        """The iterate of the last solve, see `Inexact.reached`; no refinement, as other sets follow (collective)."""
-        return self._recovered(conditions, refine=False) if self.iterates else None
-
-    def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
-        """Elastic contact has no solves on patches: None."""
-
-    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
-        """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
-        return self._cleaned(conditions, self._beside_tools(x), self.flux(x, self.system.load))
-
-    def _beside_tools(self, x: PETSc.Vec) -> Array:
+    def openings(self, x: PETSc.Vec) -> Array:
         """The means of −(û_n − r_n) and û_t − r_t at the sites, r the motions of tools."""
         return np.asarray(self._signs * (x.array_r[self._unknowns] - self.tools.at_sites))
 
-    def flux(self, x: PETSc.Vec, load: Array) -> Array:
-        """The flux at the sites, as what is left of their rows with this right side (collective)."""
-        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self.measure)
-
-    def _cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
+    def cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
-        laws, normal, slip = self.data.laws, self._normal, self._slip
-        segment, p = laws.chains.segments(normal.of(conditions)), p.copy()
-        normal.of(p)[:] = laws.own(segment, normal.of(p), normal.of(flux))
-        p, flux = conditions.clean(p, flux, np.inf)
+        p, flux = super().cleaned(conditions, p, flux)
+        slip = self._slip
         slip.of(flux)[:] += self.friction.pressed(flux[slip.pressing]) - self.friction.resisted(slip.of(p))
         return p, flux + self._weak.on_held(conditions, p) / self.measure
 
-    def _solve(self, conditions: SiteConditions) -> None:
-        """Solve, unless the last solve under the same conditions converged (collective)."""
-        if self.to_the_end and self._is_last(conditions):
-            return
+    def before_solve(self) -> None:
+        """Take the last motions of tools from x, so that iterations start near the body."""
         self._x.array_w[:] = self._x.array_r - self.tools.forget()
-        posed, self._state = self._pose(conditions), State.START
-        load, _ = self._loads(posed)
-        self._iterations, ended = self._factors.solve_by_any(load, self._x, posed.imposed)
-        self._last, self._state = posed, State.POSED
-        self._x.axpy(1.0, self._held)
-        if self.tools:
-            self._respond(posed)
-            ended &= self._solver.share == 0.0
-            forces = self._factors.forces(self._x) - self.system.load[self._unknowns]
-            self._x.array_w[:] = self._x.array_r + self.tools.take(forces)
-        self._state = State.SOLVED if ended else State.ROUGH
 
-    def _is_last(self, conditions: SiteConditions) -> bool:
-        """Whether the last problem is that under these conditions, with the present laws (collective)."""
-        last = None if self._state is State.START or self._last is None else self._last.conditions
-        return conditions.same(last, self.comm)
+    def after_solve(self, posed: Posed) -> bool:
+        """Let the tools move, and the body with them (collective)."""
+        if not self.tools:
+            return True
+        self._respond(posed)
+        forces = self._factors.forces(self._x) - self.system.load[self._unknowns]
+        self._x.array_w[:] = self._x.array_r + self.tools.take(forces)
+        return self._solver.share == 0.0
 
-    def _pose(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
+    def posed(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
         """The problem under these conditions; weak springs are left out if the body is held (collective)."""
-        some, loose = conditions.counts(self.comm)[Condition.ROBIN] > 0, False
+        loose = False
         if not held and self._weak.anchor is None:
             means = np.where((conditions.kind == Condition.NO_FLUX)[:, None], 0.0, self._motions)
             self._slip.of(means)[:] += self.friction.held_across(self._slip.of(self._motions))
             loose = is_free(self.comm, means)
         weak = np.where(not held and self._weak.under(conditions, loose=loose), self._weak.stiffness, 0.0)
-        springs = self.data.laws.springs(self._normal.of(conditions)) if some else None
-        return Posed(conditions, springs, weak, loose, self._at_sites(conditions, springs, weak))
+        posed = super().posed(conditions)
+        stiffness, shares = posed.imposed.springs, np.append(np.zeros(len(self._normal)), self.friction.slopes)
+        stiffness += np.where(self._near == np.arange(self.sites)[:, None], weak[:, None], 0.0)
+        if self.friction.slipping is not None:
+            turning = self.friction.stiffness.reshape(-1, 2) * self._slip.measure[:, None]
+            self._slip.of(stiffness)[:, :2] += turning
+        imposed = replace(posed.imposed, springs=stiffness, shares=shares)
+        return replace(posed, imposed=imposed, weak=weak, loose=loose)
 
-    def _loads(self, posed: Posed) -> tuple[Array, Array]:
-        """The right side for the rest of a solution of which `_held` is given, and its part by laws (collective)."""
-        conditions, load, given = posed.conditions, self.system.load.copy(), self._given_forces(posed)
-        self._held.set(0.0)
-        if conditions.has_values:
-            contact = conditions.kind == Condition.ZERO_TRACE
-            self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
-            load -= self._operator.image(self._held)
-        given += self._pulls(load) + self._signs * self._weak.pull(conditions, 0.0)
-        load[self._unknowns] += given
-        if posed.loose or (self._last is not None and self._last.loose):
-            self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
-            self._factors.forget()
-        return load, given
+    def site_forces(self, posed: Posed, load: Array) -> Array:
+        """What is added to this right side at the sites: forces of laws, shares, and the pull to an anchor."""
+        pull = self._signs * self._weak.pull(posed.conditions, 0.0)
+        return self.given_forces(posed) + self.pulls(posed, load) + pull
 
     def _respond(self, posed: Posed) -> None:
         """Find how the body follows the tools under the conditions of the present matrix (collective)."""
-        contact, at_rest = posed.conditions.kind == Condition.ZERO_TRACE, self._given_forces(posed)
+        contact, at_rest = posed.conditions.kind == Condition.ZERO_TRACE, self.given_forces(posed)
 
         def response(move: Array, last: Array | None) -> PETSc.Vec:
             load, lift = np.zeros((2, len(self.system.load)))
-            pulled = self._given_forces(posed, -self._signs * move) - at_rest + posed.weak * move
+            pulled = self.given_forces(posed, -self._signs * move) - at_rest + posed.weak * move
             load[self._unknowns], lift[self._unknowns] = np.where(contact, 0.0, pulled), np.where(contact, move, 0.0)
             return self._at_rest(posed, load, lift, last)
 
         self.tools.respond(response, self._factors.forces)
 
-    def _given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
-        """The forces of the laws at the sites that are not held, springs with these means of the opening."""
-        flux = np.where(posed.conditions.kind == Condition.NO_FLUX, posed.conditions.value, 0.0)
-        p = np.broadcast_to(p, self.sites)
-        if posed.springs is not None:
-            self._normal.of(flux)[:] += posed.springs.pressure(self._normal.of(p))
-        self._slip.of(flux)[:] -= self.friction.resisted(self._slip.of(p))
-        return np.asarray(self._signs * self.measure * flux)
+    def given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
+        """The forces of the laws at the sites, see `HybridBackend.given_forces`, those of friction in space as well."""
+        forces, slip = super().given_forces(posed, p), self._slip
+        slip.of(forces)[:] -= slip.measure * self.friction.resisted(slip.of(np.broadcast_to(p, self.sites)))
+        return forces
 
     def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
-        """Solve with any right side of the owned unknowns, and values where û is given, by default 0 (collective).
-
-        The last solution stays. Springs pull with their stiffness alone, and nothing acts on tools but the body.
+        """Solve as `HybridBackend.solve_homogeneous`; nothing acts on tools but the body (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        if new := not self._is_last(conditions):
-            self._last, self._state = self._pose(conditions, held=True), State.POSED
-        assert self._last is not None
-        x = self._at_rest(self._last, load, lift)
+        new, x = not self._is_last(conditions), super().solve_homogeneous(conditions, load, lift)
         if self.tools:
+            assert self._last is not None
             if new:
                 self._respond(self._last)
             x.array_w[:] += self.tools.follow(self._factors.forces(x), loaded=False)[1]
         return x
 
-    def _at_rest(self, posed: Posed, load: Array, lift: Array | float, start: Array | None = None) -> PETSc.Vec:
-        """`solve_homogeneous` with tools at rest; iterations begin at the start (collective)."""
-        x, given = self._x.duplicate(), self._x.duplicate()
-        given.array_w[:] = lift
-        x.array_w[:], load = 0.0 if start is None else start - given.array_r, load - self._operator.image(given)
-        load[self._unknowns] += self._pulls(load)
-        self._factors.solve_by_any(load, x, posed.imposed)
-        x.axpy(1.0, given)
-        given.destroy()
-        return x
-
     def response(self, conditions: SiteConditions, load: Array) -> Array:
-        """What a load changes of the flux at the sites, as `solve_homogeneous` solves (collective).
+        """What a load changes of the flux at the sites, see `HybridBackend.response` (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        if not self.tools:
-            posed = self._last if self._is_last(conditions) else self._pose(conditions, held=True)
-            assert posed is not None
-            if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
-                return np.asarray(self._signs * traces[1] / self.measure)
-        return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
+        if self.tools:
+            return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
+        return super().response(conditions, load)
 
     def follow_bounds(self, forces: Array, slope: Array, share: float) -> Array:
         """Move the solution by the response to forces per area at the sites with friction (collective).
@@ -372,79 +249,25 @@ class ElasticBackend(PlainBackend):
         """Take another law of friction."""
         self.friction, self._state = friction, State.START
 
-    def _pulls(self, load: Array) -> Array:
+    def pulls(self, posed: Posed, load: Array) -> Array:
         """What the linear law in space takes from this right side, of which the pressure is what is left."""
-        return np.asarray(self._shares * load[self._unknowns[self._pressing]])
+        return np.asarray(posed.imposed.shares * load[self._unknowns[self._pressing]])
 
-    @property
-    def _shares(self) -> Array:
-        """How much of the pressure of its vertex the shear of a site follows; 0 for normal sites."""
-        return np.append(np.zeros(len(self._normal)), self.friction.slopes)
-
-    def _at_sites(self, conditions: SiteConditions, springs: Springs | None, weak: Array) -> Imposed:
-        """What is imposed at the sites: also springs of laws, weak ones, and those of friction in space."""
-        sites, width = self._near.shape
-        stiffness = np.where(self._near == np.arange(sites)[:, None], weak[:, None], 0.0)
-        if springs is not None:
-            self._normal.of(stiffness)[:] += springs.stiffness.reshape(-1, width) * self._normal.measure[:, None]
-        if self.friction.slipping is not None:
-            turning = self.friction.stiffness.reshape(-1, 2) * self._slip.measure[:, None]
-            self._slip.of(stiffness)[:, :2] += turning
-        return Imposed(conditions.kind == Condition.ZERO_TRACE, stiffness, self._shares)
-
-    def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
+    def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
+        """The iterate from the values of σ and u (collective)."""
         spaces = self.spaces
-        stresses, displacements = self.system.recover(self.system.everywhere(self._x.array_r) + self.data.lift)
-        if refine:
-            stresses, displacements = self._refined(stresses, displacements)
-        p, flux = self._cleaned(conditions, self._beside_tools(self._x), self.data.reactions(spaces, stresses))
-        self.sizes.take(displacements, stresses)
-        return Iterate(p, flux, self._iterations, spaces.split.stress(stresses), spaces.displacement(displacements))
+        p, flux = self.cleaned(conditions, self.openings(self._x), self.data.reactions(spaces, sigma))
+        return Iterate(p, flux, self._iterations, spaces.split.stress(sigma), spaces.displacement(u))
 
-    def _refined(self, stresses: Array, displacements: Array) -> tuple[Array, ...]:
-        """Correct the stress while the jumps of its tractions might decide about sets and become smaller (collective).
-
-        The stress that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much
-        less than rounding. Corrections are small, so that their own errors are. Where weak springs hold it, forces
-        are those without them: a correction is a step of the proximal point method, after which they pull no more.
-        """
-        assert self._last is not None
-        posed, change, forces = self._last, self._x.duplicate(), stresses
-
-        def left_by(fields: list[Array]) -> Array:
-            nonlocal forces
-            self._x.array_w[:], forces = fields[0], self.system.forces(fields[1])
-            left = self.system.tractions - self.system.of_supports(fields[0]) - forces
-            p = self._beside_tools(self._x)
-            left[self._unknowns] += self._given_forces(posed, p) + self._signs * self._weak.pull(posed.conditions, p)
-            pressure = self.flux(self._x, self.system.load)[self._slip.pressing]
-            left[self._slip.unknown] += self._slip.measure * self.friction.pressed(pressure)
-            left[self._factors.essential(posed.conditions.kind == Condition.ZERO_TRACE)] = 0.0
-            return left
-
-        def correction(left: Array) -> list[Array]:
-            change.set(0.0)
-            self._factors.solve_by_any(left, change, posed.imposed)
-            return [change.array_r.copy(), *self.system.recover(self.system.everywhere(change.array_r), with_f=False)]
-
-        def enough(left: Array) -> bool:
-            size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
-            return size <= TIE * scale
-
-        fields = [self._x.array_r.copy(), stresses, displacements]
-        by = stepped if posed.loose else corrected
-        return tuple(by(self.comm, fields, left_by, correction, enough)[1:])
-
-    def scales(self, pairs: Pairs) -> tuple[Array, Array]:
-        """The largest |u| and the largest |σ|, see `Backend.scales`."""
-        u, sigma = self.sizes.largest
-        return np.full(self.sites, u), np.full(self.sites, sigma)
+    def left_at_sites(self, posed: Posed, x: PETSc.Vec, left: Array) -> None:
+        """Add what supports, laws, weak springs and pressure do, see `HybridBackend.left_at_sites`."""
+        left -= self.system.of_supports(x.array_r)
+        super().left_at_sites(posed, x, left)
+        left[self._unknowns] += self._signs * self._weak.pull(posed.conditions, self.openings(x))
+        pressure = self.flux(x, self.system.load)[self._slip.pressing]
+        left[self._slip.unknown] += self._slip.measure * self.friction.pressed(pressure)
 
     @cached_property
     def change(self) -> FieldChange:
         """Norms of what changed, see `Backend.change`."""
         return FieldChange(self.spaces.split.stresses, self.spaces.displacements)
-
-    def places(self) -> Array:
-        """The places of the sites, see `ElasticSpaces.places`."""
-        return self.spaces.places

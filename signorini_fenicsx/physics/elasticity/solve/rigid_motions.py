@@ -138,7 +138,7 @@ def _limits(spaces: ElasticSpaces, data: ElasticData, work: Array, moves: Array,
     normal, slip = spaces.site_kinds
     into, slips = normal.of(moves), slip.of(moves).reshape(-1, spaces.dim - 1, moves.shape[1])
     shears = ((spaces.rough.measure / spaces.dim)[:, None] * data.friction.bound / most).ravel()
-    low, high = (end + data.laws.pressure for end in data.laws.chains.extent()[2:])
+    low, high = (end + data.laws.flux_h for end in data.laws.chains.extent()[2:])
     shuts, opens = np.isfinite(high), np.isfinite(low)
     constant = np.where(shuts & opens, np.where(shuts, high, 0.0) + np.where(opens, low, 0.0), 0.0) / 2
     constant = np.where(shuts & ~opens, high, np.where(opens & ~shuts, low, constant)) * normal.measure / most

@@ -33,8 +33,6 @@ class ElasticSystem(HybridSystem):
 
     Attributes:
         spaces: The spaces.
-        load: Right side for x − lift.
-        tractions: ⟨g_N, q⟩ for each owned unknown.
         element: The reference element.
         loaded: Whether there are loads, or strains and stresses that the body has without them.
     """

@@ -1,4 +1,4 @@
-"""What an elastic backend knows of its last solve: the problem, and what the solution is to it."""
+"""What a hybrid backend knows of its last solve: the problem, and what the solution is to it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from enum import Enum, auto
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.discrete.vertex_laws import Springs
 from signorini_fenicsx.linear.kept_factors import Imposed
-from signorini_fenicsx.physics.elasticity.discrete.normal_laws import Springs
 
 
 class State(Enum):
-    """What the last solution x is to an `ElasticBackend`."""
+    """What the last solution x is to a `HybridBackend`."""
 
     START = auto()
     POSED = auto()
@@ -27,13 +27,13 @@ class Posed:
     Attributes:
         conditions: The conditions.
         springs: Those of laws at the facet vertices; None if there are none.
-        weak: The stiffness of the weak springs that pull at each site.
-        loose: Whether a motion of the body is free but for weak springs.
         imposed: What the linear solver imposes at the sites.
+        weak: The stiffness of the weak springs that pull at each site of a body.
+        loose: Whether a motion of a body is free but for weak springs.
     """
 
     conditions: SiteConditions
     springs: Springs | None
-    weak: Array
-    loose: bool
     imposed: Imposed
+    weak: Array | float = 0.0
+    loose: bool = False

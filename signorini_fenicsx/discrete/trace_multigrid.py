@@ -1,4 +1,4 @@
-"""The coarse space of the elastic facet system: conforming P1 displacements, towards ν = ½ with normals of facets.
+"""The coarse space of a system of linear traces: conforming P1, of a body towards ν = ½ with normals of facets.
 
 Where hardly any volume can change, linear displacements lock: they can hardly move at all, and the smoother is left
 alone with what they miss. With one more unknown per facet, a trace n that is constant there, as in the element of
@@ -13,12 +13,11 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.linear_traces import node_ranks
+from signorini_fenicsx.discrete.linear_traces import LinearTraces, node_ranks
 from signorini_fenicsx.discrete.simplices import facet_normals
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
 from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 OF_ALL = {
     "mg_coarse_pc_mg_cycle_type": "w",
@@ -50,7 +49,7 @@ BLOCKS = "vpbjacobi"
 """Jacobi's method by blocks; pbjacobi keeps its first ones."""
 
 
-class ElasticCoarse:
+class TraceCoarse:
     """Two levels for a system of displacements or of their traces, of which those in P1 are some: Galerkin's operator.
 
     It is made anew for each set, while GAMG's hierarchy is that of all of Γ_C free, see
@@ -112,7 +111,8 @@ class ElasticCoarse:
             self._levels.coarse.setOperators(self._matrix)
             self._levels.coarse.setFromOptions()
             if not self._normals:
-                self._matrix.setNearNullSpace(self._rigid_motions())
+                if self._space.dofmap.index_map_bs > 1:
+                    self._matrix.setNearNullSpace(self._rigid_motions())
                 self._levels.coarse.setUp()
                 self._galerkin(essential)
 
@@ -157,22 +157,23 @@ class ElasticCoarse:
         return PETSc.NullSpace().createRigidBody(coordinates)
 
 
-def of_facets(spaces: ElasticSpaces, operator: ConstrainedMatrix, normals: bool, pc: PETSc.PC) -> ElasticCoarse:
+def of_facets(spaces: LinearTraces, normals: bool, operator: ConstrainedMatrix, pc: PETSc.PC) -> TraceCoarse:
     """Make a preconditioner a multigrid of the facet system, perhaps with normals in the coarse space (collective)."""
-    space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (spaces.dim,)))
+    size = spaces.traces.dofmap.index_map_bs
+    space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1, (size // spaces.dim,) if size > spaces.dim else ()))
     interpolation = trace_interpolation(spaces, space, normals=normals)
     in_blocks = operator.in_blocks()
-    return ElasticCoarse(operator.matrix, spaces.dim**2, space, interpolation, pc, normals=normals, in_blocks=in_blocks)
+    return TraceCoarse(operator.matrix, size, space, interpolation, pc, normals=normals, in_blocks=in_blocks)
 
 
-def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace, *, normals: bool) -> PETSc.Mat:
+def trace_interpolation(spaces: LinearTraces, displacements: fem.FunctionSpace, *, normals: bool) -> PETSc.Mat:
     """The unknowns of the traces of continuous linear displacements, and of n on single facets (collective).
 
     Columns are those of the displacements of a rank, then those of its facets if there are `normals`.
 
     Args:
         spaces: The spaces.
-        displacements: The displacements, in P1.
+        displacements: P1 functions, of a body its displacements.
         normals: Whether there is a column for n on each facet.
     """
     dim, mesh = spaces.dim, spaces.mesh
@@ -182,14 +183,15 @@ def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace,
     number[displacements.dofmap.list] = node_ranks(mesh, cut=spaces.inner.present)[mesh.geometry.dofmaps[0]]
     of_facet = np.take_along_axis(of_facet, np.argsort(number[of_facet], axis=1), axis=1)
 
-    size, count = dim**2, len(of_facet)
+    size, count = spaces.traces.dofmap.index_map_bs, len(of_facet)
+    parts = size // dim  # components
     vertices = columns.local_to_global(of_facet.ravel()).astype(np.int64)
     starts = np.array(mesh.comm.allgather([columns.local_range[0], rows.local_range[0]]))
     before = starts[np.searchsorted(starts[:, 0], vertices, side="right") - 1, 1] if normals else 0  # columns of facets
-    places = ((dim * vertices + before).reshape(count, dim, 1) + np.arange(dim)).reshape(count, size)
+    places = ((parts * vertices + before).reshape(count, dim, 1) + np.arange(parts)).reshape(count, size)
     values = np.broadcast_to(np.eye(size), (count, size, size)).copy()
     if normals:
-        last = dim * columns.local_range[1] + rows.local_range[0] + np.arange(count)
+        last = parts * columns.local_range[1] + rows.local_range[0] + np.arange(count)
         places = np.column_stack([places, last])
         values = np.concatenate([values, _normals_at_vertices(spaces)[:count, :, None]], axis=2)
     for facets, matrices in spaces.frames:
@@ -204,9 +206,9 @@ def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace,
     of_sides = PETSc.Mat().createAIJ(
         [
             (size * rows.size_local, size * rows.size_global),
-            (dim * own + normals * rows.size_local, dim * of_all + normals * rows.size_global),
+            (parts * own + normals * rows.size_local, parts * of_all + normals * rows.size_global),
         ],
-        bsize=(size, 1 if normals else dim),
+        bsize=(size, 1 if normals else parts),
         csr=(begins, indices, values[used]),
         comm=mesh.comm,
     )
@@ -214,7 +216,7 @@ def trace_interpolation(spaces: ElasticSpaces, displacements: fem.FunctionSpace,
     return of_sides if to_jumps is None else to_jumps.matMult(of_sides)
 
 
-def _normals_at_vertices(spaces: ElasticSpaces) -> Array:
+def _normals_at_vertices(spaces: LinearTraces) -> Array:
     """The normal n of each facet, outer to one of its cells, for each of its vertices, shape (facets, d²)."""
     areas = facet_normals(spaces.vertices)
     normals = np.empty((spaces.dofs.max(initial=-1) + 1, spaces.dim))

@@ -1,0 +1,341 @@
+"""The backend of a hybrid system whose traces are linear on facets, with a condition per facet vertex.
+
+Small systems are factorised, larger ones solved by CG with multigrid.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.tolerances import TIE
+from signorini_fenicsx.contact.backend import Iterate, PlainBackend
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.discrete.hybrid_system import HybridSystem
+from signorini_fenicsx.discrete.linear_traces import LinearTraces
+from signorini_fenicsx.discrete.posed import Posed, State
+from signorini_fenicsx.discrete.sizes import Sizes
+from signorini_fenicsx.discrete.trace_multigrid import TraceCoarse
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.corrections import corrected, stepped
+from signorini_fenicsx.linear.facet_solver import FacetSolver
+from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
+
+MOST_ITERATIONS = 400
+"""If CG needs more, it gives way to a factorisation."""
+
+
+class HybridBackend(PlainBackend):
+    """Solves under one condition per facet vertex, for the p and the flux of the kinds of sites in `site_kinds`.
+
+    The laws of the first kind of sites are `VertexLaws`. Subclasses say what the fields are (`iterate`), and what else
+    acts at the sites.
+
+    It has the problem of the last solve, and a state that says what x is to it:
+
+        any ──solve, solve_until─────────> ROUGH or SOLVED    x is its solution, up to a share or to the end
+        ROUGH ──the same again───────────> goes on from x
+        SOLVED ──the same again──────────> nothing is done
+        any ──solve_homogeneous, other───> POSED              x is only a start, the solver is set up
+        ROUGH, SOLVED ──anchor, follow_bounds──> POSED
+        any ──turn, release, renew, a failure──> START        x is only a start, and the laws are others
+
+    Attributes:
+        stiffness: The diagonal entry of each site over its measure.
+        measure: |e| of each site, over its vertices.
+        sizes: The sizes of the last solution.
+        conductance: With what β is compared, see `SiteConditions.clean`.
+    """
+
+    noun = ("vertex", "vertices")
+    cheap = False
+    conductance = np.inf
+    spaces: LinearTraces
+    system: HybridSystem
+    data: Any
+    sizes: Sizes
+
+    def __init__(
+        self,
+        system: HybridSystem,
+        spaces: LinearTraces,
+        fixed: npt.NDArray[np.int32],
+        make: Callable[[ConstrainedMatrix, PETSc.PC], TraceCoarse] | None,
+        defaults: dict[str, str],
+        prefix: str = "facet_",
+        near: tuple[Indices | None, Indices | None] = (None, None),
+    ):
+        """Choose the solver (collective).
+
+        Args:
+            system: The system.
+            spaces: Its spaces.
+            fixed: Owned unknowns that are given under all conditions.
+            make: Makes a preconditioner the multigrid; None if a factorisation is the default.
+            defaults: Options of multigrid.
+            prefix: Prefix of its PETSc options.
+            near: What springs and shares couple, see `KeptFactors`.
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        self.system, self.spaces, self.comm, sites = system, spaces, spaces.mesh.comm, spaces.site_kinds
+        self._first, *_ = sites
+        self.sites, self._unknowns, self.measure, self._signs = len(sites), sites.unknown, sites.measure, sites.sign
+        operator = ConstrainedMatrix(system.matrix, PETSc.Mat.Option.SPD)
+        self._operator, self.dofs = operator, operator.matrix.getSize()[0]
+        coarse = None if make is None else lambda pc: make(operator, pc)
+        self._solver = FacetSolver(operator.matrix, prefix, defaults, coarse, MOST_ITERATIONS)
+        self._factors = KeptFactors(self._solver, operator, fixed, self._unknowns, spaces.dim, *near)
+        self._near = np.arange(self.sites)[:, None] if near[0] is None else near[0]
+        self._x, self._held = operator.matrix.createVecs()
+        self._x.set(0.0)
+        self._last: Posed | None = None
+        self._state, self._iterations = State.START, 0
+        self.stiffness = system.matrix.getDiagonal().array_r[self._unknowns] / self.measure
+
+    @abstractmethod
+    def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
+        """The iterate from σ and u as the system recovers them (collective)."""
+
+    def cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
+        """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
+        laws, first, p = self.laws, self._first, p.copy()
+        segment = laws.chains.segments(first.of(conditions))
+        first.of(p)[:] = laws.own(segment, first.of(p), first.of(flux))
+        return conditions.clean(p, flux, self.conductance)
+
+    def posed(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
+        """The problem under these conditions; `held` if weak springs are to be left out (collective)."""
+        some, springs = conditions.counts(self.comm)[Condition.ROBIN] > 0, None
+        stiffness = np.zeros(self._near.shape)
+        if some:
+            kind, width = self._first, self._near.shape[1]
+            springs = self.laws.springs(kind.of(conditions))
+            kind.of(stiffness)[:] = springs.stiffness.reshape(-1, width) * kind.measure[:, None]
+        held_sites = conditions.kind == Condition.ZERO_TRACE
+        return Posed(conditions, springs, Imposed(held_sites, stiffness, np.zeros(self.sites)))
+
+    def given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
+        """The forces of the laws at the sites that are not held, springs with these means of p."""
+        flux = np.where(posed.conditions.kind == Condition.NO_FLUX, posed.conditions.value, 0.0)
+        if posed.springs is not None:
+            self._first.of(flux)[:] += posed.springs.pressure(self._first.of(np.broadcast_to(p, self.sites)))
+        return np.asarray(self._signs * self.measure * flux)
+
+    def openings(self, x: PETSc.Vec) -> Array:
+        """The means of p at the sites."""
+        return np.asarray(self._signs * x.array_r[self._unknowns])
+
+    def site_forces(self, posed: Posed, load: Array) -> Array:
+        """What is added to this right side at the sites for the solution from p = 0."""
+        return self.given_forces(posed)
+
+    def left_at_sites(self, posed: Posed, x: PETSc.Vec, left: Array) -> None:
+        """Add what acts at the sites in this solution to what forces of σ leave, in place."""
+        left[self._unknowns] += self.given_forces(posed, self.openings(x))
+
+    def after_solve(self, posed: Posed) -> bool:
+        """What is done with x after each solve; whether the solve went to its end for it (collective)."""
+        return True
+
+    @property
+    def laws(self) -> VertexLaws:
+        """The laws of the first kind of sites."""
+        laws: VertexLaws = self.data.laws
+        return laws
+
+    @property
+    def iterates(self) -> bool:
+        """Whether the linear solver iterates and may stop early."""
+        return self._solver.iterates
+
+    @property
+    def to_the_end(self) -> bool:
+        """Whether the last solve went to its end, and x is its solution."""
+        return self._state is State.SOLVED
+
+    def solver(self) -> str:
+        """Name of the linear solver in use, after the user's PETSc options."""
+        return self._solver.name()
+
+    def solve(self, conditions: SiteConditions) -> Iterate:
+        """Solve as `Backend.solve` says, starting from the last solution (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        self._solve(conditions)
+        return self._recovered(conditions, refine=self.to_the_end or not self.iterates)
+
+    def leave(self, share: float) -> None:
+        """Iterative solves leave this share of what there was at their start from now on; with 0 they go to the end."""
+        self._solver.share = share
+
+    def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """Solve as `Inexact.solve_until` says (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        if not (self.to_the_end and self._is_last(conditions)):
+            posed = self.posed(conditions)
+            load, given = self._loads(posed)
+            if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
+                p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
+                return self.cleaned(conditions, self._signs * p, self._signs * forces / self.measure)
+
+        def is_enough(x: PETSc.Vec) -> bool:
+            whole = x + self._held
+            pairs = self._pairs(whole, conditions)
+            whole.destroy()  # on several ranks it would wait for the next `PETSc.garbage_cleanup`
+            return enough(*pairs)
+
+        with self._solver.stopping(is_enough):
+            self._solve(conditions)
+        return self._pairs(self._x, conditions)
+
+    def reached(self, conditions: SiteConditions) -> Iterate | None:
+        """The iterate of the last solve, see `Inexact.reached`; no refinement, as other sets follow (collective)."""
+        return self._recovered(conditions, refine=False) if self.iterates else None
+
+    def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
+        """There are no solves on patches: None."""
+
+    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
+        """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""
+        return self.cleaned(conditions, self.openings(x), self.flux(x, self.system.load))
+
+    def flux(self, x: PETSc.Vec, load: Array) -> Array:
+        """The flux at the sites, as what is left of their rows with this right side (collective)."""
+        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self.measure)
+
+    def _solve(self, conditions: SiteConditions) -> None:
+        """Solve, unless the last solve under the same conditions converged (collective)."""
+        if self.to_the_end and self._is_last(conditions):
+            return
+        self.before_solve()
+        posed, self._state = self.posed(conditions), State.START
+        load, _ = self._loads(posed)
+        self._iterations, ended = self._factors.solve_by_any(load, self._x, posed.imposed)
+        self._last, self._state = posed, State.POSED
+        self._x.axpy(1.0, self._held)
+        ended &= self.after_solve(posed)
+        self._state = State.SOLVED if ended else State.ROUGH
+
+    def before_solve(self) -> None:
+        """What is done with x, the start of iterations, before each solve."""
+
+    def _is_last(self, conditions: SiteConditions) -> bool:
+        """Whether the last problem is that under these conditions, with the present laws (collective)."""
+        last = None if self._state is State.START or self._last is None else self._last.conditions
+        return conditions.same(last, self.comm)
+
+    def _loads(self, posed: Posed) -> tuple[Array, Array]:
+        """The right side for the rest of a solution of which `_held` is given, and its part by laws (collective)."""
+        conditions, load = posed.conditions, self.system.load.copy()
+        self._held.set(0.0)
+        if conditions.has_values:
+            contact = conditions.kind == Condition.ZERO_TRACE
+            self._held.array_w[self._unknowns] = np.where(contact, self._signs * conditions.value, 0.0)
+            load -= self._operator.image(self._held)
+        given = self.site_forces(posed, load)
+        load[self._unknowns] += given
+        if posed.loose or (self._last is not None and self._last.loose):
+            self._x.set(0.0)  # a body on springs is so far away that it is no start for the next solve
+            self._factors.forget()
+        return load, given
+
+    def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
+        """Solve with any right side of the owned unknowns, and values where û is given, by default 0 (collective).
+
+        The last solution stays. Springs pull with their stiffness alone.
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        if not self._is_last(conditions):
+            self._last, self._state = self.posed(conditions, held=True), State.POSED
+        assert self._last is not None
+        return self._at_rest(self._last, load, lift)
+
+    def _at_rest(self, posed: Posed, load: Array, lift: Array | float, start: Array | None = None) -> PETSc.Vec:
+        """`solve_homogeneous` under some conditions; iterations begin at the start (collective)."""
+        x, given = self._x.duplicate(), self._x.duplicate()
+        given.array_w[:] = lift
+        x.array_w[:], load = 0.0 if start is None else start - given.array_r, load - self._operator.image(given)
+        load[self._unknowns] += self.pulls(posed, load)
+        self._factors.solve_by_any(load, x, posed.imposed)
+        x.axpy(1.0, given)
+        given.destroy()
+        return x
+
+    def pulls(self, posed: Posed, load: Array) -> Array:
+        """What shares of other sites' forces take from this right side, see `Imposed.shares`."""
+        return np.zeros(self.sites)
+
+    def response(self, conditions: SiteConditions, load: Array) -> Array:
+        """What a load changes of the flux at the sites, as `solve_homogeneous` solves (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails.
+        """
+        posed = self._last if self._is_last(conditions) else self.posed(conditions, held=True)
+        assert posed is not None
+        if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
+            return np.asarray(self._signs * traces[1] / self.measure)
+        return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
+
+    def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:
+        sigma, u = self.system.recover(self.system.everywhere(self._x.array_r) + self.data.lift)
+        if refine:
+            sigma, u = self._refined(sigma, u)
+        self.sizes.take(u, sigma)
+        return self.iterate(conditions, sigma, u)
+
+    def _refined(self, sigma: Array, u: Array) -> tuple[Array, ...]:
+        """Correct σ while the jumps of its fluxes might decide about sets and become smaller (collective).
+
+        The σ that x stands for is as exact as x times the stiffness: towards ν = ½ and in flat cells that is much less
+        than rounding. Corrections are small, so that their own errors are. Where weak springs hold a body, forces are
+        those without them: a correction is a step of the proximal point method, after which they pull no more.
+        """
+        assert self._last is not None
+        posed, change, forces = self._last, self._x.duplicate(), sigma
+
+        def left_by(fields: list[Array]) -> Array:
+            nonlocal forces
+            self._x.array_w[:], forces = fields[0], self.system.forces(fields[1])
+            left = self.system.tractions - forces
+            self.left_at_sites(posed, self._x, left)
+            left[self._factors.essential(posed.conditions.kind == Condition.ZERO_TRACE)] = 0.0
+            return left
+
+        def correction(left: Array) -> list[Array]:
+            change.set(0.0)
+            self._factors.solve_by_any(left, change, posed.imposed)
+            return [change.array_r.copy(), *self.system.recover(self.system.everywhere(change.array_r), with_f=False)]
+
+        def enough(left: Array) -> bool:
+            size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
+            return size <= TIE * scale
+
+        fields = [self._x.array_r.copy(), sigma, u]
+        by = stepped if posed.loose else corrected
+        return tuple(by(self.comm, fields, left_by, correction, enough)[1:])
+
+    def scales(self, _iterate: Any) -> tuple[Array, Array]:
+        """The largest |u| and the largest |σ|, see `Backend.scales`."""
+        u, sigma = self.sizes.largest
+        return np.full(self.sites, u), np.full(self.sites, sigma)
+
+    def places(self) -> Array:
+        """The places of the sites, see `LinearTraces.places`."""
+        return self.spaces.places

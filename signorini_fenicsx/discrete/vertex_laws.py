@@ -1,0 +1,213 @@
+"""Laws on facets with linear fluxes: a monotone graph between p and the flux for each vertex of a facet.
+
+A facet vertex has the graph of the means: of p by its hat φ_i, and for the flux λ the value at the vertex of the
+nearest linear function. Of a body p is the opening and λ the pressure.
+
+On a slope the flux λ is a spring: p = a − cλ with its compliance c. λ is linear on the facet, so the means of p by
+the hats are a − c Σ_j λ_j ∫φ_iφ_j/∫φ_i. With a condition for each vertex alone, p_i = a − cλ_i, the flux would
+change a third as much along a facet as it should, in space a quarter. So let
+
+    p_i = p'_i + c/(d + 1) Σ_j (λ_i − λ_j),
+
+where each λ_j is cut to the fluxes of the slope on which vertex i is. p' and λ have the graph, and p is the mean. It
+is what a convex function of all λ_j gives, so the problem stays one of an SPD matrix and monotone graphs. Where a slope
+has a slope or a vertical segment for neighbour, the function would not be convex; there p' is p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.contact.chains import Chains, joined
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.law import Graph
+from signorini_fenicsx.discrete.data_values import check_means
+from signorini_fenicsx.discrete.datum import quadrature_degree
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_values
+from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of
+from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
+
+
+@dataclass(frozen=True)
+class Springs:
+    """The slopes on which vertices are, as springs: the pressures of a facet are `stiffness @ (rest - p)`.
+
+    Attributes:
+        stiffness: Symmetric, 0 for vertices that are on no slope, shape (facets, d, d).
+        rest: The means of the opening under which there is no pressure, shape (facets, d).
+    """
+
+    stiffness: Array
+    rest: Array
+
+    def pressure(self, p: Array) -> Array:
+        """The pressures under these means of the opening, 0 at vertices that are on no slope, shape (sites,)."""
+        pressure: Array = np.einsum("nij,nj->ni", self.stiffness, self.rest - p.reshape(self.rest.shape))
+        return pressure.ravel()
+
+
+@dataclass(frozen=True)
+class VertexLaws:
+    """The laws of one direction on Γ_S or Γ_C by facet vertices.
+
+    Attributes:
+        of_parts: The laws with their parts; of a body those besides contact.
+        chains: The graph of each facet vertex, measured from its reference.
+        p_h: p at the reference of each facet vertex.
+        flux_h: The flux there, of a body −σ_nn.
+        shared: For each segment c/(d + 1) of the facet, 0 where p' is p, shape (facets, segments).
+        dim: The dimension d.
+    """
+
+    of_parts: tuple[Any, ...]
+    chains: Chains
+    p_h: Array
+    flux_h: Array
+    shared: Array
+    dim: int
+
+    def corrections(self, pressure: Array) -> Array:
+        """The differences p − p' by segment, under these pressures from the references, shape (sites, segments)."""
+        facets = len(self.shared)
+        low, high = self._ends()
+        clipped = np.clip(pressure[:, None], low, high).reshape(facets, -1, self.shared.shape[1])
+        with np.errstate(invalid="ignore"):  # segments behind the last one have infinite ends
+            off = clipped.shape[1] * clipped - clipped.sum(axis=1, keepdims=True)
+            corrections = np.where(self.shared[:, None] > 0, self.shared[:, None] * off, 0.0)
+        return corrections.reshape(-1, self.shared.shape[1])
+
+    def _ends(self) -> tuple[Array, Array]:
+        """The least and the largest pressure of each segment, shape (sites, segments) each."""
+        fluxes = self.chains.ends[1]
+        return fluxes[:, 1:], fluxes[:, :-1]
+
+    def own(self, segment: Indices, means: Array, pressure: Array) -> Array:
+        """The openings p' from the means p. On a flat segment they make its ends those of the graph."""
+        return self._moved(segment, means, pressure, inverse=False)
+
+    def means(self, segment: Indices, own: Array, pressure: Array) -> Array:
+        """The means p from p'."""
+        return self._moved(segment, own, pressure, inverse=True)
+
+    def _moved(self, segment: Indices, values: Array, pressure: Array, *, inverse: bool) -> Array:
+        if self.chains.plain or len(values) == 0:
+            return values
+        corrections = np.pad(self.corrections(pressure), ((0, 0), (1, 1)))
+        own, above, below = (np.take_along_axis(corrections, segment[:, None] + k, axis=1)[:, 0] for k in (1, 0, 2))
+        ends = np.pad(self.chains.p, ((0, 0), (1, 1)), constant_values=((0, 0), (-np.inf, np.inf)))
+        begin, end = (np.take_along_axis(ends, segment[:, None] + k, axis=1)[:, 0] for k in (0, 1))
+        flat = np.take_along_axis(self.chains.slope, segment[:, None], axis=1)[:, 0] == 0
+        sources, targets = (begin + above, end + below), (begin, end)
+        if inverse:
+            sources, targets = targets, sources
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = (targets[1] - targets[0]) / (sources[1] - sources[0])
+            between = targets[0] + share * (values - sources[0])
+        sign = 1.0 if inverse else -1.0
+        before = (values <= sources[0]) | np.isinf(end)
+        after = (values >= sources[1]) | np.isinf(begin)
+        on_flat = np.where(before, values + sign * above, np.where(after, values + sign * below, between))
+        return np.where(flat, on_flat, values + sign * own)
+
+    def springs(self, conditions: SiteConditions) -> Springs:
+        """The springs under the conditions of the facet vertices; of a penalty each vertex has its own."""
+        robin = conditions.kind == Condition.ROBIN
+        facets, dim = len(self.shared), self.dim
+        if self.chains.plain:
+            slope = np.where(robin, conditions.beta, 0.0).reshape(facets, dim)
+            rest = np.where(robin, conditions.value / np.where(robin, conditions.beta, 1.0), 0.0)
+            return Springs(slope[:, :, None] * np.eye(dim), rest.reshape(facets, dim))
+        segment = self.chains.segments(conditions)
+        shared = np.take_along_axis(self.shared, segment.reshape(facets, dim), axis=1)  # of vertex i
+        of_facet = robin.reshape(facets, dim), segment.reshape(facets, dim)
+        together = of_facet[0][:, :, None] & of_facet[0][:, None] & (of_facet[1][:, :, None] == of_facet[1][:, None])
+        compliance = np.where(together, shared[:, :, None], 0.0)
+        own = np.where(robin, 1 / np.where(robin, conditions.beta, 1.0), 1.0).reshape(facets, dim)
+        diagonal = np.arange(dim)
+        compliance[:, diagonal, diagonal] = own - np.where(of_facet[0], (dim - 1) * shared, 0.0)
+        low, high = self._ends()
+        rest = own * np.broadcast_to(conditions.value, robin.shape).reshape(facets, dim)
+        for i in range(dim):
+            column = np.repeat(of_facet[1][:, i], dim)[:, None]  # the segment of vertex i, at all vertices
+            least, most = (np.take_along_axis(each, column, axis=1).reshape(facets, dim) for each in (low, high))
+            apart = np.where(of_facet[1] < of_facet[1][:, [i]], most, least)
+            apart = np.where(~together[:, i] & (shared[:, [i]] > 0) & (diagonal != i), apart, 0.0)
+            rest[:, i] -= shared[:, i] * apart.sum(axis=1)
+        stiffness = np.linalg.inv(compliance)
+        stiffness[~(of_facet[0][:, :, None] & of_facet[0][:, None])] = 0.0
+        return Springs(stiffness, np.where(of_facet[0], rest, 0.0))
+
+
+def vertex_laws(spaces: LinearTraces, parts: Sequence[PartLaw]) -> VertexLaws:
+    """The laws of parts, and on all others p ≥ 0 and a flux ≥ 0, one of which is 0 (collective).
+
+    Raises:
+        InputError: If a datum is not finite, or of no usable size.
+    """
+    dim, facets = spaces.dim, len(spaces.facets)
+    plain, taken = Chains.at_corner(dim * facets), np.zeros(facets, dtype=bool)
+    p_h, flux_h, chains = np.zeros(dim * facets), np.zeros(dim * facets), []
+    for part in parts:
+        points = law_points(spaces, part)
+        for name, datum in part.data.items():
+            check_means(part.key(name), "on its parts", datum.values(points), spaces)
+        sites = (dim * part.rows[:, None] + np.arange(dim)).ravel()
+        graphs, p_h[sites], flux_h[sites] = vertex_graphs(spaces.contact.take(part.rows), points, part.falling(points))
+        chains.append((sites, graphs))
+        taken[part.rows] = True
+    others = np.flatnonzero(np.repeat(~taken, dim))
+    everywhere = joined([*chains, (others, plain[others])], dim * facets) if parts else plain
+    return VertexLaws(tuple(parts), everywhere, p_h, flux_h, shared_compliance(everywhere, dim), dim)
+
+
+def law_points(spaces: LinearTraces, part: PartLaw) -> FacetPoints:
+    """The points in which a law is taken (collective)."""
+    return facet_quadrature(spaces.mesh, spaces.facets[part.rows], quadrature_degree(*part.data.values(), power=2))
+
+
+def vertex_graphs(facets: BoundaryFacets, points: FacetPoints, graph: Graph) -> tuple[Chains, Array, Array]:
+    """The graphs at the vertices of facets, and the opening and the pressure at their references, from one in points.
+
+    Complex values give derivatives.
+    """
+
+    def opening(values: Array | float) -> Array:
+        return (_moments(facets, points, values) * facets.vertices.shape[1] / facets.measure[:, None]).ravel()
+
+    def pressure(values: Array | float) -> Array:
+        return linear_values(_moments(facets, points, values), facets.measure).ravel()
+
+    def slope(values: Array | float) -> Array:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return 1 / opening(1 / np.asarray(values))
+
+    corners = [(opening(p), pressure(flux)) for p, flux in graph.corners]
+    reference = opening(graph.reference[0]), pressure(graph.reference[1])
+    if len(corners) == 1 and graph.corners[0] is graph.reference:
+        corners = [reference]
+    graph_of_means = Graph(reference, corners, slope(graph.before), slope(graph.beyond))
+    chains = chains_of(graph_of_means, len(reference[0]))
+    signorini = chains.plain and (graph.before, graph.beyond) == (np.inf, 0.0)  # on others p' is not p
+    return replace(chains, plain=signorini), *reference
+
+
+def shared_compliance(chains: Chains, dim: int) -> Array:
+    """`VertexLaws.shared`."""
+    slope = chains.slope.reshape(-1, dim, chains.slope.shape[1])
+    sloped = (slope > 0) & np.isfinite(slope)
+    beside = np.pad(slope, ((0, 0), (0, 0), (1, 1)))
+    alone = sloped & (beside[:, :, :-2] == 0) & (beside[:, :, 2:] == 0)
+    slope = np.where(sloped, slope, 0.0)
+    stiffest = np.take_along_axis(slope, slope.real.argmax(axis=1)[:, None], axis=1)[:, 0]
+    return np.where(alone.all(axis=1), 1 / ((dim + 1) * np.where(stiffest > 0, stiffest, 1.0)), 0.0)
+
+
+def _moments(facets: BoundaryFacets, points: FacetPoints, values: Array | float) -> Array:
+    """∫ value φ_i over facets, shape (facets, d)."""
+    at_points = np.broadcast_to(values, points.shape[0] * points.shape[1]).reshape(points.shape)
+    return facets.moments(at_points, points.points, points.weights)
