@@ -18,6 +18,7 @@ with λ̂ the trace of λ_u on a facet. In a cell that a law holds the factor of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 
 import dolfinx.mesh
 import numpy as np
@@ -26,51 +27,28 @@ from dolfinx import fem
 from ufl import Form
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
-from signorini_fenicsx.base.text import counted
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.loop import settled_change
+from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.discrete.part_laws import PartLaw, means_of
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_cells
 from signorini_fenicsx.forms.mixed import flux_product
-from signorini_fenicsx.physics.diffusion.derivative.law_lines import Lines, rays
-from signorini_fenicsx.physics.diffusion.derivative.tangent import Tangent
+from signorini_fenicsx.physics.diffusion.derivative.law_lines import moved_lines
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.facet_system import Loads
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 
 
-class Linearised:
-    """A problem linearised at its solution.
+class LinearisedDiffusion(Linearised):
+    """A diffusion problem linearised at its solution; biactive sites are facets of Γ_S, and with laws in Ω cells."""
 
-    Attributes:
-        seen: The numbers that the discrete problem sees of each datum that is given in UFL, by its name in messages.
-        biactive: Mask of the sites on a corner of their law: the facets of Γ_S, and with laws in Ω the cells.
-    """
-
-    def __init__(self, solution: Solution, backend: HybridBackend, tolerance: float):
-        """Take a solution and what solves under its conditions (collective).
-
-        Args:
-            solution: The solution.
-            backend: A backend whose κ_h and c_h are its own.
-            tolerance: Sites whose p and σ·n are on a corner of their law, but for this share of their sizes, are
-                biactive.
-        """
-        self._solution, self._backend = solution, backend
-        self._spaces, self._data = solution.spaces, solution.data
-        self._conditions: SiteConditions = solution.outcome.conditions
-        self._held_cells = self._spaces.site_kinds["cell"].of(self._conditions.kind) == Condition.ZERO_TRACE
-        self._law = solution.law
-        self._segment = solution.segments().segment
-        self.seen = dict(_seen(self._spaces, solution))
-        self._beside = self._segments_beside(tolerance)
-        self.biactive = self._beside != 0
+    refusal = "cell", "may leave a corner where several laws add up"
 
     def places(self) -> Array:
         """The midpoints of the biactive sites of this rank, shape (sites, dim)."""
@@ -82,36 +60,46 @@ class Linearised:
         ]
         return np.concatenate(midpoints)[:, :dim]
 
-    def _segments_beside(self, tolerance: float) -> Indices:
-        """Which way the other segment is of each site that is on a corner; 0 at other sites (collective)."""
-        iterate = self._solution.outcome.iterate
-        of_p, of_flux = (np.where(scale > 0, scale, 1.0) for scale in self._backend.scales(iterate))
-        return self._law.beside(self._segment, iterate.p, iterate.flux, (of_p, of_flux), tolerance)
+    def scales(self) -> tuple[Array, Array]:
+        """Sizes of p and σ·n, see `FacetBackend.scales` (collective)."""
+        of_p, of_flux = self._backend.scales(self._solution.outcome.iterate)
+        return np.where(of_p > 0, of_p, 1.0), np.where(of_flux > 0, of_flux, 1.0)
 
-    def _lines(self, step: Indices) -> list[Lines]:
-        """The lines of all laws on the segments that are so many beyond those that the sites are on (collective)."""
-        solution, penalty = self._solution, (self._solution.method.penalty, self._solution.options.eps)
-        segment, inside = (self._segment + step)[: len(self._spaces.facets)], self._data.inside
-        on_gamma = [Lines.of(self._spaces, part, segment[part.rows], penalty) for part in self._data.laws.of_parts]
-        in_cells, step = [], step[len(self._spaces.facets) :]
-        for part in () if inside is None else inside.of_regions:
-            on = solution.segments_of_law(part) + step[part.rows]
-            in_cells.append(Lines.of(self._spaces, part, on, (None, 1.0)))
-        return on_gamma + in_cells
+    def refused(self, _chains: Chains) -> Mask:
+        """The biactive cells, if there are several laws in Ω."""
+        inside, refused = self._data.inside, self.biactive.copy()
+        refused[: len(self._spaces.facets) if inside is not None and len(inside.of_regions) > 1 else None] = False
+        return refused
 
-    def _moved_lines(self, changes: Mapping[str, Array], step: Indices) -> tuple[Array, Array]:
-        """The slopes of lines, and how their values change at the present p (collective)."""
-        facets = len(self._spaces.facets)
-        p, u = self._solution.p.x.array[:facets], owned_values(self._solution.u)
-        slopes = np.take_along_axis(self._law.slope, (self._segment + step)[:, None], axis=1)[:, 0]
-        values = np.zeros(len(self._segment))
-        for line in self._lines(step):
-            slope, value = line.changes(changes)
-            rows, at = line.part.rows, u if line.part.law.region else p
-            sites = rows + facets if line.part.law.region else rows
-            kept = line.steep == np.isinf(slopes[sites])  # of several laws in a cell a steep one says all
-            values[sites] += np.where(kept, value - np.where(line.steep, 0.0, slope * at[rows]), 0.0)
-        return slopes, values
+    def plain(self) -> Iterator[tuple[str, Seen]]:
+        """The means of f, κ, c, u_D and g_N (collective)."""
+        spaces, data = self._spaces, self._data
+        for name, datum in (("f", data.f), ("kappa", data.kappa), ("c", data.c)):
+            if datum.pieces is None:
+                space, cells = spaces.Q_matrix if datum.shape else spaces.Q, np.arange(len(spaces.cell_measures))
+                yield name, seen_in_cells(space, datum, cells.astype(np.int32), spaces.cell_measures)
+        dofs = cells_and_dofs(spaces.V, spaces.dirichlet_facets)[1]
+        if data.u_D.pieces is None:
+            basis = assembled(ufl.dot(ufl.TestFunction(spaces.V), spaces.n) * spaces.ds_dirichlet)[dofs]
+            yield "u_D", Seen(_on_facets(spaces, data.u_D, spaces.ds_dirichlet), spaces.V, dofs, basis)
+        if data.g_N.pieces is None:
+            form = _on_facets(spaces, data.g_N, spaces.ds_neumann)
+            yield "g_N", Seen(form, spaces.V, spaces.neumann_dofs, spaces.neumann_basis_flux)
+
+    def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
+        """See `Linearised.lines`; of several laws in a cell a steep one says all (collective)."""
+        solution, facets, inside = self._solution, len(self._spaces.facets), self._data.inside
+        at, penalty = np.append(solution.p.x.array[:facets], owned_values(solution.u)), solution.method.penalty
+        ends = None if penalty is None else penalty.slopes(solution.options.eps)
+        held = np.isinf(np.take_along_axis(self._law.slope, segment[:, None], axis=1)[:, 0])
+        for part in (*self._data.laws.of_parts, *(() if inside is None else inside.of_regions)):
+            sites = part.rows + (facets if part.law.region else 0)
+            on = segment[sites]
+            if part.law.region:
+                on += solution.segments_of_law(part) - self._segment[sites]
+            for key, steep, moved in moved_lines(self._spaces, part, on, at[sites], None if part.law.region else ends):
+                places, matrices = sites[:, None], np.where(steep == held[sites], moved, 0.0)[:, None, None]
+                yield part.key(key), Effect("line", _seen_by_law(self._spaces, part, key), places, matrices)
 
     def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function]:
         """The changes of σ, u and p with these numbers (collective).
@@ -122,22 +110,36 @@ class Linearised:
             InputError: If a cell is on a corner of several laws.
             NumericalFailure: If the sets of those sites do not settle.
         """
-        comm, inside = self._spaces.mesh.comm, self._data.inside
-        several = inside is not None and len(inside.of_regions) > 1
-        number, of_cells = comm.allreduce(
-            np.array([np.count_nonzero(self.biactive), np.count_nonzero(self.biactive[len(self._spaces.facets) :])])
-        ).tolist()
-        if several and of_cells > 0:
-            raise InputError(f"derivative: {counted(of_cells, 'cell')} may leave a corner where several laws add up")
-        (before, one), (beyond, other) = (
-            self._moved_lines(changes, pick(self._beside, 0)) for pick in (np.minimum, np.maximum)
-        )
-        chains = rays((before, beyond), (one, other))
-        backend = Tangent(self._spaces, self._data, self._backend, self._loads(changes), chains)
-        start = chains.conditions((self._beside < 0).astype(np.int64))
-        iterate = settled_change(backend, start, number, self._solution.options.max_iterations)
-        p = self._spaces.multiplier(iterate.p[: len(self._spaces.facets)])
-        return {"sigma": iterate.sigma, "u": iterate.u, "p": p}
+        loads = self._loads(changes)
+        found: dict[str, fem.Function] = self.settled(changes, lambda conditions, _: self._solved(conditions, loads))
+        return found
+
+    def _solved(self, conditions: SiteConditions, loads: Loads) -> Solved:
+        """The change under these conditions on the sites, whose p and σ·n are measured from 0 (collective)."""
+        spaces, data, (facets, cells) = self._spaces, self._data, self._spaces.site_kinds
+        space, sites = spaces.crouzeix_raviart, self._backend.sites
+        values, held = np.broadcast_to(conditions.value, sites), conditions.kind == Condition.ZERO_TRACE
+        trace, pulled = np.where(held, values, 0.0), np.where(held, 0.0, values)
+        dofs = cells_and_dofs(space, spaces.facets)[1]
+        on_facets = np.zeros(len(loads.forces) + space.dofmap.index_map.num_ghosts)
+        on_facets[dofs] = facets.of(trace)  # only the cell behind a facet of Γ_S has it
+        forces = loads.forces.copy()
+        forces[dofs] += facets.of(pulled) * spaces.facet_measure
+        loads = replace(loads, jumps=loads.jumps + on_facets[cell_dofs(space)], forces=forces)
+        if data.inside is not None:
+            loads = replace(loads, source=loads.source + cells.of(pulled), held=cells.of(trace))
+        sigma, u, traces = self._backend.respond(conditions, loads)
+        p, flux, of_u = traces[dofs] + facets.of(trace), spaces.normal_flux(sigma), owned_values(u)
+        if data.inside is not None:  # there σ·n is −s = −∇·σ − f + cu
+            c = 0.0 if data.c_h is None else owned_values(data.c_h)
+            minus_s = c * of_u - loads.source + cells.of(pulled) - self._out_of(sigma) / spaces.cell_measures
+            p, flux = np.append(p, of_u), np.append(flux, minus_s)
+        p, flux = conditions.clean(p, flux, data.conductance)
+        return p, flux, {"sigma": sigma, "u": u, "p": spaces.multiplier(facets.of(p))}
+
+    def _out_of(self, sigma: fem.Function) -> Array:
+        """∫∇·σ over each owned cell."""
+        return np.einsum("cf,cf->c", self._spaces.outflow, sigma.x.array[cell_dofs(self._spaces.V)])
 
     def _loads(self, changes: Mapping[str, Array]) -> Loads:
         """The right side of the change, without what the laws add (collective)."""
@@ -150,94 +152,55 @@ class Linearised:
             set_owned(kappa, changes["kappa"])
             flux.x.array[:] = -assembled(spaces.kept(_with_kappa, data.kappa_h, self._solution.sigma, kappa))
             flux.x.scatter_forward()
-        if "u_D" in changes:
-            traces.x.array[cells_and_dofs(space, spaces.dirichlet_facets)[1]] = changes["u_D"]
-        if "g_N" in changes:
-            forces[cells_and_dofs(space, spaces.neumann_facets)[1]] = changes["g_N"] * spaces.neumann_measure
+        traces.x.array[cells_and_dofs(space, spaces.dirichlet_facets)[1]] = changes.get("u_D", 0.0)
+        forces[cells_and_dofs(space, spaces.neumann_facets)[1]] = changes.get("g_N", 0.0) * spaces.neumann_measure
         source = changes.get("f", 0.0) - changes.get("c", 0.0) * u
         jumps = self._jumps(flux) + traces.x.array[cell_dofs(space)]
         return Loads(jumps, source + np.zeros_like(u), np.zeros_like(u), forces)
 
-    def adjoint(self, J: Form, more: tuple[Array, Array] | None = None) -> dict[str, Array]:
-        """The derivatives by all numbers that are seen, but for where the data stand in J itself (collective).
-
-        Args:
-            J: What is differentiated.
-            more: The derivatives by u and by the s of laws in Ω of each cell, of what is differentiated besides; None
-                if nothing is.
-        """
-        spaces, data, u = self._spaces, self._data, owned_values(self._solution.u)
-        p = self._solution.p.x.array[: len(spaces.facets)]
+    def by(self, J: Form, more: tuple[Array, Array] | None) -> dict[str, Array]:
+        """See `Linearised.by`; besides J there are derivatives by u and by the s of laws in Ω of each cell."""
+        spaces, data, u, (facets, _) = self._spaces, self._data, owned_values(self._solution.u), self._spaces.site_kinds
         flux, by_u, by_p = (
             derivative_by(function, J, spaces.entity_maps)
             for function in (self._solution.sigma, self._solution.u, self._solution.p)
         )
         on_gamma, on_neumann = (
-            cells_and_dofs(spaces.crouzeix_raviart, facets)[1] for facets in (spaces.facets, spaces.neumann_facets)
+            cells_and_dofs(spaces.crouzeix_raviart, listed)[1] for listed in (spaces.facets, spaces.neumann_facets)
         )
-        on_p, on_u = by_p.x.array[: len(p)], owned_values(by_u).copy()
+        on_p, on_u = by_p.x.array[: len(facets)], owned_values(by_u).copy()
+        held = self._held[len(facets) :] if data.inside is not None else np.zeros(len(u), dtype=bool)
         of_s = np.zeros_like(u)  # in held cells, where s = ∇·σ + f − cu
         if more is not None:
             on_u += more[0]
-            if self._data.inside is not None:
-                slope = np.take_along_axis(self._law.slope, self._segment[:, None], axis=1)[len(p) :, 0]
-                on_u += np.where(self._held_cells, 0.0, slope) * more[1]
-                of_s = np.where(self._held_cells, more[1], 0.0)
+            if data.inside is not None:
+                slope = np.take_along_axis(self._law.slope, self._segment[:, None], axis=1)[len(facets) :, 0]
+                on_u += np.where(held, 0.0, slope) * more[1]
+                of_s = np.where(held, more[1], 0.0)
         forces = np.zeros(spaces.crouzeix_raviart.dofmap.index_map.size_local)
         forces[on_gamma] = -on_p
         volumes, none = spaces.cell_measures, np.zeros_like(u)
         jumps = self._jumps(flux) + (of_s / volumes)[:, None]
         loads = Loads(jumps, -on_u / volumes, none, forces)
         of_sigma, of_balance, traces = self._backend.respond(self._conditions, loads)
-        through = spaces.outflow * of_sigma.x.array[cell_dofs(spaces.V)]
         of_f = of_s - volumes * owned_values(of_balance)
-        derivatives = {"f": of_f, "c": -u * of_f}
+        of_trace = on_p + spaces.basis_flux * of_sigma.x.array[spaces.flux_dofs]
+        on_facets = np.where(facets.of(self._held), of_trace, -spaces.facet_measure * traces[on_gamma])
+        in_cells = np.where(held, on_u - self._out_of(of_sigma), of_f)
+        by = {"f": of_f, "c": -u * of_f, "g_N": -traces[on_neumann] * spaces.neumann_measure}
+        by["line"] = np.append(on_facets, in_cells)
         if "kappa" in self.seen:
             form = spaces.kept(_by_kappa, data.kappa_h, self._solution.sigma, of_sigma)
-            derivatives["kappa"] = -assembled(form)[self.seen["kappa"].dofs]
+            by["kappa"] = -assembled(form)[self.seen["kappa"].dofs]
         if "u_D" in self.seen:
-            derivatives["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
-        derivatives["g_N"] = -traces[on_neumann] * spaces.neumann_measure
-        of_trace = on_p + spaces.basis_flux * of_sigma.x.array[spaces.flux_dofs]
-        of_force = -spaces.facet_measure * traces[on_gamma]
-        of_u = on_u - np.einsum("cf->c", through)
-        for line in self._lines(np.zeros_like(self._segment)):
-            rows = line.part.rows
-            if line.part.law.region:
-                held = self._held_cells[rows]
-                of_value = np.where(line.steep, of_u[rows], np.where(held, 0.0, derivatives["f"][rows]))
-                of_slope = np.where(held, 0.0, derivatives["c"][rows])
-            else:
-                of_value = np.where(line.steep, of_trace[rows], of_force[rows])
-                of_slope = np.where(line.steep, 0.0, -of_force[rows] * p[rows])
-            derivatives |= line.sensitivities(of_slope, of_value)
-        return derivatives
+            by["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
+        return by
 
     def _jumps(self, functional: fem.Function) -> Array:
         """The z whose ⟨z, τ·n⟩ is the value at τ of a functional, given by its values at the basis functions."""
         spaces, dofs = self._spaces, cell_dofs(self._spaces.V)
         cells = sums_at(spaces.V.dofmap.index_map, dofs)
         return np.asarray((functional.x.array / cells)[dofs] / spaces.outflow)
-
-
-def _seen(spaces: Spaces, solution: Solution) -> Iterator[tuple[str, Seen]]:
-    """The numbers that are seen of data given in UFL, by the names of these (collective)."""
-    data = solution.data
-    for name, datum in (("f", data.f), ("kappa", data.kappa), ("c", data.c)):
-        if datum.pieces is None:
-            space, cells = spaces.Q_matrix if datum.shape else spaces.Q, np.arange(len(spaces.cell_measures))
-            yield name, seen_in_cells(space, datum, cells.astype(np.int32), spaces.cell_measures)
-    neumann = spaces.neumann_dofs, spaces.neumann_basis_flux
-    dofs = cells_and_dofs(spaces.V, spaces.dirichlet_facets)[1]
-    if data.u_D.pieces is None:
-        basis = assembled(ufl.dot(ufl.TestFunction(spaces.V), spaces.n) * spaces.ds_dirichlet)[dofs]
-        yield "u_D", Seen(_on_facets(spaces, data.u_D, spaces.ds_dirichlet), spaces.V, dofs, basis)
-    if data.g_N.pieces is None:
-        yield "g_N", Seen(_on_facets(spaces, data.g_N, spaces.ds_neumann), spaces.V, *neumann)
-    for part in (*data.laws.of_parts, *(() if data.inside is None else data.inside.of_regions)):
-        for key, datum in part.data.items():
-            if datum.pieces is None or (key in part.law.weights and part.data[part.law.weights[key]].pieces is None):
-                yield part.key(key), _seen_by_law(spaces, part, key)
 
 
 def _seen_by_law(spaces: Spaces, part: PartLaw, key: str) -> Seen:
@@ -276,7 +239,7 @@ def _with_kappa(spaces: Spaces, kappa: Expr, sigma: Expr, change: Expr) -> Form:
     return ufl.derivative(flux_product(sigma, ufl.TestFunction(spaces.V), ufl.dx, kappa), kappa, change)
 
 
-def linearised(solution: Solution, tolerance: float) -> Linearised:
+def linearised(solution: Solution, tolerance: float) -> LinearisedDiffusion:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
     Raises:
@@ -289,4 +252,4 @@ def linearised(solution: Solution, tolerance: float) -> Linearised:
     system = None if solution.system is None else solution.system()
     backend = None if system is None else system.kept.of(solution.outcome, HybridBackend)
     backend = backend or HybridBackend(solution.spaces, solution.data, tuning=solution.options.tuning)
-    return Linearised(solution, backend, tolerance)
+    return LinearisedDiffusion(solution, backend, solution.law, tolerance)

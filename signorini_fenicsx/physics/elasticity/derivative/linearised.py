@@ -17,6 +17,7 @@ the reactions, so wμ/|e| with its sign is what λ_û is at the sites in contact
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property, partial
 
 import basix
 import basix.ufl
@@ -32,80 +33,56 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs
-from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.contact.conditions import Condition
-from signorini_fenicsx.contact.loop import settled_change
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
 from signorini_fenicsx.discrete.seen import Seen, derivative_by
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.linear.gmres import gmres
-from signorini_fenicsx.physics.elasticity.derivative.moments import Moments, of_laws, on_boundary
-from signorini_fenicsx.physics.elasticity.derivative.tangent import Tangent, stiffness_times
+from signorini_fenicsx.physics.elasticity.derivative.moments import of_friction, of_laws, on_boundary
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, entries, to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
+from signorini_fenicsx.physics.elasticity.solve.coulomb import newton
 
 
-class Linearised:
-    """A problem linearised at its solution.
+class LinearisedElasticity(Linearised):
+    """An elastic problem linearised at its solution; biactive sites are vertices of facets."""
 
-    Attributes:
-        seen: What the discrete problem sees of each datum that is given in UFL: its values in the points of a
-            quadrature, or moments on the boundary.
-        biactive: Mask of the sites on a corner of their law.
-    """
+    refusal = "site", "may begin to turn in space, or leave a spring, so there is none"
 
-    def __init__(self, solution: ElasticSolution, backend: ElasticBackend, tolerance: float):
-        """Take a solution and what solves under its conditions (collective).
+    def scales(self) -> tuple[Array, Array]:
+        """The largest u and the largest stress, for all sites (collective)."""
+        solution, comm = self._solution, self._spaces.mesh.comm
+        sizes = [
+            comm.allreduce(np.abs(each).max(initial=0.0), MPI.MAX) for each in (solution.u.x.array, solution.stresses)
+        ]
+        u, stress = (np.full(self._backend.sites, size if size > 0 else 1.0) for size in sizes)
+        return u, stress
 
-        Raises:
-            InputError: If a bound of friction or a datum of a law is not linear.
+    def _sides(self, tolerance: float) -> Indices:
+        """See `Linearised`; in space a vertex that slips by little, or sticks with a shear near its bound, is biactive.
+
+        Collective.
         """
-        self._solution, self._backend = solution, backend
-        self._spaces, self._data = spaces, data = solution.spaces, solution.data
-        self._conditions = solution.outcome.conditions
-        self._normal, self._slip = spaces.site_kinds
-        self._held = self._conditions.kind == Condition.ZERO_TRACE
-        self._segment = backend.chains.segments(
-            self._conditions, (solution.outcome.iterate.p, solution.outcome.iterate.flux)
-        )
-        self._signs: Array = backend.friction.directions(self._slip.of(self._segment))  # of the bound, in σ_t
-        shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
-        weights = np.broadcast_to(data.quadrature.weights, (spaces.dim + 1, len(data.quadrature.weights)))
-        self._weights = shares * weights  # of the points of the quadrature, shape (cells, d + 1, points)
-        self._materials = {name: moved for name, _, moved in data.material.moved()}
-        self._in_cells = dict(self._points())
-        self._moments = {name: (kind, moments) for kind, name, moments in on_boundary(spaces, data, solution.problem)}
-        self._moments |= self._of_laws(self._segment)
-        self.seen = self._in_cells | {name: moments.seen for name, (_, moments) in self._moments.items()}
-        self._beside = self._segments_beside(tolerance)
-        self.biactive = self._beside != 0
-
-    def _of_laws(self, segment: Indices) -> dict[str, tuple[str, Moments]]:
-        """The moments of the data of laws, if sites are on these segments (collective)."""
-        laws, opening = self._solution.data.laws, self._solution.gap.ravel()
-        moments = of_laws(self._spaces, laws, self._normal.of(segment), opening)
-        return {name: (kind, each) for kind, name, each in moments}
-
-    def _segments_beside(self, tolerance: float) -> Indices:
-        """Which way the other segment is of each site that is on a corner; 0 at other sites (collective).
-
-        In space a vertex with friction is on one if it slips by little, or sticks with a shear near its bound.
-        """
-        solution, backend, friction = self._solution, self._backend, self._backend.friction
-        sizes = np.array([np.abs(each).max(initial=0.0) for each in (solution.u.x.array, solution.stresses)])
-        self._spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
-        u, stress = np.where(sizes > 0, sizes, 1.0)
-        p, flux = solution.outcome.iterate.p, solution.outcome.iterate.flux
-        scales = np.full(backend.sites, u), np.full(backend.sites, stress)
-        direction = backend.chains.beside(self._segment, p, flux, scales, tolerance)
+        direction, friction, kind = super()._sides(tolerance), self._backend.friction, self._spaces.site_kinds["slip"]
         if friction.slipping is not None:
-            slip, shear = (np.linalg.norm(self._slip.of(each).reshape(-1, 2), axis=1) for each in (p, flux))
-            bound, sticks = friction.bound.ravel(), friction.sticks.ravel()
-            near = np.where(sticks, bound - shear <= tolerance * stress, slip <= tolerance * u)
-            self._slip.of(direction)[:] = np.repeat(near & (bound > 0), 2)
+            iterate, bound = self._solution.outcome.iterate, friction.bound.ravel()
+            slip, shear = (np.linalg.norm(kind.of(each).reshape(-1, 2), axis=1) for each in (iterate.p, iterate.flux))
+            of_u, of_stress = (tolerance * kind.of(scale)[::2] for scale in self.scales())
+            near = np.where(friction.sticks.ravel(), bound - shear <= of_stress, slip <= of_u)
+            kind.of(direction)[:] = np.repeat(near & (bound > 0), 2)
         return direction
 
-    def _points(self) -> Iterator[tuple[str, Seen]]:
+    @cached_property
+    def _weights(self) -> Array:
+        """Those of the points of the quadrature, shape (cells, d + 1, points)."""
+        spaces, weights = self._spaces, self._data.quadrature.weights
+        shares = Cells(spaces.vertices).measure[:, None, None] / (spaces.dim + 1)
+        return np.asarray(shares * np.broadcast_to(weights, (spaces.dim + 1, len(weights))))
+
+    def plain(self) -> Iterator[tuple[str, Seen]]:
         """The data that are seen by their values in the points of the quadrature (collective)."""
         mesh, rule = self._spaces.mesh, self._data.quadrature
         forces = enumerate(self._data.f.components)
@@ -119,9 +96,28 @@ class Linearised:
             for name, number in numbers.items():
                 yield name, Seen(_in_points(number), space, cell_dofs(space).ravel(), self._weights.ravel())
 
+    def effects(self) -> Iterator[tuple[str, Effect]]:
+        """See `on_boundary` (collective)."""
+        return on_boundary(self._spaces, self._data)
+
+    def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
+        """See `Linearised.lines`; μ is among them (collective)."""
+        normal, slip = self._spaces.site_kinds
+        directions = self._backend.friction.directions(slip.of(segment))
+        yield from of_laws(self._spaces, self._data.laws, normal.of(segment), self._solution.gap.ravel())
+        yield from of_friction(self._spaces, self._solution.problem, directions)
+
     def places(self) -> Array:
         """The vertices of the biactive sites of this rank, shape (sites, dim)."""
-        return self._backend.places()[self.biactive, : self._spaces.dim]
+        return np.asarray(self._backend.places()[self.biactive, : self._spaces.dim])
+
+    def refused(self, chains: Chains) -> Mask:
+        """The biactive sites that turn in space, or at the end of a slope, where neighbours change the rays."""
+        refused = self.biactive & (chains.kinds == Condition.ROBIN).any(axis=1)
+        if self._spaces.dim == 3:
+            slip = self._spaces.site_kinds["slip"]
+            slip.of(refused)[:] = slip.of(self.biactive)
+        return refused
 
     def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function | None]:
         """The changes of σ and u with what is seen; there is no p (collective).
@@ -132,36 +128,48 @@ class Linearised:
             InputError: If vertices may begin or cease to slip in space, or leave the end of a slope.
             NumericalFailure: If the sets of biactive sites do not settle.
         """
-        spaces, backend, normal = self._spaces, self._backend, self._normal
-        comm, size = spaces.mesh.comm, len(backend.system.load)
-        numbers = {kind: np.zeros(size) for kind in ("lift", "load")}
-        numbers |= {kind: np.zeros(spaces.dim * len(spaces.rough_rows)) for kind in ("bound", "mu")}
-        numbers |= {kind: np.zeros(len(normal)) for kind in ("law", "beside")}
-        for name, (kind, moments) in self._moments.items():
-            moments.add(numbers[kind], changes[name])
-        for name, (_, moments) in self._of_laws(self._segment + self._beside).items():
-            moments.add(numbers["beside"], changes[name])
-        below = self._beside < 0
-        pair = self._segment + np.minimum(self._beside, 0), self._segment + np.maximum(self._beside, 0)
-        laws = np.where(normal.of(below), numbers["beside"], numbers["law"])
-        of_laws = laws, np.where(normal.of(below), numbers["law"], numbers["beside"])
+        spaces, system = self._spaces, self._backend.system
+        numbers = {kind: np.zeros(len(system.load)) for kind in ("lift", "load")}
+        numbers["mu"] = np.zeros(spaces.dim * len(spaces.rough_rows))
+        for name, effect in self._effects.items():
+            if effect.kind in numbers:
+                effect.add(numbers[effect.kind], changes[name])
 
         def solve(load: Array) -> Array:
-            load = load + numbers["load"]
-            tangent = Tangent(backend, self._data, pair, numbers, of_laws, self._pressure, load)
-            turning = self.biactive & (np.arange(backend.sites) >= len(normal)) & (spaces.dim == 3)
-            number, refused = comm.allreduce(
-                np.array([np.count_nonzero(self.biactive), np.count_nonzero(turning | tangent.sloped)])
-            ).tolist()
-            if refused > 0:
-                sites = counted(refused, "site")
-                raise InputError(f"derivative: {sites} may begin to turn in space, or leave a spring, so there is none")
-            start = tangent.chains.conditions(below.astype(np.int64))
-            settled_change(tangent, start, number, self._solution.options.max_iterations)
-            return backend.system.everywhere(tangent.x)
+            numbers["load"] += load
+            return system.everywhere(self.settled(changes, partial(self._solved, numbers)))
 
-        stresses, u, _ = backend.system.respond(*self._by_changes(changes), solve=solve)
+        stresses, u, _ = system.respond(*self._by_changes(changes), solve=solve)
         return {"sigma": spaces.split.stress(stresses), "u": spaces.displacement(u), "p": None}
+
+    def _solved(self, numbers: Mapping[str, Array], conditions: SiteConditions, segment: Indices) -> Solved:
+        """The traces of the change on these segments (collective).
+
+        With Coulomb's law the bounds change with the pressures. The flux is measured from where a bound has gone.
+        """
+        backend, spaces, (normal, slip) = self._backend, self._spaces, self._spaces.site_kinds
+        friction, values, actual = backend.friction, conditions.value, backend.chains.conditions(segment)
+        held, gap, more = actual.kind == Condition.ZERO_TRACE, numbers["lift"][normal.unknown], np.zeros(len(slip))
+        lift, load = numbers["lift"].copy(), numbers["load"].copy()
+        lift[normal.unknown] = np.where(normal.of(held), gap - normal.of(values), 0.0)
+        lift[slip.unknown] *= slip.of(held)
+        pull = stiffness_times(self._data, normal.of(actual), gap) - normal.of(values)
+        load[normal.unknown] += normal.measure * np.where(normal.of(held), 0.0, pull)
+        load[slip.unknown] += slip.measure * slip.of(values)
+        x = backend.solve_homogeneous(actual, load, lift)
+        if friction.by_pressure:
+            sides = friction.directions(slip.of(segment))
+            slope = friction.slope(np.where(self.biactive[slip.pressing], 1.0, self._pressure))
+            moved = slope * spaces.pressure_of(backend.flux(x, numbers["load"]))
+            left = numbers["mu"].reshape(slope.shape) * self._pressure + moved
+            more = np.repeat(newton(backend, actual, (sides, slope), left).ravel(), spaces.dim - 1)
+            load[:] = 0.0
+            load[slip.unknown] = sides * slip.measure * more
+            x.axpy(1.0, backend.solve_homogeneous(actual, load))
+        flux, x = backend.flux(x, numbers["load"]), np.array(x.array_r)
+        slip.of(flux)[:] -= more * np.subtract(1.0, 2 * slip.of(self._segment + np.minimum(self._beside, 0)))
+        p = np.append(gap - x[normal.unknown], x[slip.unknown] - numbers["lift"][slip.unknown])
+        return *conditions.clean(p, flux, np.inf), x
 
     def _by_changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:
         """The functional of τ and the moments of f that the changes of data in cells give (collective)."""
@@ -176,28 +184,13 @@ class Linearised:
         cells = np.arange(len(spaces.order), dtype=np.int32)
         return stresses[spaces.as_dolfinx(cells)], np.take_along_axis(moments, spaces.order[:, :, None], axis=1)
 
-    @property
-    def _given(self) -> Mask:
-        """Mask of the owned unknowns that are given values of û."""
-        is_given = np.zeros(len(self._backend.system.load), dtype=bool)
-        is_given[self._data.fixed] = True
-        is_given[self._spaces.site_kinds.unknown[self._held]] = True
-        return is_given
+    def by(self, J: Form, more: Array | None) -> dict[str, Array]:
+        """See `Linearised.by`; besides J there is a derivative by û_t at the sites with friction.
 
-    def adjoint(self, J: Form, of_slip: Array | None = None) -> dict[str, Array]:
-        """The derivatives of J by all that is seen, but for where the data stand in J itself (collective).
-
-        Args:
-            J: What is differentiated.
-            of_slip: The derivative by û_t at the sites with friction of what is differentiated besides; None if nothing
-                is.
-
-        Returns:
-            The derivatives, with "slipped" that by û_t of the step before.
+        "slipped" is the derivative by û_t of the step before.
         """
         spaces, backend, w, (normal, slip) = self._spaces, self._backend, np.zeros(0), self._spaces.site_kinds
-        of_slip = np.zeros(len(slip)) if of_slip is None else of_slip
-        friction = backend.friction
+        friction, of_slip = backend.friction, np.zeros(len(slip)) if more is None else more
         by_sigma, by_u = (derivative_by(each, J, ()) for each in (self._solution.sigma, self._solution.u))
         stresses, moments = spaces.split.values(by_sigma), -spaces.displacement_values(by_u)
 
@@ -218,25 +211,23 @@ class Linearised:
 
         adjoint, of_u, x = backend.system.respond(stresses, moments, solve=solve)
         forces = backend.system.forces(adjoint)
-        pull, lift = normal.measure * x[normal.unknown], np.where(self._given, forces, 0.0)
+        given = np.union1d(self._data.fixed, spaces.site_kinds.unknown[self._held])
+        pull, lift = normal.measure * x[normal.unknown], np.zeros_like(forces)
+        lift[given] = forces[given]
         lift[normal.unknown] -= stiffness_times(self._data, normal.of(self._conditions), pull)
         of_stick, slipping = forces[slip.unknown] + of_slip, -slip.measure * friction.resisted(x[slip.unknown])
-        by = {
+        on_normal = np.where(normal.of(self._held), -forces[normal.unknown], pull)
+        return self._by_points(adjoint, of_u) | {
             "lift": lift,
             "load": -x[: len(lift)],
-            "bound": self._by_bound(x),
-            "mu": w * self._pressure.ravel() if len(w) else np.zeros(spaces.dim * len(spaces.rough_rows)),
-            "law": np.where(normal.of(self._held), -forces[normal.unknown], pull),
+            "mu": w * self._pressure.ravel() if len(w) else np.zeros(self._pressure.size),
+            "line": np.append(on_normal, -slip.measure * x[slip.unknown]),
+            "slipped": np.where(slip.of(self._held), of_stick, slipping),
         }
-        return (
-            self._by_points(adjoint, of_u)
-            | {name: moments.sensitivities(by[kind]) for name, (kind, moments) in self._moments.items()}
-            | {"slipped": np.where(slip.of(self._held), of_stick, slipping)}
-        )
 
     def _by_points(self, adjoint: Array, of_u: Array) -> dict[str, Array]:
         """The derivatives by the data in the points of the quadrature (collective)."""
-        if not self._in_cells:
+        if len(self.seen) == len(self._effects):
             return {}
         spaces, rule = self._spaces, self._data.quadrature
         lam = self._at_points(adjoint)
@@ -252,10 +243,8 @@ class Linearised:
 
     def _changes_of_strain(self) -> Iterator[tuple[str, Array]]:
         """How the strain changes with each number of the material, shape (cells, d + 1, points, entries)."""
-        if not self._materials:
-            return
         spaces, sigma = self._spaces, self._at_points(self._solution.stresses)
-        for name, moved in self._materials.items():
+        for name, _, moved in self._data.material.moved():
             changes = np.empty_like(sigma)
             for cells in blocks_of_cells(spaces.mesh):
                 points, stress = self._data.points(spaces, cells), sigma[cells]
@@ -276,16 +265,27 @@ class Linearised:
 
     def _by_bound(self, x: Array) -> Array:
         """The derivatives by the bounds at the vertices with friction, from λ_û."""
-        shear = self._signs * self._slip.measure * x[self._slip.unknown]
+        slip = self._spaces.site_kinds["slip"]
+        sides = self._backend.friction.directions(slip.of(self._segment))
+        shear = sides * slip.measure * x[slip.unknown]
         return -np.asarray(shear.reshape(-1, self._spaces.dim - 1).sum(axis=1))
 
     def _of_pressure(self, w: Array) -> PETSc.Vec:
         """λ_û for the functional Σ wμP of the pressure (collective)."""
-        normal, pressing = self._normal, self._slip.pressing.ravel()
+        normal, slip = self._spaces.site_kinds
+        pressing = slip.pressing.ravel()
         lift = np.zeros(len(self._backend.system.load))
         slope = self._backend.friction.slope(self._pressure).ravel()
         lift[normal.unknown[pressing]] = -slope * w / normal.measure[pressing]
         return self._backend.solve_homogeneous(self._conditions, np.zeros_like(lift), lift)
+
+
+def stiffness_times(data: ElasticData, conditions: SiteConditions, p: Array) -> Array:
+    """What springs take from the pressures at facet vertices under conditions and means p; 0 where there are none."""
+    if not data.laws.of_parts:
+        return np.zeros_like(p)
+    springs = data.laws.springs(conditions)
+    return np.asarray(np.einsum("nij,nj->ni", springs.stiffness, p.reshape(springs.rest.shape)).ravel())
 
 
 def _in_points(number: Expr) -> Callable[[Expr], Form]:
@@ -293,7 +293,7 @@ def _in_points(number: Expr) -> Callable[[Expr], Form]:
     return lambda v: number * v * ufl.dx
 
 
-def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
+def linearised(solution: ElasticSolution, tolerance: float) -> LinearisedElasticity:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
     Raises:
@@ -307,4 +307,4 @@ def linearised(solution: ElasticSolution, tolerance: float) -> Linearised:
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning)
     if backend.friction.slipping is not None:
         backend.turn(backend.friction.turned(solution.spaces.site_kinds["slip"].rows_of(solution.outcome.iterate.p)))
-    return Linearised(solution, backend, tolerance)
+    return LinearisedElasticity(solution, backend, backend.chains, tolerance)

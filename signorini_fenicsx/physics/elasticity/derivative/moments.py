@@ -1,9 +1,8 @@
-"""What the elastic problem sees of data on the boundary: their moments ∫ d φ_a, and what it makes of these."""
+"""What an elastic problem sees of data on the boundary: their moments ∫ d φ_a, and what it makes of these."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import dolfinx.mesh
 import numpy as np
@@ -14,6 +13,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.derivatives.linearised import Effect
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
 from signorini_fenicsx.discrete.seen import Seen
@@ -27,62 +27,24 @@ from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureD
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw, ElasticProblem, is_normal
 
 
-@dataclass(frozen=True)
-class Moments:
-    """The moments of a datum over facets, and some numbers that are linear in them.
-
-    Attributes:
-        seen: The moments, facet by facet.
-        places: Where the numbers are, shape (facets, n).
-        matrices: What they are, shape (facets, n, d).
-    """
-
-    seen: Seen
-    places: Indices
-    matrices: Array
-
-    def add(self, numbers: Array, changes: Array) -> None:
-        """Add the change with these changes of the moments, in place."""
-        moments = changes.reshape(len(self.places), self.matrices.shape[2])
-        numbers[self.places] += np.einsum("nka,na->nk", self.matrices, moments)
-
-    def sensitivities(self, by: Array) -> Array:
-        """The derivatives of something by the moments, from those by the numbers."""
-        derivatives: Array = np.einsum("nka,nk->na", self.matrices, by[self.places])
-        return derivatives.ravel()
-
-
-def on_boundary(
-    spaces: ElasticSpaces, data: ElasticData, problem: ElasticProblem
-) -> Iterator[tuple[str, str, Moments]]:
-    """The moments of all data in UFL: what is made of them, their names, and they (collective).
-
-    They make values of û ("lift"), its right side ("load"), and at the sites with friction bounds ("bound") and μ
-    ("mu").
-
-    Raises:
-        InputError: If a bound of friction is not linear in x.
-    """
+def on_boundary(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, Effect]]:
+    """What moments of u_D, gaps and tractions make: values of û ("lift"), its right side ("load") (collective)."""
     for number, (facets, k, letter) in enumerate(spaces.fixed):
         for r, component in enumerate(data.u_D.components):
             if letter in (NORMAL, AXES[r]):
                 share = facets.normals[:, r] if letter == NORMAL else np.ones(len(facets.facets))
                 matrices = share[:, None, None] * _to_values(facets)
-                for part, moments in _of_datum(
-                    spaces, component, facets, spaces.unknowns(facets, k).astype(np.int64), matrices
-                ):
-                    yield "lift", f"u_D.{number}.{r}.{part}", moments
+                places = spaces.unknowns(facets, k).astype(np.int64)
+                yield from _of_datum(spaces, f"u_D.{number}.{r}", "lift", component, facets, places, matrices)
     contact = spaces.contact
     normal = spaces.site_kinds["normal"]
     places = normal.rows_of(normal.unknown).astype(np.int64)
     matrices = np.eye(spaces.dim) / normal.rows_of(normal.measure)[:, :, None]
-    for part, moments in _of_datum(spaces, data.gap, contact, places, matrices):
-        yield "lift", f"gap.{part}", moments
+    yield from _of_datum(spaces, "gap", "lift", data.gap, contact, places, matrices)
     yield from _tractions(spaces, data)
-    yield from _friction(spaces, problem)
 
 
-def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, str, Moments]]:
+def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, Effect]]:
     """Moments of g_N, which make the right side (collective)."""
     facets, dim = spaces.neumann, spaces.dim
     plain = np.broadcast_to(np.eye(dim**2), (len(facets.facets), dim**2, dim**2)).copy()
@@ -102,39 +64,45 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, 
             each = enumerate(datum.components)
             loads = [(component, by_component[rows, :, r].transpose(0, 2, 1)) for r, component in each]
         for r, (component, matrices) in enumerate(loads):
-            for part, moments in _of_datum(spaces, component, facets.take(rows), places[rows], matrices):
-                yield "load", f"g_N.{name}.{r}.{part}", moments
+            key = f"g_N.{name}.{r}"
+            yield from _of_datum(spaces, key, "load", component, facets.take(rows), places[rows], matrices)
 
 
-def _friction(spaces: ElasticSpaces, problem: ElasticProblem) -> Iterator[tuple[str, str, Moments]]:
-    """Moments of bounds of friction, and of μ (collective).
+def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Array) -> Iterator[tuple[str, Effect]]:
+    """What the moments of bounds of friction make, the given shear ("line"), and those of μ, its values ("mu").
+
+    Collective.
+
+    Args:
+        spaces: The spaces.
+        problem: The problem.
+        directions: σ_t at the sites for each unit of the bound.
 
     Raises:
-        InputError: If one is not linear in x.
+        InputError: If a datum is not linear in x.
     """
-    rough = spaces.rough.facets
-    order = np.argsort(rough)
+    rough, slip, dim = spaces.rough.facets, spaces.site_kinds["slip"], spaces.dim
+    order, sites = np.argsort(rough), slip.first + np.arange(len(slip)).reshape(len(rough), dim * (dim - 1))
+    shear = np.eye(dim)[:, None] * directions.reshape(len(rough), dim, dim - 1, 1)
     for index, law in enumerate(problem.laws):
         if is_normal(law):
             continue
         name = "mu" if isinstance(law, CoulombLaw) else "g"
         key = f"law.{index}.{name}"
-        datum = datum_of(spaces, key, parsed(getattr(law, name), "xyz"[: spaces.dim], key))
+        datum = datum_of(spaces, key, parsed(getattr(law, name), "xyz"[:dim], key))
         _check_linear(key, datum)
         for part in law.parts:
             facets = spaces.part(part)
             rows = order[np.searchsorted(rough, facets.facets, sorter=order)]
-            places = spaces.dim * rows[:, None] + np.arange(spaces.dim)
-            for _, moments in _of_datum(spaces, datum, facets, places, _to_values(facets)):
-                yield "mu" if name == "mu" else "bound", f"{key}.{part}", moments
+            kind, places, matrices = "mu", dim * rows[:, None] + np.arange(dim), _to_values(facets)
+            if name == "g":
+                kind, places = "line", sites[rows]
+                matrices = shear[rows].reshape(len(rows), -1, dim) @ matrices
+            yield from _of_datum(spaces, f"{key}.{part}", kind, datum, facets, places, matrices)
 
 
-def of_laws(
-    spaces: ElasticSpaces, laws: VertexLaws, segment: Indices, opening: Array
-) -> Iterator[tuple[str, str, Moments]]:
-    """The moments of the data of laws that are given in UFL, which move the lines of these segments (collective).
-
-    They make what `lines_by_data` says, at the sites ("law").
+def of_laws(spaces: ElasticSpaces, laws: VertexLaws, segment: Indices, opening: Array) -> Iterator[tuple[str, Effect]]:
+    """What the moments of the data of laws make: the lines of these segments, see `lines_by_data` (collective).
 
     Args:
         spaces: The spaces.
@@ -152,8 +120,7 @@ def of_laws(
         for name, lines in lines_by_data(spaces, part, moving, segment, opening):
             key, datum = part.key(name), part.data[name]
             _check_linear(key, datum)
-            for number, moments in _of_datum(spaces, datum, facets, places, lines @ _to_values(facets)):
-                yield "law", f"{key}.{number}", moments
+            yield from _of_datum(spaces, key, "line", datum, facets, places, lines @ _to_values(facets))
 
 
 def _check_linear(key: str, datum: Datum) -> None:
@@ -174,15 +141,19 @@ def _to_values(facets: BoundaryFacets) -> Array:
 
 
 def _of_datum(
-    spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, places: Indices, matrices: Array
-) -> Iterator[tuple[int, Moments]]:
-    """The moments of a datum over facets, part by part, if it is given in UFL (collective)."""
+    spaces: ElasticSpaces,
+    name: str,
+    kind: str,
+    datum: Datum,
+    facets: BoundaryFacets,
+    places: Indices,
+    matrices: Array,
+) -> Iterator[tuple[str, Effect]]:
+    """What the moments of a datum over facets make, part by part, if it is given in UFL (collective)."""
     for number, (chosen, own) in enumerate(datum.by_facets(facets.facets)):
         if own.pieces is None:
-            yield (
-                number,
-                Moments(_seen(spaces, own, facets.take(np.flatnonzero(chosen))), places[chosen], matrices[chosen]),
-            )
+            seen = _seen(spaces, own, facets.take(np.flatnonzero(chosen)))
+            yield f"{name}.{number}", Effect(kind, seen, places[chosen], matrices[chosen])
 
 
 def _seen(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets) -> Seen:
