@@ -192,7 +192,8 @@ def vertex_graphs(facets: BoundaryFacets, points: FacetPoints, graph: Graph) -> 
         corners = [reference]
     graph_of_means = Graph(reference, corners, slope(graph.before), slope(graph.beyond))
     chains = chains_of(graph_of_means, len(reference[0]))
-    signorini = chains.plain and (graph.before, graph.beyond) == (np.inf, 0.0)  # on others p' is not p
+    ends = np.ndim(graph.before) == np.ndim(graph.beyond) == 0 and (graph.before, graph.beyond)
+    signorini = chains.plain and ends == (np.inf, 0.0)  # on others p' is not p
     return replace(chains, plain=signorini), *reference
 
 
