@@ -34,7 +34,8 @@ from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
 CASE, ROW, MESH = "case.json", "row.json", "mesh-"
-FORMAT = 2
+MEANS = "means_of_"
+FORMAT = 3
 """Format of what is kept of a step; versions up to 0.4 kept no fields, and wrote no format."""
 type Row = Mapping[str, Any]
 """The numbers of a step."""
@@ -125,8 +126,10 @@ class StepFolder:
         part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
         tables = {f"table_{key}": rows for key, rows in vars(solution.table()).items()}
-        fields = {_key(name, field): field.values for name, all in solution.fields().items() for field in all}
-        write_arrays(comm, part, instant.steps.kept(solution) | tables | fields)
+        fields = [(_key(name, field), field) for name, of_file in solution.fields().items() for field in of_file]
+        means = {MEANS + key: field.cell_means for key, field in fields if field.cell_means is not None}
+        values = {key: field.values for key, field in fields}
+        write_arrays(comm, part, instant.steps.kept(solution) | tables | values | means)
 
         def end() -> None:
             (part / ROW).write_text(json.dumps(dict(row)), encoding="utf-8")
@@ -172,10 +175,12 @@ class StepFolder:
         Raises:
             InputError: If it is not of the cells and facets of this mesh.
         """
-        return {
-            name: [replace(field, values=self.kept(spaces, step, _key(name, field))) for field in of_file]
-            for name, of_file in like.items()
-        }
+
+        def again(key: str, field: Field) -> Field:
+            means = None if field.cell_means is None else self.kept(spaces, step, MEANS + key)
+            return replace(field, values=self.kept(spaces, step, key), cell_means=means)
+
+        return {name: [again(_key(name, field), field) for field in of_file] for name, of_file in like.items()}
 
     def table(self, step: int, kind: type[SiteTable]) -> SiteTable:
         """The table of Γ_S after a step (rank 0, not collective).

@@ -24,8 +24,8 @@ class Drawn:
     """A solution for pictures, on each rank its own share.
 
     Attributes:
-        u: u_h at the corners of each cell, in the order of the geometry, shape (cells, dim + 1, 1); a displacement has
-            shape (cells, dim + 1, dim).
+        u: u at the corners of each cell, in the order of the geometry, see `Solved.potential`, shape
+            (cells, dim + 1, 1); a displacement has shape (cells, dim + 1, dim).
         sigma: σ_h at the centroids, or what stands for it, shape (cells, components).
         facets: Γ_S.
         boundary: The facets of each kind of boundary, which is `SIGNORINI`, `DIRICHLET`, `NEUMANN` or `PARTLY_FIXED`.

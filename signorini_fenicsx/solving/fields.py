@@ -28,6 +28,7 @@ class Field:
         order: Number of axes of a value: 0 of a number, 1 of a vector, 2 of a matrix in space.
         at_points: Whether XDMF has its means around the points of the mesh too, as warping needs them.
         names: What its values 0, 1, … are called, if they are numbers of states.
+        cell_means: Its means over the cells, where these are not the means over the nodes.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Field:
     order: int = 0
     at_points: bool = False
     names: Sequence[str] = ()
+    cell_means: npt.NDArray | None = None
 
     @property
     def nodes(self) -> int:
@@ -43,8 +45,8 @@ class Field:
 
     def means(self) -> Field:
         """The means over cells or facets; all subcells of a cell are as large."""
-        between = tuple(range(1, 1 + self.nodes))
-        return replace(self, values=self.values.mean(axis=between), at_points=False)
+        means = self.values.mean(axis=tuple(range(1, 1 + self.nodes))) if self.cell_means is None else self.cell_means
+        return replace(self, values=means, at_points=False, cell_means=None)
 
     def with_derived(self) -> list[Field]:
         """The field with what follows from it: the length of a vector, the von Mises and principal stresses."""

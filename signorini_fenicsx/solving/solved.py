@@ -53,7 +53,7 @@ class PointValues(NamedTuple):
     """A solution at points.
 
     Attributes:
-        u: u_h, shape (n,); a displacement has shape (n, dim).
+        u: `Solved.potential`, shape (n,); a displacement has shape (n, dim).
         sigma: σ_h, shape (n, dim); a stress has shape (n, dim, dim).
     """
 
@@ -102,7 +102,7 @@ class Solved(ABC):
     """Options of commands that there are not for it."""
     offers: ClassVar[Sequence[str]] = (
         *("approach", "at", "boundary", "certify", "contact", "converged", "derivative", "errors", "gradient"),
-        *("kkt", "name", "norms", "options", "outcome", "plot", "problem", "quantity"),
+        *("kkt", "name", "norms", "options", "outcome", "plot", "potential", "problem", "quantity"),
         *("segments_of_parts", "sigma", "spaces", "step", "summary", "title", "u", "write"),
     )
     """The names that completion in a notebook shows; others are for the program itself."""
@@ -123,6 +123,11 @@ class Solved(ABC):
     def u(self) -> fem.Function:
         """u_h: a constant per cell, or a linear displacement."""
         return self.outcome.iterate.u
+
+    @property
+    def potential(self) -> fem.Function:
+        """What is known best of u at points; for most physics u_h (collective when first used)."""
+        return self.u
 
     @property
     def converged(self) -> bool:
@@ -185,7 +190,7 @@ class Solved(ABC):
 
     @collector_off()
     def at(self, points: npt.ArrayLike) -> PointValues:
-        """u_h and σ_h at any points of the mesh (collective).
+        """`potential` and σ_h at any points of the mesh (collective).
 
         Args:
             points: Shape (n, dim). Each rank passes its own points, or none; their cells may be on any rank.
@@ -196,7 +201,8 @@ class Solved(ABC):
         Raises:
             InputError: On all ranks, if the points of one rank have another shape.
         """
-        return PointValues(*(at_points(self.spaces.domain, function, points) for function in (self.u, self.sigma)))
+        fields = self.potential, self.sigma
+        return PointValues(*(at_points(self.spaces.domain, field, points) for field in fields))
 
     def of_problem(self, problem: Any) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""

@@ -34,6 +34,7 @@ from signorini_fenicsx.discrete.seen import seen_in_cells
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows, at_time, is_fixed, parsed
 from signorini_fenicsx.expressions.tree import Comparison, Conditional
+from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.discrete.data import cell_means
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -357,7 +358,7 @@ def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
         InputError: If a centroid is not in its mesh.
     """
     centroids = corners(spaces.mesh).mean(axis=1)
-    u = function_of(spaces.Q, solution.at(centroids).u, "u")
+    u = function_of(spaces.Q, at_points(solution.spaces.domain, solution.u, centroids), "u")
     outside = spaces.mesh.comm.allreduce(int(np.count_nonzero(np.isnan(u.x.array))))
     if outside > 0:
         raise InputError(

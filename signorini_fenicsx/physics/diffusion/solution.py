@@ -29,6 +29,7 @@ from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.discrete.potential import Potential
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show import shown
@@ -153,6 +154,16 @@ class Solution(AnySolution):
         """σ_h on each cell of this rank."""
         return CellFlux.of(self.spaces, self.sigma)
 
+    @cached_property
+    def cell_potential(self) -> Potential:
+        """The potential of second order on each cell of this rank."""
+        return Potential.of(self.data, self.cell_flux, self.u)
+
+    @cached_property
+    def potential(self) -> fem.Function:
+        """U of second order, quadratic on each cell: its mean is u_h and its gradient κ_h⁻¹σ_h (collective)."""
+        return self.cell_potential.function()
+
     @collector_off()
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -175,15 +186,15 @@ class Solution(AnySolution):
     def errors(self) -> dict[str, float] | None:
         """Errors if the exact solution is known, otherwise None (collective).
 
-        They are the error of σ in the energy norm, which a certificate bounds, the L² norms of the errors of σ, ∇·σ, u
-        over Ω and of p over Γ_S, and the Hausdorff distance between the contact set and the facets at whose midpoints
-        the exact u is ψ. With obstacles in Ω the measure of the cells where one of u and u_h only is on one takes the
-        place of the error of ∇·σ.
+        They are the error of σ in the energy norm, which a certificate bounds, the L² norms of the errors of σ, ∇·σ,
+        u_h and `potential` over Ω and of p over Γ_S, and the Hausdorff distance between the contact set and the facets
+        at whose midpoints the exact u is ψ. With obstacles in Ω the measure of the cells where one of u and u_h only is
+        on one takes the place of the error of ∇·σ.
         """
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
             return None
-        norms = exact_errors(spaces, data, exact, self.cell_flux, self.u, self.p)
+        norms = exact_errors(spaces, data, exact, self.cell_flux, self.u, self.cell_potential, self.p)
         norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
         if data.inside is None or not data.inside.bounds_alone:
             return norms

@@ -18,10 +18,8 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values, sums_at
-from signorini_fenicsx.base.small_matrices import squares_of, times
-from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells, quadratic_nodes
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.base.owned import cell_dofs, sums_at
+from signorini_fenicsx.discrete.points import FacetPoints, Points, quadratic_nodes
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 if TYPE_CHECKING:
@@ -79,31 +77,16 @@ def bernstein(mesh: dolfinx.mesh.Mesh) -> fem.FunctionSpace:
     return fenicsx.function_space(mesh, element)
 
 
-def reconstructed(solution: Solution, metric: CellMetric, points: Points) -> Array:
-    """The quadratic on each cell T with gradient κ_h⁻¹σ_h and mean u_h in points: exact where σ_h and u_h are.
-
-    With r = x − x_T, m = r·κ_h⁻¹r and the mean M of m over T, σ_h = σ_h(x_T) + sr gives the quadratic
-    u_h + κ_h⁻¹σ_h(x_T)·r + s(m − M)/2.
-    """
-    cells, flux = points.rows, solution.cell_flux
-    inverse, slope = metric.inverse[cells], flux.slope[cells]
-    gradient = times(flux.centroid[cells, None], inverse)[:, 0]
-    values = np.einsum("npi,ni->np", points.arms, gradient) + slope[:, None] / 2 * squares_of(points.arms, inverse)
-    values += (owned_values(solution.u)[cells] - slope * metric.moment[cells] / 2)[:, None]
-    return np.asarray(values)
-
-
-def averaged(solution: Solution, metric: CellMetric) -> fem.Function:
-    """What is `reconstructed`, averaged over the cells around each node with weights κ_h (collective).
+def averaged(solution: Solution) -> fem.Function:
+    """The potential of second order, averaged over the cells around each node with weights κ_h (collective).
 
     The result has values in the nodes, not yet Bernstein coefficients.
     """
     mesh = solution.spaces.mesh
     v = fem.Function(bernstein(mesh), name="v")
     nodes = cell_dofs(v.function_space)
-    of_cells, values = solution.data.conductivities(solution.spaces), np.empty(nodes.shape, order="F")
-    for points in in_cells(mesh, owned_cells(mesh), quadratic_nodes(mesh.basix_cell())):
-        values[points.rows] = reconstructed(solution, metric, points)
+    of_cells = solution.data.conductivities(solution.spaces)
+    values = solution.cell_potential.in_nodes(quadratic_nodes(mesh.basix_cell()))
     index_map = v.function_space.dofmap.index_map
     v.x.array[:] = sums_at(index_map, nodes, values * of_cells[:, None]) / sums_at(index_map, nodes, of_cells[:, None])
     return v

@@ -94,7 +94,7 @@ def law_trace(
             `bernstein`; None for the reconstruction with a small gap to y.
     """
     spaces, data, goal, mesh = solution.spaces, solution.data, on.goal, solution.spaces.mesh
-    v, near = (averaged(solution, metric), y) if field is None else (field.copy(), field.copy())
+    v, near = (averaged(solution), y) if field is None else (field.copy(), field.copy())
     space = v.function_space
     nodes, rays = facet_nodes(space, spaces.facets), inside.rays
     on_dirichlet, facet = _given(space, spaces, data.u_D), facet_type(mesh.topology.dim)

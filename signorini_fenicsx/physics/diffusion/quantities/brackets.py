@@ -28,7 +28,6 @@ from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.diffusion.bound.admissible_trace import reconstructed
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_on_gamma_s, gap_parts
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
@@ -347,7 +346,7 @@ def _of_energy(solution: Solution, goal: Goal) -> float:
     if data.memory is not None:
         total -= float(spaces.cell_measures @ (owned_values(data.memory) * u))
     for points in in_cells(mesh, owned_cells(mesh), *rule):
-        v = reconstructed(solution, metric, points)
+        v = solution.cell_potential.at(points)
         total += points.integrals(data.c.values(points) * v**2 / 2 - data.f.values(points) * v).sum()
     for part in laws:
         for points in in_cells(mesh, part.rows.astype(np.int32), *rule):
@@ -375,7 +374,7 @@ def _on_facets(solution: Solution, points: FacetPoints) -> Array:
 
 def _means(solution: Solution, points: FacetPoints) -> Array:
     """The mean of u on each of some facets (collective)."""
-    return points.means(reconstructed(solution, cell_metric(solution.spaces, solution.data), points))
+    return points.means(solution.cell_potential.at(points))
 
 
 QUANTITIES = Quantities(check, energy, Integrals, Fluxes, named_for)

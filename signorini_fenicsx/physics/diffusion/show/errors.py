@@ -22,18 +22,25 @@ from signorini_fenicsx.discrete.points import (
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.potential import Potential
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 
 def exact_errors(
-    spaces: Spaces, data: Data, exact: Datum, flux: CellFlux, u: fem.Function, p: fem.Function
+    spaces: Spaces,
+    data: Data,
+    exact: Datum,
+    flux: CellFlux,
+    u: fem.Function,
+    potential: Potential,
+    p: fem.Function,
 ) -> dict[str, float]:
-    """The error of σ in the energy norm, and L² norms of those of σ, ∇·σ, u over Ω and of p over Γ_S (collective).
+    """The error of σ in the energy norm, and L² norms of those of σ, ∇·σ, u, ũ over Ω and of p over Γ_S (collective).
 
     In time, and with laws in Ω, ∇·σ is not known from u and the data, and left out.
     """
     mesh, degree = spaces.mesh, quadrature_degree(exact)
-    squares = np.zeros(5)
+    squares = np.zeros(6)
     for points in cell_quadrature(mesh, owned_cells(mesh), degree):
         jet, kappa = exact.jet(points, gradient=True), data.kappa.values(points)
         slope = jet[:, :, 1:, None]
@@ -46,13 +53,15 @@ def exact_errors(
             (off**2).sum(axis=2),
             balance**2,
             (jet[:, :, 0] - u.x.array[points.cells, None]) ** 2,
+            (jet[:, :, 0] - potential.at(points)) ** 2,
         ]
-        squares[:4] += [points.integrals(error).sum() for error in errors]
+        squares[:5] += [points.integrals(error).sum() for error in errors]
     on_signorini = facet_quadrature(mesh, spaces.facets, degree)
     traces = p.x.array[: len(spaces.facets), None]
-    squares[4] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
+    squares[5] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
-    by_name = dict(zip(("energy", "sigma_L2", "div_sigma_L2", "u_L2", "p_L2"), norms, strict=True))
+    names = ("energy", "sigma_L2", "div_sigma_L2", "u_L2", "u_potential_L2", "p_L2")
+    by_name = dict(zip(names, norms, strict=True))
     if data.memory is not None or data.inside is not None:
         del by_name["div_sigma_L2"]
     return by_name

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import basix
 import dolfinx.mesh
 import numpy as np
 
@@ -30,9 +31,10 @@ CONDITIONS = [condition.name.lower() for condition in Condition]
 
 
 def fields(solution: Solution) -> Fields:
-    """The fields, see `Solved.fields`: u_h and σ_h as they are, on Γ_S p_h, σ_h·n and the state of the law."""
-    spaces, u, laws = solution.spaces, owned_values(solution.u), solution.data.laws
-    on_cells = [Field("u", u, at_points=True), Field("sigma", solution.cell_flux.in_vertices(), order=1)]
+    """The fields, see `Solved.fields`: `potential`, σ_h, on Γ_S p_h, σ_h·n and the state of the law."""
+    spaces, laws = solution.spaces, solution.data.laws
+    u = Field("u", _in_vertices(solution), at_points=True, cell_means=owned_values(solution.u))
+    on_cells = [u, Field("sigma", solution.cell_flux.in_vertices(), order=1)]
     if not spaces.part_names:
         return {IN_CELLS: [*on_cells, *_inside(solution)]}
     on_facets = [
@@ -43,6 +45,11 @@ def fields(solution: Solution) -> Fields:
     if laws.listed:
         on_facets.append(Field("segment", laws.labels(solution.segments().of("facet")), names=laws.names()))
     return {IN_CELLS: [*on_cells, *_inside(solution)], "multiplier": on_facets}
+
+
+def _in_vertices(solution: Solution) -> Array:
+    """The potential of second order in the vertices of the cells, shape (cells, dim + 1) (collective)."""
+    return solution.cell_potential.in_nodes(basix.geometry(solution.spaces.mesh.basix_cell()))
 
 
 def _inside(solution: Solution) -> list[Field]:
@@ -137,10 +144,10 @@ def drawn(solution: Solution) -> Drawn:
     p = solution.p.x.array[: len(spaces.facets)].copy()
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    u, laws_inside = owned_values(solution.u), solution.data.inside
+    u, laws_inside = _in_vertices(solution), solution.data.inside
     is_obstacle = laws_inside is not None and laws_inside.bounds_alone
     return Drawn(
-        u=np.broadcast_to(u[:, None, None], (len(u), spaces.mesh.topology.dim + 1, 1)),
+        u=u[:, :, None],
         sigma=solution.cell_flux.centroid,
         facets=table(solution),
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
