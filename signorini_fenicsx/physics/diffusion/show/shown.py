@@ -145,6 +145,8 @@ def drawn(solution: Solution) -> Drawn:
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
     u, laws_inside = _in_vertices(solution), solution.data.inside
+    if laws_inside is not None:  # lines of the level of a bound are to end where contact does
+        u = np.where(solution.held_cells[:, None], owned_values(solution.u)[:, None], u)
     is_obstacle = laws_inside is not None and laws_inside.bounds_alone
     return Drawn(
         u=u[:, :, None],
