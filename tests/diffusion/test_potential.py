@@ -1,4 +1,4 @@
-"""The potential of second order: its order in L²."""
+"""u of second order at points: its order for any κ and c, with contact, in the plane and in space."""
 
 import numpy as np
 import pytest
