@@ -46,6 +46,21 @@ def squares_of(vectors: Array, matrix: Array) -> Array:
     return np.asarray(np.einsum("cvi,cvi->cv", times(vectors, matrix), vectors))
 
 
+def scaled(kappa: Array, slope: Array) -> Array:
+    """κ times vectors in points; κ is a number in each, or a matrix."""
+    return kappa[:, :, None] * slope if kappa.ndim == 2 else np.asarray((kappa @ slope[..., None])[..., 0])
+
+
+def inverted(kappa: Array) -> Array:
+    """κ⁻¹ in points; infinite where there is none."""
+    with np.errstate(all="ignore"):
+        if kappa.ndim == 2:
+            return 1 / kappa
+        regular = np.linalg.det(kappa) != 0
+        inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
+        return np.where(regular[..., None, None], inverse, np.inf)
+
+
 def _minor(m: Array, i: int, j: int) -> Array:
     """The determinant of a 3 × 3 matrix without row i and column j, with its sign."""
     (a, b), (c, d) = (((k + 1) % 3, (k + 2) % 3) for k in (i, j))

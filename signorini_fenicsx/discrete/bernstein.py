@@ -19,6 +19,16 @@ def nodes(cell: basix.CellType, degree: int) -> Array:
     return basix.create_element(basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.equispaced).points
 
 
+def degree_of(space: fem.FunctionSpace) -> int:
+    """The degree of a space of polynomials on cells."""
+    return int(space.element.basix_element.degree)
+
+
+def nodes_of(space: fem.FunctionSpace) -> Array:
+    """The nodes of a space of polynomials on the reference cell."""
+    return nodes(space.mesh.basix_cell(), degree_of(space))
+
+
 @cache
 def exponents(cell: basix.CellType, degree: int) -> Indices:
     """α of the Bernstein polynomial degree!/α! λ^α that belongs to each node, shape (nodes, vertices)."""
@@ -26,10 +36,19 @@ def exponents(cell: basix.CellType, degree: int) -> Indices:
     return np.rint(degree * np.column_stack([1 - x.sum(axis=1), x])).astype(np.int64)
 
 
-def basis(cell: basix.CellType, degree: int, points: Array) -> Array:
-    """The Bernstein polynomials in points of the reference simplex, shape (points, nodes)."""
+def basis(cell: basix.CellType, degree: int, points: Array, *, slopes: bool = False) -> Array:
+    """The Bernstein polynomials in points of the reference simplex, or their derivatives there.
+
+    The shape is (points, nodes), or (dim, points, nodes).
+    """
     element = basix.create_element(basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.bernstein)
-    return np.asarray(element.tabulate(0, points)[0, :, :, 0])
+    value, *derivatives = element.tabulate(int(slopes), points)[:, :, :, 0]
+    return np.asarray(derivatives if slopes else value)
+
+
+def interpolation(cell: basix.CellType, degree: int, points: Array) -> Array:
+    """Values in points of the polynomials that are 1 in one node, 0 in the others, shape (points, nodes)."""
+    return basis(cell, degree, points) @ _from_values(cell, len(nodes(cell, degree)))
 
 
 def coefficients_of(values: Array, cell: basix.CellType) -> Array:
@@ -88,6 +107,6 @@ def to_bernstein(function: fem.Function) -> None:
 def make_linear(function: fem.Function) -> None:
     """Let a function be linear on each cell, with its values in the vertices, in place, with ghosts."""
     cells, cell = function.function_space.dofmap.list, function.function_space.mesh.basix_cell()
-    shares = exponents(cell, function.function_space.element.basix_element.degree)
+    shares = exponents(cell, degree_of(function.function_space))
     vertices = shares.shape[1]
     function.x.array[cells] = function.x.array[cells[:, :vertices]] @ (shares / shares[0].sum()).T

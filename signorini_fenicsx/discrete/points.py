@@ -229,6 +229,12 @@ class FacetPoints(Points):
         """Barycentric coordinates of the points in their cells, shape (facets, points, dim + 1)."""
         return _barycentric(self._in_cell)[self.local]
 
+    @property
+    def normals(self) -> Array:
+        """Outer unit normals of the cells, shape (facets, dim)."""
+        inward = self.slopes[np.arange(len(self.local)), self.local]
+        return np.asarray(-inward / np.linalg.norm(inward, axis=1, keepdims=True))
+
     @cached_property
     def _in_cell(self) -> Array:
         """The points in each facet of the reference cell, shape (its facets, points, dim)."""

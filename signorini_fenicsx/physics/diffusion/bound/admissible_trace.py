@@ -19,7 +19,8 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
-from signorini_fenicsx.discrete.points import FacetPoints, Points, quadratic_nodes
+from signorini_fenicsx.discrete.bernstein import nodes
+from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class Trace:
     """A continuous function near u.
 
     Attributes:
-        v: Quadratic on cells, with the values of u_D in its nodes on Γ_D.
+        v: Quadratic on cells, for RT1 cubic, with the values of u_D in its nodes on Γ_D.
         exact: Gives the jet of the admissible function: v with u_D itself on Γ_D, and within the bounds on Γ_S; None if
             that is v.
         on_gamma_s: Gives the admissible function, inside the domain its jump, in points of all facets of Γ_S.
@@ -71,22 +72,21 @@ class Trace:
         return points.bernstein(self.v, gradient=gradient)
 
 
-def bernstein(mesh: dolfinx.mesh.Mesh) -> fem.FunctionSpace:
-    """The space of continuous functions that are quadratic on each cell, by Bernstein coefficients (collective)."""
-    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein)
+def bernstein(mesh: dolfinx.mesh.Mesh, degree: int = 2) -> fem.FunctionSpace:
+    """The space of continuous functions that are polynomials on each cell, by Bernstein coefficients (collective)."""
+    element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein)
     return fenicsx.function_space(mesh, element)
 
 
 def averaged(solution: Solution) -> fem.Function:
-    """The potential of second order, averaged over the cells around each node with weights κ_h (collective).
+    """The potential of one order more, averaged over the cells around each node with weights κ_h (collective).
 
     The result has values in the nodes, not yet Bernstein coefficients.
     """
-    mesh = solution.spaces.mesh
-    v = fem.Function(bernstein(mesh), name="v")
-    nodes = cell_dofs(v.function_space)
-    of_cells = solution.data.conductivities(solution.spaces)
-    values = solution.cell_potential.in_nodes(quadratic_nodes(mesh.basix_cell()))
+    mesh, degree = solution.spaces.mesh, solution.spaces.degree + 2
+    v = fem.Function(bernstein(mesh, degree), name="v")
+    dofs, of_cells = cell_dofs(v.function_space), solution.data.conductivities(solution.spaces)
+    values = solution.cell_potential.in_nodes(nodes(mesh.basix_cell(), degree))
     index_map = v.function_space.dofmap.index_map
-    v.x.array[:] = sums_at(index_map, nodes, values * of_cells[:, None]) / sums_at(index_map, nodes, of_cells[:, None])
+    v.x.array[:] = sums_at(index_map, dofs, values * of_cells[:, None]) / sums_at(index_map, dofs, of_cells[:, None])
     return v

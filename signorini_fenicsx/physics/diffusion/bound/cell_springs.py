@@ -20,6 +20,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, function_of, sums_at
 from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.bernstein import basis
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
@@ -95,7 +96,7 @@ class Pieces:
                 turned = (line - stiffness[own, None]) * np.clip(self.rest(at, line, value), begin, end)
                 density = np.where(finite, value + inside.s[own, None] - turned, 0.0)
                 t = self.rest(at, *inside.on_segment(law, at, inside.segment)[:2])
-                loads[own] = at.scale[:, None] * ((density * at.weights) @ _basis(at))
+                loads[own] = at.scale[:, None] * ((density * at.weights) @ basis(space.mesh.basix_cell(), 2, at.points))
                 constant += float(at.integrals(density * t - stiffness[own, None] * t**2 / 2).sum())
         if not comm.allreduce(bool(loads.any() or stiffness.any()), MPI.LOR):
             return None
@@ -131,10 +132,3 @@ class Pieces:
         for parts, cells in self.inside.groups():
             for at in in_cells(space.mesh, cells.astype(np.int32), quadratic_nodes(space.mesh.basix_cell())):
                 yield at, self.inside.law_at(parts, at)
-
-
-def _basis(at: CellPoints) -> Array:
-    """Bernstein's quadratics in the points of the reference cell, shape (points, nodes)."""
-    barycentric = np.column_stack([1 - at.points.sum(axis=1), at.points])
-    first, second = np.array(basix.topology(at.mesh.basix_cell())[1]).T
-    return np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])

@@ -156,7 +156,7 @@ class Admissible:
             size = math.sqrt(comm.allreduce(energies.squares(solution.cell_flux).least.sum()))
         y, flux, level, remainder, unbalanced = admissible_flux(solution, metric, goal)
         inside = Inside.of(solution, metric, y, level, resolution)
-        on = OnGammaS.of(solution, goal, metric, y)
+        on = OnGammaS.of(solution, goal, metric, y, flux)
         trace = law_trace(solution, metric, y, on, inside, field)
         of_y = y, flux, level, remainder, unbalanced
         return cls(solution, goal, metric, size, resolution, energies, *of_y, inside, on, trace)
@@ -205,7 +205,9 @@ def gap_parts(
     contact = contact + gap_inside
     terms = () if memory is None else memory.terms
     reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution, terms)
-    oscillation = load_oscillation(spaces, data, metric, load, reaction, memory, resolution, of_laws, inside.takes_f)
+    oscillation = load_oscillation(
+        spaces, data, metric, flux, load, reaction, memory, resolution, of_laws, inside.takes_f
+    )
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:
         contact = contact + reaction.gap
@@ -248,9 +250,11 @@ def gap_on_gamma_s(
         corners = part, q_S
     at = goal.at(spaces, points, weights, corners)
     v = trace.on_gamma_s(at.points)
-    law_gap = LawGap.of(spaces, metric, at, v, on.flux, on.flux_ends(at), on.flux_of_piece(at, v), missed, area)
+    law_gap = LawGap.of(
+        spaces, metric, at, v, on.flux, on.tilts(at.points), on.flux_ends(at), on.flux_of_piece(at, v), missed, area
+    )
     pressure = None
     if part is not None:
-        excess = law_gap.load.values[part.rows] + on.flux[part.rows, None] - q_S
+        excess = law_gap.load.values[part.rows] + on.flux_at(at.points)[part.rows] - q_S
         pressure = Pressure(part.key("psi"), part.data["psi"], facets, excess.max(axis=1, initial=0.0))
     return law_gap.per_cell(number), [] if goal.keeps_flux else law_gap.loads(spaces), pressure

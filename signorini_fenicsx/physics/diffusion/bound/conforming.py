@@ -33,16 +33,19 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.owned import cell_dofs, sums_at
-from signorini_fenicsx.discrete.bernstein import coefficients_of, to_bernstein
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells, sums_at
+from signorini_fenicsx.base.small_matrices import inverted, scaled
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, to_bernstein
+from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
-from signorini_fenicsx.discrete.points import facet_lattice, facet_type, quadratic_nodes
+from signorini_fenicsx.discrete.points import facet_lattice, facet_type, in_cells
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
 from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray, add_load
@@ -93,12 +96,11 @@ def law_trace(
         field: A quadratic function to which an admissible one near in energy is wanted, by its values in the nodes of
             `bernstein`; None for the reconstruction with a small gap to y.
     """
-    spaces, data, goal, mesh = solution.spaces, solution.data, on.goal, solution.spaces.mesh
+    spaces, data, mesh, rays = solution.spaces, solution.data, solution.spaces.mesh, inside.rays
     v, near = (averaged(solution), y) if field is None else (field.copy(), field.copy())
     space = v.function_space
-    nodes, rays = facet_nodes(space, spaces.facets), inside.rays
-    on_dirichlet, facet = _given(space, spaces, data.u_D), facet_type(mesh.topology.dim)
-    at_nodes = goal.at(spaces, quadratic_nodes(facet))
+    nodes, facet = facet_nodes(space, spaces.facets), facet_type(mesh.topology.dim)
+    on_dirichlet, at_nodes = _given(space, spaces, data.u_D), on.goal.at(spaces, lattice(facet, degree_of(space)))
     u_D = quadratic_on_sides(data.u_D, space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     jumps = Jumps.of(space, spaces)
@@ -139,12 +141,31 @@ def law_trace(
     given, load, robin = np.union1d(on_dirichlet, jumps.meets), np.zeros(len(v.x.array)), None
     if field is None:
         load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside)
-    flux = y if field is None else data.kappa_h * ufl.grad(near)
-    relax(v, flux, data.kappa_h, load, given, box, robin, None if pieces is None else pieces.springs(space), jumps)
+    flux, by_nodes = _weighted(solution, y, None if field is None else near), on.by_nodes and field is None
+    pull = None if pieces is None else pieces.springs(space)
+    relax(v, flux, data.kappa_h, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
     jumps.undone(v)
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
         ray.move_inside(v, limits_of_ray, on_dirichlet)
     return _with_exact_data(on, data, _with_levels(on, data, v, u_D, pieces), inside, hindrance=hindrance)
+
+
+def _weighted(solution: Solution, y: fem.Function, near: fem.Function | None) -> Expr:
+    """The flux κ_h∇w of a given w, else κ_hκ⁻¹y: with it κ_h is the weight, for RT0 y is enough (collective)."""
+    spaces, data, kappa = solution.spaces, solution.data, solution.data.kappa
+    if near is not None:
+        return data.kappa_h * ufl.grad(near)
+    if spaces.degree == 0 or kappa.number is not None:
+        return y
+    cell, dim = spaces.mesh.basix_cell(), spaces.mesh.topology.dim
+    flux = fem.Function(fenicsx.function_space(spaces.mesh, ("DG", spaces.degree + 1, (dim,))))
+    values, dofs = flux.x.array.reshape(-1, dim), cell_dofs(flux.function_space)
+    kappa_h = np.broadcast_to(data.matrices(spaces), (len(dofs), dim, dim))
+    for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), lattice(cell, spaces.degree + 1)):
+        slope = scaled(inverted(kappa.values(points)), points.of_ufl(y))
+        values[dofs[points.rows]] = scaled(kappa_h[points.rows, None], slope)
+    flux.x.scatter_forward()
+    return flux
 
 
 def _hold(
@@ -171,7 +192,7 @@ def _asked(on: OnGammaS, v: fem.Function, nodes: Indices, bounds: list[Array]) -
         for end, (sign, datum) in enumerate(zip((1.0, -1.0), part.bounds, strict=True)):
             if datum is None or datum.number is not None or datum.pieces is None:
                 continue
-            touched = on.segment[rows] == (0 if sign > 0 else on.goal.chains.count[rows])
+            touched = on.segment[rows] == (0 if sign > 0 else on.law.count[rows])
             of_v = coefficients_of(v.x.array[nodes[rows]], facet)
             simplices = Simplices(spaces.corners[rows], spaces.cells[rows], nodes[rows], of_v, touched)
             bounds[end][rows], *others = simplices.asked(datum, sign, space, spaces.frame)

@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -72,15 +72,15 @@ def admissible_flux(
     flux = solution.cell_flux if y is solution.sigma else CellFlux.of(spaces, y)
     c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
     loads = np.abs(owned_values(data.f_h)) + c_h * np.abs(owned_values(u))
-    squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ loads**2]))
+    squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ _mean_squares(loads, volume)]))
     rounding = float(np.sqrt(squares) @ [ROUNDING, OF_SUMS * constant])
     for _ in range(CORRECTIONS):
-        s, may = flux.divergence + owned_values(data.source(u)), None
+        s, may = flux.divergence + cell_values(data.source(u)), None
         off = s
         if data.inside is not None:
             off = s - selected(data.inside, cells, s, owned_values(u), metric)
             may = room(data.inside, cells, s, owned_values(u))
-        left = constant * np.sqrt(comm.allreduce(volume @ off**2))
+        left = constant * np.sqrt(comm.allreduce(volume @ _mean_squares(off, volume)))
         if left <= rounding:
             return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), ""
         try:
@@ -92,6 +92,11 @@ def admissible_flux(
         y, u = _within(spaces, limits, correction.sigma), correction.u
         flux = CellFlux.of(spaces, y)
     return y, flux, u, np.inf, LEFT if kappa_min > 0 else _without_ellipticity(spaces, metric)
+
+
+def _mean_squares(values: Array, volume: Array) -> Array:
+    """Mean squares on cells at most, of functions of P0, or linear ones by their values in the vertices."""
+    return np.asarray((values.reshape(len(volume), -1) ** 2).mean(axis=1))
 
 
 def _without_ellipticity(spaces: Spaces, metric: CellMetric) -> str:

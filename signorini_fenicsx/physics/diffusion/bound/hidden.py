@@ -21,20 +21,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import basix
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, degree_of, exponents, nodes_of
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.interpolants import edge_order, in_nodes, quadratic_of
+from signorini_fenicsx.discrete.interpolants import in_nodes, quadratic_of
 from signorini_fenicsx.discrete.points import FacetPoints, in_cells
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
-from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, bernstein, constant
+from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, constant
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
@@ -91,7 +92,7 @@ def hidden_parts(
         of_discrete: The bound without what is hidden.
     """
     slope, gap, value = np.zeros((3, len(metric.volume)))
-    missed = _Missed(resolution, metric, degree_near(trace), of_discrete)
+    missed = _Missed(resolution, metric, (degree_of(trace.v.function_space), degree_near(trace)), of_discrete)
     if (tree := resolution.tree("u_D", u_D)) is not None:
         cells = trace.at_dirichlet.astype(np.int64)
         steep, value[cells] = missed.of("u_D", tree, cells, _on_dirichlet(resolution.spaces, trace, cells))
@@ -122,11 +123,9 @@ def degree_near(trace: Trace) -> int:
 def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree, points: FacetPoints) -> Indices:
     """Owned cells at some facets of Γ_S where ψ may be larger than the quadratic v (collective)."""
     vertices = points.vertices
-    corners = vertices.shape[1]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
-    nodes = facet_nodes(trace.v.function_space, points.facets)[:, [*range(corners), *edge_order(corners)]]
-    v = trace.v.x.array[nodes]
-    above = np.maximum((v - bernstein(p, vertices)).min(axis=1, initial=np.inf), 0.0)
+    v = trace.v.x.array[facet_nodes(trace.v.function_space, points.facets)]
+    above = np.maximum((v - _coefficients(p, vertices, trace)).min(axis=1, initial=np.inf), 0.0)
     beyond = _beyond(resolution, tree, vertices, p, above)
     beyond[beyond] = _raised(resolution, tree, vertices[beyond], v[beyond], 1.0)
     return np.asarray(points.cells[beyond], dtype=np.int64)
@@ -135,16 +134,21 @@ def _cells_of_psi(resolution: Resolution, trace: Trace, tree: Tree, points: Face
 def _cells_of_ray(resolution: Resolution, trace: Trace, tree: Tree, ray: Ray) -> Indices:
     """Owned cells where v may be beyond a bound in Ω, or is not quadratic (collective)."""
     vertices = resolution.vertices
-    corners = vertices.shape[1]
-    nodes = cell_dofs(trace.v.function_space)[:, [*range(corners), *edge_order(corners)]]
     p = quadratic_of(vertices, in_nodes(tree, vertices))
-    v = ray.sign * trace.v.x.array[nodes]
-    above = np.maximum((v - ray.sign * bernstein(p, vertices)).min(axis=1), 0.0)
+    v = ray.sign * trace.v.x.array[cell_dofs(trace.v.function_space)]
+    above = np.maximum((v - ray.sign * _coefficients(p, vertices, trace)).min(axis=1), 0.0)
     above[trace.altered] = 0.0
     beyond = _beyond(resolution, tree, vertices, p, above)
     rows = np.setdiff1d(np.flatnonzero(beyond), trace.altered)
     beyond[rows] = _raised(resolution, tree, vertices[rows], v[rows], ray.sign)
     return np.flatnonzero(beyond)
+
+
+def _coefficients(p: Quadratic, vertices: Array, trace: Trace) -> Array:
+    """The Bernstein coefficients of quadratics on simplices, as the v of a trace has them."""
+    cell, degree = SIMPLEX[vertices.shape[1] - 1], degree_of(trace.v.function_space)
+    arms = exponents(cell, degree) / degree @ (vertices - vertices.mean(axis=1, keepdims=True))
+    return coefficients_of(p.at(arms)[:, :, 0], cell)
 
 
 def _missed_of_means(
@@ -186,11 +190,14 @@ def _beyond(resolution: Resolution, tree: Tree, vertices: Array, p: Quadratic, l
 
 @dataclass(frozen=True)
 class _Missed:
-    """What quadrature of a degree may miss on cells; gradients that add more than the bound are left out, and noted."""
+    """What quadrature may miss on cells; gradients that add more than the bound are left out, and noted.
+
+    The degrees are that of v, and that of the quadrature.
+    """
 
     resolution: Resolution
     metric: CellMetric
-    degree: int
+    degrees: tuple[int, int]
     of_discrete: float
 
     def of(self, name: str, tree: Tree, cells: Indices, nodes: Array | None = None) -> tuple[Array, Array]:
@@ -215,12 +222,12 @@ class _Missed:
         with np.errstate(invalid="ignore"):
             slope, place = gradient + decay * value, vertices.mean(axis=1)
         rough = ~(gradient <= limit / 2)
-        rough_tilts = tilts(tree, vertices[rough], frame, weight[rough], self.degree)
+        rough_tilts = tilts(tree, vertices[rough], frame, weight[rough], self.degrees[1])
         of_value, of_slope = np.array([rough_tilts.norm, rough_tilts.tilt]) + rough_tilts.seen
         slope[rough] = np.fmin(slope[rough], of_slope + decay[rough] * of_value)
         value[rough] = np.fmin(value[rough], of_value)
         place[rough] = rough_tilts.place
-        unknown = ~np.isfinite(slope + value) | jumps_in_nodes(tree, vertices, nodes).any(axis=1)
+        unknown = ~np.isfinite(slope + value) | jumps_in_nodes(tree, vertices, self.degrees[0], nodes).any(axis=1)
         resolution.note(f"the gradient of {name}", place[unknown], cells[unknown])
         slope[unknown], value[unknown] = 0.0, 0.0
         missed = np.sqrt(factor) * slope
@@ -237,10 +244,9 @@ def _on_dirichlet(spaces: Spaces, trace: Trace, cells: Indices) -> Array:
     """The values of v in those nodes of owned cells that are on Γ_D, else NaN; from each side of a cut its own."""
     space, dim = trace.v.function_space, spaces.mesh.topology.dim
     fixed = fem.locate_dofs_topological(space, dim - 1, spaces.dirichlet_facets)
-    nodes, ends = space.dofmap.list[cells], np.array(basix.topology(spaces.mesh.basix_cell())[1])
-    coefficients = trace.v.x.array[nodes]  # coefficients of Bernstein
-    coefficients[:, dim + 1 :] = (coefficients[:, dim + 1 :] + coefficients[:, ends].mean(axis=2)) / 2
-    return np.where(np.isin(nodes, fixed), coefficients, np.nan)
+    dofs = space.dofmap.list[cells]
+    values = trace.v.x.array[dofs] @ basis(spaces.mesh.basix_cell(), degree_of(space), nodes_of(space)).T
+    return np.where(np.isin(dofs, fixed), values, np.nan)
 
 
 @dataclass(frozen=True)

@@ -46,12 +46,12 @@ from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Corners, Obstacle
-from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
+from signorini_fenicsx.discrete.bernstein import make_linear, nodes_of, to_bernstein
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
-from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
 from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
@@ -176,8 +176,8 @@ class Ray:
 
 
 def coefficients(datum: Datum, space: fem.FunctionSpace) -> Array:
-    """Bernstein coefficients of the quadratic interpolant of a datum (collective)."""
-    interpolant = datum.at_nodes(space, quadratic_nodes(space.mesh.basix_cell()))
+    """Bernstein coefficients of the interpolant of a datum (collective)."""
+    interpolant = datum.at_nodes(space, nodes_of(space))
     to_bernstein(interpolant)
     return np.asarray(interpolant.x.array, dtype=np.float64)
 

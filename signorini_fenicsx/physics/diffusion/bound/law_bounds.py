@@ -15,9 +15,10 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.contact.law import Values
 from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.discrete.bernstein import nodes_of
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw
-from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside, quadratic_nodes
+from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import SAMPLES
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
@@ -172,7 +173,7 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
     mesh = spaces.mesh
     dofs = cell_dofs(near.function_space)
     cells = np.flatnonzero(near.x.array[dofs].any(axis=1)).astype(np.int32)
-    bound = datum.at_nodes(trace.v.function_space, quadratic_nodes(mesh.basix_cell())).x.array
+    bound = datum.at_nodes(trace.v.function_space, nodes_of(trace.v.function_space)).x.array
     nodes = trace.v.function_space.dofmap.list[cells]
     with np.errstate(invalid="ignore", over="ignore"):
         over = (sign * bound[nodes]).max(axis=1, initial=-np.inf)

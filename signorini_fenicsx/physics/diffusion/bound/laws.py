@@ -17,6 +17,7 @@ contact where y·n is larger than q_S, however much q_S varies; on a facet witho
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -91,7 +92,7 @@ class Goal:
     Attributes:
         parts: Each law and where it holds.
         chains: The law of each facet by means, measured from `Data.psi_h` and `Data.q_Sh`.
-        flux_h: `Data.q_Sh`.
+        flux_h: Mean of `Data.q_Sh` on each facet.
         plain: Whether that is the Signorini problem of ψ and q_S.
         of_penalty: Whether that is the problem of a penalty.
     """
@@ -105,7 +106,9 @@ class Goal:
     @classmethod
     def of(cls, solution: Solution, *, for_signorini: bool) -> Goal:
         """The problem that a solution approximates, or the Signorini problem also for a penalty."""
-        laws, flux_h, penalty = solution.data.laws, solution.data.q_Sh, solution.method.penalty
+        laws, penalty = solution.data.laws, solution.method.penalty
+        kind = solution.spaces.site_kinds["facet"]
+        flux_h = solution.data.q_Sh.reshape(kind.count, math.prod(kind.shape)).mean(axis=1)
         if penalty is None or for_signorini:
             return cls(laws.of_parts, laws.chains, flux_h, plain=not laws.listed)
         slopes = penalty.slopes(solution.options.eps)
@@ -207,6 +210,7 @@ class LawGap:
         at: LawPoints,
         v: Array,
         flux: Array,
+        tilt: Array,
         ends: tuple[Array, Array],
         piece: tuple[Array, Array],
         missed: Array,
@@ -219,7 +223,8 @@ class LawGap:
             metric: Metric of the owned cells.
             at: Points of a quadrature in all facets of Γ_S.
             v: v there, shape (facets, points).
-            flux: y·n per facet.
+            flux: Mean of y·n per facet.
+            tilt: y·n less this in the points.
             ends: The least and the largest η in the points.
             piece: β and s(v) on the segment near which v is, in the points; 0 for vertical ones.
             missed: What the laws in the points do not show of η, see `FacetLoad`.
@@ -229,9 +234,10 @@ class LawGap:
         constant = facet_constants(metric, points.cells, spaces.facet_measure)
         slope, wanted = piece
         theta = 1 / (1 + slope.mean(axis=1) * constant**2)
-        eta = with_mean(theta[:, None] * wanted, *ends, flux, points.weights)
+        kept = np.where(slope > 0, 1 - theta[:, None], 1.0) * tilt
+        eta = with_mean(theta[:, None] * wanted + kept, *ends, flux, points.weights)
         density = area(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
-        return cls(points, density, FacetLoad(points, eta - flux[:, None], missed))
+        return cls(points, density, FacetLoad(points, eta - flux[:, None] - tilt, missed))
 
     def loads(self, spaces: Spaces) -> list[FacetLoad]:
         """The load, and the opposite one on the other sides of facets inside the domain (collective)."""

@@ -21,7 +21,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Mask
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.bernstein import coefficients_of
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of
 from signorini_fenicsx.discrete.continuity import jumps_inside
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.interpolants import in_nodes
@@ -40,19 +40,19 @@ BLUR = 16 * np.finfo(np.float64).eps
 """Rounding of coordinates, as a share of their size."""
 SHARP = 0.1
 """sup b is known up to this share of what b varies by between nodes."""
-QUADRATIC = 2
 
 
-def jumps_in_nodes(tree: Tree, vertices: Array, nodes: Array | None = None) -> Mask:
+def jumps_in_nodes(tree: Tree, vertices: Array, degree: int, nodes: Array | None = None) -> Mask:
     """Where the values of a tree in the nodes of simplices are not the limits from inside, shape (n, nodes).
 
     Args:
         tree: The tree.
         vertices: Of the simplices.
+        degree: The degree of v.
         nodes: Values that are looked at in the place of those of the tree, NaN where any will do.
     """
     inside = vertices.mean(axis=1, keepdims=True) - vertices
-    at, near, nearer = (in_nodes(tree, vertices + share * inside) for share in (0.0, *BESIDE))
+    at, near, nearer = (in_nodes(tree, vertices + share * inside, degree) for share in (0.0, *BESIDE))
     if nodes is not None:
         at = np.where(np.isnan(nodes), nearer, nodes)
     far, close = np.abs(near - at), np.abs(nearer - at)
@@ -92,7 +92,7 @@ class Simplices:
             space: That of v.
             frame: The domain.
         """
-        number, cell = len(self.vertices), SIMPLEX[self.vertices.shape[1] - 1]
+        number, cell, degree = len(self.vertices), SIMPLEX[self.vertices.shape[1] - 1], degree_of(space)
         wanted, in_node = np.empty(self.nodes.shape), np.zeros(self.nodes.shape, dtype=bool)
         torn, pieces = np.zeros(number, dtype=bool), []
         for tree, inside in datum.pieces or ():
@@ -100,9 +100,9 @@ class Simplices:
             rows = np.arange(number) if inside is None else np.flatnonzero(inside[self.cells])
             pieces.append((Negative(tree) if sign > 0 else tree, rows))
             x = self.vertices[rows]
-            wanted[rows] = sign * coefficients_of(in_nodes(tree, x), cell)
-            if not is_polynomial(tree, QUADRATIC):
-                in_node[rows] = jumps_in_nodes(tree, x)
+            wanted[rows] = sign * coefficients_of(in_nodes(tree, x, degree), cell)
+            if not is_polynomial(tree, degree):
+                in_node[rows] = jumps_in_nodes(tree, x, degree)
                 some = rows[~np.isfinite(sum(slopes(tree, x, frame, np.full(len(rows), np.inf))))]
                 sizes = jumps_inside(tree, self.vertices[some])[0].max(axis=1, initial=0.0)
                 torn[some] = sizes > _rounding(self.vertices[some], wanted[some])

@@ -46,7 +46,7 @@ class CellMetric:
     rho: Array
 
     def squares(self, flux: CellFlux) -> Array:
-        """∫_T σ·κ_h⁻¹σ of a flux of RT0."""
+        """∫_T σ·κ_h⁻¹σ of a flux."""
         return flux.squares(self.inverse, self.moment)
 
 

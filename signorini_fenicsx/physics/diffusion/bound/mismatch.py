@@ -1,7 +1,7 @@
 """‖κ^½∇v − κ^-½y‖² on cells, with what quadrature may miss of it: κ⁻¹ is no polynomial, even where κ is one.
 
 A quadrature Q has positive weights and is exact for polynomials up to its degree; ‖·‖_Q is a norm by it. On a simplex
-let κ be within ρ of a polynomial of degree K, in the norm of matrices, and κ ≥ k > 0. For any linear w and r = y − κw
+let κ be within ρ of a polynomial of degree K, in the norm of matrices, and κ ≥ k > 0. For a polynomial w and r = y − κw
 
     |κ^½∇v − κ^-½y|² = (∇v − w)·κ(∇v + w) − 2y·(∇v − w) + r·κ⁻¹r.
 
@@ -10,9 +10,9 @@ third, 0 ≤ ∫ r·κ⁻¹r ≤ ‖r‖²/k ≤ (‖r‖_Q + 2ρ‖w‖)²/k. S
 
     e + (‖r‖_Q + 2ρ‖w‖)²/k − Q(r·κ⁻¹r),   and too large by at most   e + Q(r·κ⁻¹r).
 
-w is κ⁻¹y in points near the vertices. Where κ hardly varies r is small, and both are of second order in it. Other cells
-are cut into parts, at places where κ is the geometric mean of its values at the ends of an
-edge: so also a κ of 1e-8 at a vertex needs few parts.
+w is κ⁻¹y in points near the vertices, for RT1 near the nodes of quadratics. Where κ hardly varies r is small, and both
+are of second order in it. Other cells are cut into parts, at places where κ is the geometric mean of its values at the
+ends of an edge: so also a κ of 1e-8 at a vertex needs few parts.
 
 On cells where v contains data themselves, v = P + χd as in `hidden`. Then e belongs to P, and ‖∇P‖_Q is at most
 ‖∇v‖_Q + ‖∇(χd)‖_Q, for which `hidden` has the factor 1 + (2ρ/k)^½. Where such a cell is cut, the quadratic v stands for
@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -31,6 +30,8 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.reference_cells import SIMPLEX, positive_quadrature
+from signorini_fenicsx.base.small_matrices import inverted, scaled
+from signorini_fenicsx.discrete.bernstein import coefficients_of, exponents, interpolation, jet, nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, Points, in_cells
 from signorini_fenicsx.expressions.cutting import in_parts
@@ -46,8 +47,6 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 
 QUADRATIC = 2
 """Degree of |κ∇v − y|² where v is quadratic and κ a number."""
-LOOKED = 2 * (DEGREE + 1)
-"""Degree of |r|² for a κ of degree K."""
 CLOSE = 0.01
 """A share of a square that may be missed."""
 
@@ -86,6 +85,11 @@ class Energies:
     kappa: Datum
 
     @property
+    def _order(self) -> int:
+        """The degree of y, of ∇v and of w."""
+        return self.resolution.spaces.degree + 1
+
+    @property
     def _degree(self) -> int:
         """The degree of κ, K at most."""
         return DEGREE if self.kappa.polynomial is None else min(self.kappa.polynomial, DEGREE)
@@ -102,8 +106,8 @@ class Energies:
         mesh, varies = self.resolution.spaces.mesh, self.kappa.number is None
         near_cells = np.empty(0, dtype=np.int32) if trace is None else trace.cells
         far = np.delete(owned_cells(mesh), near_cells)
-        of_kappa = max(quadrature_degree(self.kappa), 2 * (self._degree + 1)) if varies else QUADRATIC
-        near_degree = QUADRATIC if trace is None else degree_near(trace) + self._degree
+        of_kappa = max(quadrature_degree(self.kappa), 2 * (self._degree + self._order)) if varies else 2 * self._order
+        near_degree = 2 * self._order if trace is None else degree_near(trace) + self._degree
         squares = Squares(*np.zeros((3, len(self.metric.volume))))
         for near, cells, degree in ((False, far, of_kappa), (True, near_cells, near_degree)):
             for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), degree)):
@@ -120,8 +124,10 @@ class Energies:
         squares.seen[rows] = points.integrals(_product(off, scaled(inverted(kappa), off)))
         if self.kappa.number is not None or self.kappa.pieces is None:
             return
-        ends = CellPoints(points.mesh, points.cells, _near_vertices(points.mesh.basix_cell()), np.empty(0))
-        w = _linear(scaled(inverted(self.kappa.values(ends)), field.flux_at(ends)), points.barycentric[0])
+        cell = points.mesh.basix_cell()
+        ends = CellPoints(points.mesh, points.cells, _nearer(nodes(cell, self._order), INSIDE), np.empty(0))
+        of_ends = interpolation(cell, self._order, _nearer(points.points, 1 / INSIDE))
+        w = of_ends @ scaled(inverted(self.kappa.values(ends)), field.flux_at(ends))
         rule, known = points.weights / points.weights.sum(), (self.metric.rho[rows], self.metric.kappa_min[rows])
         missed = _missed(kappa, slope, y, w, rule, *known)
         squares.small[rows], squares.large[rows] = (self.metric.volume[rows] * each for each in missed)
@@ -136,7 +142,7 @@ class Energies:
         extra = self._of_data(field, rough[near_cells], near_cells)
         for piece in conductivities(resolution, self.kappa):
             cells = piece.cells[rough[piece.cells]]
-            ends = CellPoints(mesh, cells.astype(np.int32), basix.geometry(mesh.basix_cell()), np.empty(0))
+            ends = CellPoints(mesh, cells.astype(np.int32), nodes(mesh.basix_cell(), self._order), np.empty(0))
             local = field.slope(ends, near=False), field.flux_at(ends)
             of_cells = _InParts(resolution, piece, cells, *local, volume[cells], total).squares()
             bounded = np.isfinite(of_cells.small)
@@ -192,7 +198,7 @@ class _InParts:
         resolution: Encloses κ.
         piece: κ there.
         cells: The cells.
-        slope: ∇v in their vertices, shape (cells, dim + 1, dim).
+        slope: ∇v in their vertices, for RT1 in the nodes of quadratics, shape (cells, nodes, dim).
         flux: y there.
         volume: Of the cells.
         total: So much may be missed of all squares together.
@@ -210,19 +216,27 @@ class _InParts:
         """The squares on these cells (collective)."""
         vertices, frame = self.resolution.vertices[self.cells], self.resolution.spaces.frame
         centre, hats = vertices.mean(axis=1), barycentric_gradients(vertices)
-        points, weights = positive_quadrature(SIMPLEX[vertices.shape[2]], LOOKED)
+        cell, order = SIMPLEX[vertices.shape[2]], self.resolution.spaces.degree + 1
+        points, weights = positive_quadrature(cell, 2 * (DEGREE + order))
         barycentric, rule = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
+        shares, of_nodes = exponents(cell, order) / order, interpolation(cell, order, points)
+        of_ends = interpolation(cell, order, _nearer(points, 1 / INSIDE))
+        fields = [
+            [coefficients_of(component, cell) for component in np.moveaxis(each, 2, 0)]
+            for each in (self.slope, self.flux)
+        ]
 
         def look(parts: Parts, *remainders: Remainder) -> Array:
             own, corners = parts.own, parts.vertices.shape[1]
             at = 1 / corners + np.einsum("nqi,nvi->nqv", parts.vertices - centre[own, None], hats[own])
-            slope, y = (np.einsum("nqv,nvi->nqi", at, each[own]) for each in (self.slope, self.flux))
-            x = barycentric @ parts.vertices
-            middle = parts.vertices.mean(axis=1, keepdims=True)
-            ends = self.piece.at(middle + INSIDE * (parts.vertices - middle))
-            mean = y.mean(axis=1, keepdims=True)
-            w = _linear(scaled(inverted(ends), mean + INSIDE * (y - mean)), barycentric)
-            kappa, slope, y = self.piece.at(x), barycentric @ slope, barycentric @ y
+            near = 1 / corners + INSIDE * (shares - 1 / corners)
+
+            def of(field: list[Array], places: Array) -> Array:
+                return np.concatenate([jet(each[own], places @ at) for each in field], axis=2)
+
+            w = of_ends @ scaled(inverted(self.piece.at(near @ parts.vertices)), of(fields[1], near))
+            slope, y = (of_nodes @ of(each, shares) for each in fields)
+            kappa = self.piece.at(barycentric @ parts.vertices)
             off = scaled(kappa, slope) - y
             rho, least = self.piece.distance(remainders, DEGREE), self.piece.least(parts.vertices, remainders)
             seen = _product(off, scaled(inverted(kappa), off)) @ rule
@@ -259,28 +273,7 @@ def _product(a: Array, b: Array) -> Array:
     return np.einsum("nqi,nqi->nq", a, b)
 
 
-def _linear(values: Array, barycentric: Array) -> Array:
-    """In points with these barycentric coordinates the linear functions with given values near the vertices."""
-    mean = values.mean(axis=1, keepdims=True)
-    return np.asarray(mean + barycentric @ ((values - mean) / INSIDE))
-
-
-def _near_vertices(cell: basix.CellType) -> Array:
-    """Points of the reference cell near its vertices."""
-    corners = basix.geometry(cell)
-    return np.asarray(corners.mean(axis=0) + INSIDE * (corners - corners.mean(axis=0)))
-
-
-def scaled(kappa: Array, slope: Array) -> Array:
-    """κ times vectors in points; κ is a number in each, or a matrix."""
-    return kappa[:, :, None] * slope if kappa.ndim == 2 else np.asarray((kappa @ slope[..., None])[..., 0])
-
-
-def inverted(kappa: Array) -> Array:
-    """κ⁻¹ in points; infinite where there is none."""
-    with np.errstate(all="ignore"):
-        if kappa.ndim == 2:
-            return 1 / kappa
-        regular = np.linalg.det(kappa) != 0
-        inverse = np.linalg.inv(np.where(regular[..., None, None], kappa, np.eye(kappa.shape[-1])))
-        return np.where(regular[..., None, None], inverse, np.inf)
+def _nearer(points: Array, share: float) -> Array:
+    """Points of the reference cell, moved to have so many times their distance from the centroid."""
+    middle = 1 / (points.shape[1] + 1)
+    return middle + share * (points - middle)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-import basix
 import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.discrete.points import facet_type
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.bernstein import basis
+from signorini_fenicsx.discrete.bernstein import nodes as lattice
+from signorini_fenicsx.discrete.points import Points, facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -28,38 +32,63 @@ class OnGammaS:
     Attributes:
         goal: The problem.
         spaces: The discrete spaces.
-        segment: The segment of each facet.
+        law: The law of each facet by means; for RT1 that of one of its vertices.
+        segment: The segment of each facet; for RT1 that of a vertex that a vertical one holds, if there is any.
         piece: The sloped or flat segment that v is near on each facet; rigid only if no other is beside.
-        flux: y·n per facet.
+        flux: Mean of y·n per facet.
+        tilt: y·n less this in the vertices of each facet; 0 for RT0.
         level: σ·n + βp on the piece, per facet.
         steep: The segments of each facet that hold v: vertical ones, and stiff ones, shape (facets, segments).
         rigid: Those of them that hold v as vertical ones do.
+        by_nodes: Whether a vertical segment holds only some nodes of a facet, which `relaxation` finds: for RT1.
     """
 
     goal: Goal
     spaces: Spaces
+    law: Chains
     segment: Indices
     piece: Indices
     flux: Array
+    tilt: Array
     level: Array
     steep: Mask
     rigid: Mask
+    by_nodes: bool
 
     @classmethod
-    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function) -> OnGammaS:
+    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function, of_cells: CellFlux) -> OnGammaS:
         """The terms on Γ_S for a solution and a flux."""
-        spaces, data, law = solution.spaces, solution.data, goal.chains
-        of, iterate = spaces.site_kinds["facet"].of, solution.outcome.iterate
-        segment = law.segments(of(solution.outcome.conditions), (of(iterate.p), of(iterate.flux)))
-        flux = spaces.normal_flux(y)
+        spaces, data, chains = solution.spaces, solution.data, goal.chains
+        kind, iterate, number = spaces.site_kinds["facet"], solution.outcome.iterate, len(spaces.facets)
+        of, by_facet = kind.of, (number, math.prod(kind.shape))
+        segment = chains.segments(of(solution.outcome.conditions), (of(iterate.p), of(iterate.flux)))
+        vertical = np.isinf(chains.slope[np.arange(len(segment)), segment]).reshape(by_facet)
+        site = np.arange(len(segment)).reshape(by_facet)[np.arange(number), vertical.argmax(axis=1)]
+        law, segment, by_nodes = chains[site], segment[site], isinstance(of_cells, LinearFlux)
+        if by_nodes:
+            ends = in_facets(spaces.mesh, spaces.facets, lattice(facet_type(spaces.mesh.topology.dim), 1))
+            tilt = normal_flux(of_cells, ends)
+            flux = tilt.mean(axis=1)
+            tilt -= flux[:, None]
+        else:
+            flux, tilt = spaces.normal_flux(y), np.zeros((number, spaces.mesh.topology.dim))
         height = metric.volume[spaces.cells] / spaces.facet_measure
         resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
         steepness = law.slope * (height * resistance)[:, None]
-        piece = pieces_beside(law, segment, flux - data.q_Sh, steepness > RIGID)
+        piece = pieces_beside(law, segment, flux - goal.flux_h, steepness > RIGID)
         rows = np.arange(len(piece))
         slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
-        level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h
-        return cls(goal, spaces, segment, piece, flux, level, steepness > STIFF, steepness > RIGID)
+        level = law.value[rows, piece] + data.q_Sh.ravel()[site] + slope * data.psi_h.ravel()[site]
+        steep, rigid = steepness > STIFF, steepness > RIGID
+        return cls(goal, spaces, law, segment, piece, flux, tilt, level, steep, rigid, by_nodes)
+
+    def flux_at(self, points: Points) -> Array:
+        """y·n in points of the facets."""
+        return self.flux[:, None] + self.tilts(points)
+
+    def tilts(self, points: Points) -> Array:
+        """y·n less its means, in points of the facets."""
+        return self.tilt @ np.column_stack([1 - points.points.sum(axis=1), points.points]).T
 
     def slope(self, at: LawPoints) -> Array:
         """β of the piece in points; 0 on a vertical one."""
@@ -75,8 +104,8 @@ class OnGammaS:
     def flux_ends(self, at: LawPoints) -> tuple[Array, Array]:
         """The least and the largest σ·n in points: those of the law, or of a rigid segment if y·n is between them."""
         low, high = at.extent()[2:]
-        segment, last = self.segment, self.goal.chains.corners - 1
-        first, beyond = (segment == 0)[:, None], (segment == self.goal.chains.count)[:, None]
+        segment, last = self.segment, self.law.corners - 1
+        first, beyond = (segment == 0)[:, None], (segment == self.law.count)[:, None]
         least = np.where(beyond, low, at.flux_at(np.minimum(segment, last)))
         largest = np.where(first, high, at.flux_at(np.maximum(segment - 1, 0)))
         weights = at.points.weights / at.points.weights.sum()
@@ -90,7 +119,7 @@ class OnGammaS:
         slope, value = nodes.on(self.segment)
         vertical = np.isinf(slope)
         on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=~vertical & (slope > 0))
-        fully = self.rigid[rows, self.segment]
+        fully = self.rigid[rows, self.segment] & (not self.by_nodes or self.rigid[rows, self.piece])
         nearly = self.steep[rows, self.segment] & ~fully & (slope > 0).all(axis=1)
         return np.where(vertical, value, on_line), fully, nearly
 
@@ -122,12 +151,11 @@ class OnGammaS:
         """
         points, slope = at.points, self.slope(at)
         value, sloped = at.on(self.piece)[1], slope > 0
-        on_line = np.divide(value - self.flux[:, None], slope, out=np.zeros_like(value), where=sloped)
+        flux = self.flux_at(points)
+        on_line = np.divide(value - flux, slope, out=np.zeros_like(value), where=sloped)
         turned = (slope - slope.mean(axis=1, keepdims=True)) * np.clip(on_line, *at.traces(self.piece))
-        level = np.where(sloped, value - turned, self.level[:, None])
+        level = np.where(sloped, value - turned, value if self.by_nodes else self.level[:, None])
         only = self.rigid[np.arange(len(self.piece)), self.piece]
-        density = np.where(only[:, None], 0.0, self.flux[:, None] - level)
-        barycentric = np.column_stack([1 - points.points.sum(axis=1), points.points])
-        first, second = np.array(basix.topology(facet_type(points.mesh.topology.dim))[1]).T
-        basis = np.hstack([barycentric**2, 2 * barycentric[:, first] * barycentric[:, second]])
-        return points.scale[:, None] * ((density * points.weights) @ basis)
+        density = np.where(only[:, None], 0.0, flux - level)
+        cell, degree = facet_type(points.mesh.topology.dim), self.spaces.degree + 2
+        return points.scale[:, None] * ((density * points.weights) @ basis(cell, degree, points.points))

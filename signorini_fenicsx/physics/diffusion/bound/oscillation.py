@@ -45,6 +45,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import (
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Seen
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values, normal_flux, of_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
@@ -79,6 +80,7 @@ def load_oscillation(
     spaces: Spaces,
     data: Data,
     metric: CellMetric,
+    flux: CellFlux,
     on_signorini: list[FacetLoad],
     reaction: ReactionTerms | None,
     memory: Memory | None,
@@ -92,6 +94,7 @@ def load_oscillation(
         spaces: The discrete spaces.
         data: The data.
         metric: Metric of the owned cells.
+        flux: y.
         on_signorini: The load r on Γ_S, none if it is 0.
         reaction: The terms of cu.
         memory: What a step in time takes from those before; None if it is constant on each cell.
@@ -103,11 +106,10 @@ def load_oscillation(
     facet_loads = [*on_signorini]
     if data.g_N.number is None:
         on_neumann = facet_quadrature(mesh, spaces.neumann_facets, quadrature_degree(data.g_N, power=2))
-        dofs = spaces.neumann_dofs
-        g_h = data.sigma_lift.x.array[dofs] * spaces.neumann_basis_flux / spaces.neumann_measure
-        g_N, missed = on_facets("g_N", data.g_N, on_neumann, g_h, metric, resolution)
-        mean = g_N @ on_neumann.weights / on_neumann.weights.sum()
-        facet_loads.append(FacetLoad(on_neumann, g_N - mean[:, None], missed))
+        g_h = normal_flux(flux, on_neumann)
+        g_N, missed = on_facets("g_N", data.g_N, on_neumann, on_neumann.means(g_h), metric, resolution)
+        rest = g_N - g_h
+        facet_loads.append(FacetLoad(on_neumann, rest - on_neumann.means(rest)[:, None], missed))
     of_load, cell = OF_LOAD if of_laws is None else OF_LAW, mesh.basix_cell()
     load = _load(spaces, data, metric, resolution, takes_f, of_load)
     if of_laws is not None:
@@ -224,16 +226,24 @@ def _load(
     """
     if data.f.number is not None:
         return None
-    cell, f_h = spaces.mesh.basix_cell(), data.means_of_f
+    cell, f_h = spaces.mesh.basix_cell(), cell_values(data.f_h)
+    f_h = f_h if data.memory is None else f_h - cell_values(data.memory)
     degree = quadrature_degree(data.f, power=2)
     enclosed = resolution.encloses("f", data.f)
     of_load = of_load if enclosed else HIGH[spaces.mesh.topology.dim]
-    load, means = _projected(spaces, lambda points: data.f.values(points) - f_h[points.rows, None], degree, of_load)
+    load, means = _projected(
+        spaces,
+        lambda points: data.f.values(points) - of_vertices(f_h[points.rows], points.barycentric[0]),
+        degree,
+        of_load,
+    )
     load = load.without(takes_f)
     cells = owned_cells(spaces.mesh)[~takes_f]
     if not enclosed:
         return load
-    p = quadratic_of(resolution.vertices, f_h[:, None] + at_points(load, cell, of_load, quadratic_nodes(cell)))
+    at = quadratic_nodes(cell)
+    of_f_h = of_vertices(f_h, np.column_stack([1 - at.sum(axis=1), at]))
+    p = quadratic_of(resolution.vertices, of_f_h + at_points(load, cell, of_load, at))
     volume = 1 / math.factorial(metric.jacobian.shape[1])
     seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
     load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume

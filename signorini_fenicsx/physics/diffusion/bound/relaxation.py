@@ -112,6 +112,8 @@ def relax(
     robin: Robin | None,
     springs: Springs | None,
     jumps: Jumps,
+    *,
+    by_nodes: bool,
 ) -> None:
     """Reduce ½‖κ_h∇v − y‖² + ½⟨βv, v⟩ + the excess times v on Γ_S, with springs in Ω, by rounds of CG (collective).
 
@@ -128,8 +130,12 @@ def relax(
         robin: If the gap has ½⟨βv, v⟩ on Γ_S in it: β in P0(Γ_S), and the spaces.
         springs: Of laws in Ω.
         jumps: The jumps at facets inside the domain, which v has in it.
+        by_nodes: First v is on its bound in the nodes that would be beyond it after one Jacobi step of the excess
+            alone: where (κ_h∇v − y, ∇φ) = 0 that is a step of the gap.
     """
     gap = _Gap(v.function_space, y, kappa, excess, box.faced(excess), robin, springs, jumps)
+    if by_nodes:
+        gap.touch(v, box, fixed)
     best = v.x.array.copy()
     present, descent, size_of_gap = gap.at(v)
     lowest, steps = present, STEPS
@@ -250,6 +256,15 @@ class _Gap:
         on_signorini, inside = self._comm.allreduce(np.array([on_signorini, inside])).tolist()
         inside += self._constant
         return inside + on_signorini, self._flux - self._excess - stiff, max(inside, inside + on_signorini)
+
+    def touch(self, v: fem.Function, box: Box, fixed: Indices) -> None:
+        """Let v be on its bound in nodes where a step by the excess alone goes beyond it, in place (collective)."""
+        size = len(self._excess)
+        values, step = v.x.array[:size], self._excess / self._diagonal
+        step[fixed[fixed < size]] = 0.0
+        values[:] = np.where(step > 0, np.where(values - step < box.low[:size], box.low[:size], values), values)
+        values[:] = np.where(step < 0, np.where(values - step > box.high[:size], box.high[:size], values), values)
+        v.x.scatter_forward()
 
     def alone(self, descent: Array, nodes: npt.NDArray[np.bool_]) -> float:
         """The sum of the gains if each of these nodes alone is moved as far as is best (collective)."""

@@ -8,21 +8,25 @@ opposite to x_i is (a_i / d|T|) (ξ − y_i), where a_i = ∫_T ∇·φ_i is its
 and as ∫_T ξ = 0, for a symmetric matrix B, with m = (1/|T|) ∫_T ξ·Bξ = Σ_i y_i·By_i / ((d + 1)(d + 2)),
 
     (Bσ, σ)_T = |T| (c·Bc + s²m),   (Bσ, φ_i)_T = a_i (sm − c·By_i) / d,   (Bφ_i, φ_i)_T = a_i² (y_i·By_i + m) / d²|T|.
+
+The components of a flux of RT1 are quadratic on each cell. There c and s are parts of it only.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells, sums_at
+from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
+from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet, nodes
 from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
-from signorini_fenicsx.discrete.points import Points
+from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 type Weight = Array | float
@@ -45,7 +49,9 @@ class CellFlux:
 
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
-        """The flux on cells of a function with up-to-date ghost values (collective)."""
+        """The flux on cells of a function with up-to-date ghost values; of RT1 a `LinearFlux` (collective)."""
+        if spaces.degree and not issubclass(cls, LinearFlux):
+            return cast(Self, LinearFlux.of(spaces, sigma))
         mesh, dofs = spaces.mesh, cell_dofs(spaces.V)
         outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
         dim, cells = mesh.topology.dim, len(dofs)
@@ -136,3 +142,66 @@ def joined(spaces: Spaces, of_cells: Array) -> Array:
     Collective.
     """
     return sums_at(spaces.V.dofmap.index_map, cell_dofs(spaces.V), of_cells)
+
+
+@dataclass(frozen=True)
+class LinearFlux(CellFlux):
+    """A flux of RT1 on the owned cells.
+
+    Attributes:
+        components: The Bernstein coefficients of each component, shape (dim, cells, nodes of quadratics).
+    """
+
+    components: Array
+
+    @classmethod
+    def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
+        """The flux on cells of a function with up-to-date ghost values (collective)."""
+        mesh, cell, dim = spaces.mesh, spaces.mesh.basix_cell(), spaces.mesh.topology.dim
+        at_nodes = [points.of_ufl(sigma) for points in in_cells(mesh, owned_cells(mesh), nodes(cell, 2))]
+        values = np.concatenate(at_nodes).transpose(2, 0, 1)
+        components = np.stack([coefficients_of(component, cell) for component in values])
+        jets = [jet(each, np.full((1, 1, dim + 1), 1 / (dim + 1)), hat_gradients(mesh))[:, 0] for each in components]
+        slope = sum(each[:, 1 + i] for i, each in enumerate(jets)) / dim
+        return cls(spaces, np.stack([each[:, 0] for each in jets], axis=1), np.asarray(slope), components)
+
+    @property
+    def divergence(self) -> Array:
+        """∇·σ in the vertices of the cells, shape (cells, dim + 1)."""
+        slopes, vertices = hat_gradients(self.spaces.mesh), np.eye(len(self.components) + 1)[None]
+        jets = (jet(component, vertices, slopes)[:, :, 1 + i] for i, component in enumerate(self.components))
+        return np.asarray(sum(jets))
+
+    def in_vertices(self) -> Array:
+        """σ in the vertices of the cells, shape (cells, dim + 1, dim)."""
+        return np.moveaxis(self.components[:, :, : len(self.components) + 1], 0, 2)
+
+    def at(self, points: Points) -> Array:
+        """σ in points, shape (n, points, dim)."""
+        return np.concatenate([jet(of[points.rows], points.barycentric) for of in self.components], axis=2)
+
+    def squares(self, weight: Array | float, moments: Array | None = None) -> Array:
+        """(Bσ, σ)_T of each cell, B as in `cell_flux`; `moments` are of no use here."""
+        cell, dim = self.spaces.mesh.basix_cell(), len(self.components)
+        points, weights = positive_quadrature(cell, 4)
+        matrix = weight * np.eye(dim)[None] if isinstance(weight, float) else weight
+        of_cells = np.broadcast_to(matrix, (self.components.shape[1], dim, dim))
+        values = self.components @ basis(cell, 2, points).T
+        squares = np.einsum("icq,cij,jcq->cq", values, of_cells, values, optimize=True)
+        return np.asarray(self.spaces.cell_measures * (squares @ (weights / weights.sum())))
+
+
+def normal_flux(flux: CellFlux, points: FacetPoints) -> Array:
+    """σ·n in points of boundary facets, shape (facets, points)."""
+    return np.asarray(np.einsum("fpi,fi->fp", flux.at(points), points.normals))
+
+
+def cell_values(function: fem.Function) -> Array:
+    """The values of a function of P0 in the owned cells, or of DG1 in their vertices, shape (cells,) or (cells, …)."""
+    values = function.x.array[cell_dofs(function.function_space)]
+    return values if values.shape[1] > 1 else values[:, 0]
+
+
+def of_vertices(values: Array, barycentric: Array) -> Array:
+    """Values in points of what `cell_values` gives for some cells, shape (cells, points), or (cells, 1) of P0."""
+    return values @ barycentric.T if values.ndim > 1 else values[:, None]

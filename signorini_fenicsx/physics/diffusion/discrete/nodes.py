@@ -17,6 +17,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.discrete.bernstein import degree_of, nodes, nodes_of
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.matrices import identity_with
@@ -27,7 +28,6 @@ from signorini_fenicsx.discrete.points import (
     facet_type,
     from_inside,
     in_facets,
-    quadratic_nodes,
 )
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
@@ -47,12 +47,12 @@ def set_means(function: fem.Function, nodes: Entities, values: Array) -> None:
 
 
 def quadratic_on_sides(datum: Datum, space: fem.FunctionSpace, spaces: Spaces) -> fem.Function:
-    """A datum by its values in the nodes of quadratics; on a cut in the domain by those of each side (collective)."""
+    """A datum by its values in the nodes of a space; on a cut in the domain by those of each side (collective)."""
     dim, inner = spaces.mesh.topology.dim, spaces.inner
-    function = datum.at_nodes(space, quadratic_nodes(spaces.mesh.basix_cell()))
+    function = datum.at_nodes(space, nodes_of(space))
     if inner.present and datum.number is None:
         facets = np.concatenate([spaces.facets[inner.rows], inner.facets])
-        points = in_facets(spaces.mesh, facets, quadratic_nodes(facet_type(dim)))
+        points = in_facets(spaces.mesh, facets, nodes(facet_type(dim), degree_of(space)))
         set_means(function, facet_nodes(space, facets), from_inside(datum.values, points))
     return function
 

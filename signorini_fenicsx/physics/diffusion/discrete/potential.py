@@ -13,7 +13,7 @@ all vertices. Averages over the cells around a node are nearer to u, but no long
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 from dolfinx import fem
@@ -21,11 +21,16 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
-from signorini_fenicsx.base.small_matrices import inverses, squares_of, times
+from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.base.small_matrices import inverses, inverted, scaled, squares_of, times
+from signorini_fenicsx.discrete.bernstein import basis, jet
 from signorini_fenicsx.discrete.cell_shapes import mean_moments, squared_arms
 from signorini_fenicsx.discrete.points import Points, in_cells
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
+
+DEGREE = 3
+"""Of the potential of RT1."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,9 @@ class Potential:
 
     @classmethod
     def of(cls, data: Data, flux: CellFlux, u: fem.Function) -> Self:
-        """The potential of a flux and of means in P0."""
+        """The potential of a flux and of means in P0; of RT1 a `CubicPotential` (collective)."""
+        if isinstance(flux, LinearFlux):
+            return cast(Self, CubicPotential.of(data, flux, u))
         inverse = np.broadcast_to(inverses(data.matrices(flux.spaces)), (len(flux.slope), *flux.centroid.shape[1:] * 2))
         moment = mean_moments(squared_arms(flux.spaces.mesh, inverse))
         return cls(owned_values(u) - flux.slope * moment / 2, flux, inverse)
@@ -64,7 +71,43 @@ class Potential:
 
     def function(self) -> fem.Function:
         """ũ as a function, quadratic on each cell and not continuous (collective)."""
-        u = fem.Function(fenicsx.function_space(self.flux.spaces.mesh, ("DG", 2)), name="u")
+        u = fem.Function(fenicsx.function_space(self.flux.spaces.mesh, ("DG", self.flux.spaces.degree + 2)), name="u")
         u.x.array[cell_dofs(u.function_space)] = self.in_nodes(u.function_space.element.interpolation_points)
         u.x.scatter_forward()
         return u
+
+
+@dataclass(frozen=True)
+class CubicPotential(Potential):
+    """The cubic ũ on each owned cell with the mean of u_h for which ‖κ_h^½(∇ũ − κ⁻¹σ_h)‖ is least: for RT1.
+
+    Attributes:
+        coefficients: Its Bernstein coefficients, shape (cells, nodes).
+    """
+
+    coefficients: Array
+
+    @classmethod
+    def of(cls, data: Data, flux: CellFlux, u: fem.Function) -> Self:
+        """The potential of a flux of RT1 and of a linear u_h (collective)."""
+        mesh, means = flux.spaces.mesh, cell_values(u).mean(axis=1)
+        cell, dim = mesh.basix_cell(), mesh.topology.dim
+        kappa_h = np.broadcast_to(data.matrices(flux.spaces), (len(means), dim, dim))
+        points, weights = positive_quadrature(cell, 2 * DEGREE - 2)
+        slopes = basis(cell, DEGREE, points, slopes=True)
+        products, size = np.einsum("q,iqb,jqc->ijbc", weights, slopes, slopes), slopes.shape[2]
+        coefficients = np.empty((len(means), size))
+        for at in in_cells(mesh, owned_cells(mesh), points, weights):
+            kappa, mapped = kappa_h[at.rows], at.slopes[:, 1:]  # from reference coordinates
+            y = scaled(kappa[:, None], scaled(inverted(data.kappa.values(at)), flux.at(at)))
+            matrix = np.einsum("nij,ijbc->nbc", mapped @ kappa @ mapped.transpose(0, 2, 1), products, optimize=True)
+            right = np.einsum("q,iqb,nij,nqj->nb", weights, slopes, mapped, y, optimize=True)
+            fixed = matrix[:, :1, :1]  # times the sum of the coefficients, which is so many times the mean
+            right += size * fixed[:, 0] * means[at.rows, None]
+            coefficients[at.rows] = np.linalg.solve(matrix + fixed, right[..., None])[..., 0]
+        centroid = jet(coefficients, np.full((1, 1, dim + 1), 1 / (dim + 1)))[:, 0, 0]
+        return cls(centroid, flux, inverses(kappa_h), coefficients)
+
+    def at(self, points: Points) -> Array:
+        """ũ in points, shape (n, points)."""
+        return jet(self.coefficients[points.rows], points.barycentric)[:, :, 0]

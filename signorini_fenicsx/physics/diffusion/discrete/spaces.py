@@ -47,6 +47,7 @@ class Spaces(MeshSpaces):
     neumann_dofs: npt.NDArray[np.int32]
     neumann_basis_flux: Array
     neumann_measure: Array
+    degree: int = 0
 
     def normal_flux(self, sigma: fem.Function) -> Array:
         """σ·n per Γ_S facet, where it is constant."""
