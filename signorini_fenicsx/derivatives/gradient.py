@@ -81,7 +81,7 @@ class Change:
         return f"<Change of {', '.join(names)} on {self.spaces.domain.name}>"
 
     def at(self, points: npt.ArrayLike) -> tuple[Array, Array]:
-        """The changes of u and σ at points, as `Solution.at` has u and σ there (collective).
+        """The changes of u_h and σ_h at points (collective).
 
         Raises:
             InputError: On all ranks, if the points of one rank have another shape.

@@ -145,7 +145,9 @@ def drawn(solution: Solution) -> Drawn:
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
     u, laws_inside = _in_vertices(solution), solution.data.inside
-    if laws_inside is not None:  # lines of the level of a bound are to end where contact does
+    if laws_inside is not None and all(
+        given.number is not None for part in laws_inside.of_regions for given in part.data.values()
+    ):  # u is constant where it is held, and a line of this level is to end there
         u = np.where(solution.held_cells[:, None], owned_values(solution.u)[:, None], u)
     is_obstacle = laws_inside is not None and laws_inside.bounds_alone
     return Drawn(
