@@ -1,6 +1,6 @@
 """A hybrid system of any element: all but the traces is eliminated on the cells, and recovered from them.
 
-On a cell (κ⁻¹σ, τ) + (u, ∇·τ) = ⟨û, τn⟩ and −(∇·σ, v) = (f, v) for the fluxes and the u of the element; of a body σ is
+On a cell (κ⁻¹σ, τ) + (u, ∇·τ) = ⟨û, τn⟩ and −(∇·σ, v) + (cu, v) = (f, v) for the fluxes and the u of the element; of a body σ is
 the stress and κ⁻¹ the compliance. The basis of the fluxes begins with those of divergence 0. Each of the others has one
 moment of −∇· against the functions of u, which is 1, so that f gives its coefficient. What is left is a problem for û
 alone that is symmetric and positive semidefinite.
@@ -98,6 +98,7 @@ def eliminate(
     product: Array,
     balance: Array,
     functional: Array | float = 0.0,
+    reaction: Array | None = None,
 ) -> Eliminated:
     """Eliminate all but the traces.
 
@@ -108,7 +109,10 @@ def eliminate(
         product: (κ⁻¹τ, τ'), shape (cells, basis, basis).
         balance: The coefficients that f gives, those of the last fluxes of the basis, shape (cells, m).
         functional: A right side of the first equation: its values at the fluxes of the basis, shape (cells, basis).
+        reaction: (cv, v') for the functions of u, which f does not carry, shape (cells, m, m); None for 0.
     """
+    if reaction is not None:
+        return _with_reaction(cells, geometry, tractions, product, balance, functional, reaction)
     functional = np.broadcast_to(functional, product.shape[:2])
     count, rest = balance.shape
     free = product.shape[1] - rest
@@ -129,6 +133,43 @@ def eliminate(
         flux=np.concatenate([flux, np.zeros((count, rest, flux.shape[2]))], axis=1),
         flux_of_f=np.concatenate([flux_of_f, balance], axis=1),
         u=of_rest.transpose(0, 2, 1) - coupled @ flux,
+        u_of_f=u_of_f,
+    )
+
+
+def _with_reaction(
+    cells: npt.NDArray[np.int32],
+    geometry: Any,
+    tractions: Array,
+    product: Array,
+    balance: Array,
+    functional: Array | float,
+    reaction: Array,
+) -> Eliminated:
+    """`eliminate` with −(∇·σ, v) + (cu, v) = (f, v): the coefficients that ∇·σ gives depend on u.
+
+    Without c they are b, and u = u_x x + u_0 − Sb with S from the fluxes that b brings. With c they are b + Cu, so that
+    u = (I + SC)⁻¹ (u_x x + u_0 − Sb).
+    """
+    count, rest = balance.shape
+    none, units = np.zeros_like(balance), np.eye(rest)
+    without = eliminate(cells, geometry, tractions, product, none, functional)
+    by_unit = [eliminate(cells, geometry, tractions, product, np.broadcast_to(e, balance.shape)) for e in units]
+    of_flux = np.stack([each.flux_of_f for each in by_unit], axis=2)
+    compliance = -np.stack([each.u_of_f for each in by_unit], axis=2)  # S
+    moved = np.linalg.inv(np.eye(rest) + compliance @ reaction)
+    u = moved @ without.u
+    u_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - np.einsum("nml,nl->nm", compliance, balance))
+    given = balance + np.einsum("nml,nl->nm", reaction, u_of_f)
+    matrix = without.matrix + without.u.transpose(0, 2, 1) @ reaction @ u
+    return Eliminated(
+        cells=cells,
+        geometry=geometry,
+        matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
+        load=without.load - np.einsum("nmi,nm->ni", without.u, given),
+        flux=without.flux + of_flux @ (reaction @ u),
+        flux_of_f=without.flux_of_f + np.einsum("nbm,nm->nb", of_flux, given),
+        u=u,
         u_of_f=u_of_f,
     )
 

@@ -164,7 +164,8 @@ def linear_traces(spaces: MeshSpaces, shape: tuple[int, ...]) -> dict[str, Any]:
     order = np.argsort(node_ranks(mesh, cut=spaces.inner.present)[cell_nodes(mesh)], axis=1)
     dofs = np.take_along_axis(cell_dofs(traces), order, axis=1)
     contact = _boundary_facets(traces, order, spaces.facets)
-    return {**vars(spaces), "traces": traces, "order": order, "dofs": dofs, "contact": contact}
+    on_mesh = {each.name: getattr(spaces, each.name) for each in fields(spaces)}
+    return {**on_mesh, "traces": traces, "order": order, "dofs": dofs, "contact": contact}
 
 
 def node_ranks(mesh: dolfinx.mesh.Mesh, *, cut: bool) -> Indices:

@@ -15,6 +15,8 @@ from signorini_fenicsx.methods.registry import METHODS, Method
 
 BACKENDS = ("hybrid", "mixed")
 """The backends of diffusion by name."""
+ELEMENTS = ("RT0", "RT1")
+"""The elements of diffusion by name: fluxes of order one, those of the slides, and of order two."""
 OWN = "own"
 """Name in results of a method that is not in the registry."""
 
@@ -28,6 +30,7 @@ class Options:
     Attributes:
         algorithm: A name that `signorini methods` lists, or your own rule or method.
         backend: Solves the linear problems of the set rules: "hybrid", "mixed", or your own backend.
+        element: The element of diffusion: "RT0" with u in P0, or "RT1" with u in P1, which is of one order more.
         rho: ρ > 0 of the set rule or the projection iteration; None for the default of the method.
         eps: ε > 0 of the penalty and stabilised methods.
         max_iterations: Iterations allowed; None for the default of the method.
@@ -40,6 +43,7 @@ class Options:
 
     algorithm: str | Method | SetRule = "alg1"
     backend: str | BackendFactory = "hybrid"
+    element: str = "RT0"
     rho: float | None = None
     eps: float = 1e-8
     max_iterations: int | None = None
@@ -48,7 +52,7 @@ class Options:
 
     def __post_init__(self) -> None:
         """Refuse unknown names and numbers that are not positive."""
-        for key, names in (("algorithm", METHODS), ("backend", BACKENDS)):
+        for key, names in (("algorithm", METHODS), ("backend", BACKENDS), ("element", ELEMENTS)):
             value = getattr(self, key)
             if isinstance(value, str) and value not in names:
                 meant = did_you_mean(value, names)
@@ -56,6 +60,7 @@ class Options:
         check_kind("algorithm", self.algorithm, str, Method, SetRule)
         if not callable(self.backend):
             check_kind("backend", self.backend, str, hint="; a function that makes a backend will do too")
+        check_kind("element", self.element, str)
         check_kind("tuning", self.tuning, Tuning)
         for key in ("rho", "eps", "max_iterations"):
             value = getattr(self, key)

@@ -1,6 +1,7 @@
 """Residuals of the discrete Signorini problem that do not depend on units."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -97,7 +98,7 @@ def kkt_residuals(
     u.x.array[:] -= constant
     length = spaces.length
     in_cells = CellFlux.of(spaces, sigma)
-    scales = _scales(spaces, in_cells, u, data)
+    scales = sizes_of_solution(spaces, in_cells, u, data)
 
     k, h, (facet, cell) = data.conductivities(spaces), spaces.cell_diameters, spaces.site_kinds
     trace, flux = p.x.array[: len(facet)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
@@ -155,8 +156,8 @@ def _pairs_of_cells(
     return owned_values(u) - laws.means, force, data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
 
 
-def _scales(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
-    """The sizes G and S of gradient and flux (collective)."""
+def sizes_of_solution(spaces: Spaces, sigma: Any, u: fem.Function, data: Data) -> Array:
+    """The sizes G and S of gradient and flux, of a `CellFlux` or a `QuadraticFlux` and u in P0 (collective)."""
     comm = spaces.mesh.comm
     if data.kappa.number is not None:
         flux = np.sqrt(comm.allreduce(sigma.squares(1.0).sum()))

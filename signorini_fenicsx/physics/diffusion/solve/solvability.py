@@ -13,6 +13,7 @@ between the least and the largest ∫_U f + ∫ g_N + ∫_∂U σ·n. A linear p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import partial
 
@@ -56,6 +57,8 @@ def _sides(spaces: Spaces, data: Data, of_cell: Indices) -> tuple[Indices, Indic
     across[spaces.inner.rows] = of_cell[cells_and_dofs(space, spaces.inner.facets)[0]]
     if data.inside is not None:
         named, across = np.append(named, of_cell), np.append(across, np.zeros_like(of_cell))
+    sites = math.prod(spaces.site_kinds["facet"].shape)
+    named, across = np.repeat(named, sites), np.repeat(across, sites)
     return named, across, spaces.site_kinds.measure[: len(named)]
 
 

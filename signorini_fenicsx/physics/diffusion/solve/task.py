@@ -16,8 +16,11 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Task
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM
+from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, kkt_residuals
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_sites
 
@@ -75,6 +78,19 @@ class DiffusionTask(Task):
         """KKT residuals of an iterate (collective)."""
         p = self.spaces.multiplier(self.spaces.site_kinds["facet"].of(iterate.p) + self.data.psi_h)
         return kkt_residuals(self.spaces, self.data, iterate.sigma, iterate.u, p, penalty, self.eps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearTask(DiffusionTask):
+    """A discrete diffusion problem with RT1."""
+
+    spaces: LinearSpaces
+    data: LinearData
+
+    def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
+        """KKT residuals of an iterate (collective)."""
+        assert isinstance(iterate, LinearIterate)
+        return linear_kkt(self.spaces, self.data, iterate, penalty, self.eps)
 
 
 def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:

@@ -1,0 +1,121 @@
+"""The data of a problem for RT1: their moments against the hats, and κ and c in points of cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem, la
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
+from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
+from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, order_number, reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearData(Data):
+    """The data on a mesh for RT1, beside their means.
+
+    Attributes:
+        laws_at: The laws on Γ_S at the vertices of facets.
+        lift: û where it is given, and at the reference of its law on Γ_S, 0 elsewhere: unknowns of this rank, ghosts
+            too.
+        load: ⟨g_N, q⟩ for each owned unknown q, and the fluxes at the references of the laws.
+        given_flux: Π₁g_N at the vertices of the facets of Γ_N, shape (facets, d).
+        fixed: Owned unknowns of Γ_D.
+    """
+
+    laws_at: VertexLaws
+    lift: Array
+    load: Array
+    given_flux: Array
+    fixed: npt.NDArray[np.int32]
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each facet vertex of Γ_S."""
+        return self.laws_at.chains
+
+    def products(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+        """(κ⁻¹τ, τ') for all pairs of the basis on cells, shape (cells, basis, basis) (collective)."""
+        if self.kappa.polynomial == 0:
+            return cells.product(_inverses(self.kappa.values(_points(spaces, numbers, 0).first), spaces.dim)[:, 0])
+        points = _points(spaces, numbers, quadrature_degree(self.kappa))
+        inverse = _inverses(self.kappa.values(points), spaces.dim)
+        basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
+        return cells.product_in_points(inverse, basis, points.weights)
+
+    def reactions(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
+        """(cφ_v, φ_w) for the hats of the vertices of cells; None if c = 0 (collective)."""
+        if self.c_h is None:
+            return None
+        if self.c.polynomial == 0:
+            return cells.hat_masses(self.c.values(_points(spaces, numbers, 0).first)[:, 0])
+        points = _points(spaces, numbers, quadrature_degree(self.c))
+        hats = _hats(spaces, numbers, points)
+        scale = cells.determinant[:, None] * points.weights * self.c.values(points)
+        return np.einsum("nq,qnv,qnw->nvw", scale, hats, hats, optimize=True)
+
+    def moments_of_f(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+        """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
+        points = _points(spaces, numbers, quadrature_degree(self.f))
+        values = cells.determinant[:, None] * points.weights * self.f.values(points)
+        return np.einsum("nq,qnv->nv", values, _hats(spaces, numbers, points))
+
+
+def _points(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], degree: int) -> CellPoints:
+    """Points in cells for data of this degree against two linear functions."""
+    rule = basix.make_quadrature(SIMPLEX[spaces.dim], min(degree + 2, DEGREES[1]))
+    return CellPoints(spaces.mesh, numbers, *rule)
+
+
+def _hats(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], points: CellPoints) -> Array:
+    """The hats of the vertices of cells, in their order, in points, shape (points, cells, d + 1)."""
+    hats: Array = points.barycentric[0][:, spaces.order[numbers]]
+    return hats
+
+
+def _inverses(kappa: Array, dim: int) -> Array:
+    """κ⁻¹ in points as matrices, of scalars or matrices in points, shape (cells, points, d, d)."""
+    if kappa.ndim == 2:
+        return np.asarray(np.eye(dim) / kappa[:, :, None, None])
+    return np.linalg.inv(kappa)
+
+
+def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
+    """The data for RT1, from those with their means, which are checked (collective)."""
+    laws, sites = vertex_laws(spaces, data.laws.of_parts), spaces.site_kinds
+    lift, load = fem.Function(spaces.traces), la.vector(spaces.traces.dofmap.index_map, spaces.dim)
+    fixed = spaces.unknowns(spaces.dirichlet)
+    lift.x.array[fixed] = _linear(spaces, data.u_D, spaces.dirichlet)
+    lift.x.array[sites.unknown] = laws.p_h
+    lift.x.scatter_forward()
+    given_flux = _linear(spaces, data.g_N, spaces.neumann)
+    mass = (1 + np.eye(spaces.dim)) / (spaces.dim * (spaces.dim + 1))
+    load.array[spaces.unknowns(spaces.neumann)] = spaces.neumann.measure[:, None] * given_flux @ mass
+    load.array[sites.unknown] = sites.measure * laws.flux_h
+    owned = spaces.dim * spaces.traces.dofmap.index_map.size_local
+    given = {name: getattr(data, name) for name in data.__dataclass_fields__}
+    return LinearData(
+        **given,
+        laws_at=laws,
+        lift=lift.x.array.astype(np.float64),
+        load=load.array[:owned].copy(),
+        given_flux=given_flux,
+        fixed=fixed.ravel(),
+    )
+
+
+def _linear(spaces: LinearSpaces, datum: Datum, facets: BoundaryFacets) -> Array:
+    """The vertex values of the linear function on each facet that is nearest to a datum (collective)."""
+    points = facet_quadrature(spaces.mesh, facets.facets, min(quadrature_degree(datum) + 1, DEGREES[1]))
+    return linear_values(facets.moments(datum.values(points), points.points, points.weights), facets.measure)

@@ -1,0 +1,114 @@
+"""The spaces of RT1: fluxes of order two, u in P1 on each cell, traces that are linear on each facet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
+from signorini_fenicsx.discrete.simplices import opposite
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import nodes
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearSpaces(LinearTraces, Spaces):
+    """The spaces of one domain for RT1, beside those of RT0, for which data have their means.
+
+    Unknown a of a facet is û at its vertex a. On Γ_S û is in the basis dual to the hats φ_a, so that its coefficient is
+    the φ_a-weighted mean of û, and the residual that belongs to it |e|/d times σ·n at the vertex a. On a part inside the
+    domain the unknowns of the named side are the jump.
+    """
+
+    degree = 1
+
+    @cached_property
+    def flux_space(self) -> fem.FunctionSpace:
+        """RT1, which DOLFINx counts as degree 2."""
+        return fenicsx.function_space(self.mesh, ("RT", 2))
+
+    @cached_property
+    def scalar_space(self) -> fem.FunctionSpace:
+        """P1 on each cell."""
+        return fenicsx.function_space(self.mesh, ("DG", 1))
+
+    @cached_property
+    def _quadratic(self) -> fem.FunctionSpace:
+        """Vectors that are quadratic on each cell, which fluxes of RT1 are."""
+        return fenicsx.function_space(self.mesh, ("DG", 2, (self.dim,)))
+
+    @cached_property
+    def _node_dofs(self) -> Array:
+        """Blocks of `_quadratic` at the vertices and the midpoints of the edges of the owned cells, in their order."""
+        points, dim = self._quadratic.element.basix_element.points, self.dim
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        digits = 3 ** np.arange(dim + 1)  # of twice the barycentric coordinates
+        place = np.empty(3 ** (dim + 1), dtype=np.int64)
+        place[np.rint(2 * hats).astype(np.int64) @ digits] = np.arange(len(hats))
+        in_order = np.rint(2 * nodes(dim)).astype(np.int64)
+        by_dolfinx = np.zeros((len(self.order), *in_order.shape), dtype=np.int64)
+        np.put_along_axis(by_dolfinx, np.broadcast_to(self.order[:, None], by_dolfinx.shape), in_order[None], axis=2)
+        return np.take_along_axis(cell_dofs(self._quadratic), place[by_dolfinx @ digits], axis=1)
+
+    def flux(self, values: Array) -> fem.Function:
+        """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
+        quadratic, sigma = fem.Function(self._quadratic), fem.Function(self.flux_space, name="sigma")
+        quadratic.x.array.reshape(-1, self.dim)[self._node_dofs] = values
+        quadratic.x.scatter_forward()
+        sigma.interpolate(quadratic)
+        sigma.x.scatter_forward()
+        return sigma
+
+    def flux_values(self, sigma: fem.Function) -> Array:
+        """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes` (collective)."""
+        quadratic = fem.Function(self._quadratic)
+        quadratic.interpolate(sigma)
+        return quadratic.x.array.reshape(-1, self.dim)[self._node_dofs]
+
+    def scalar(self, values: Array) -> fem.Function:
+        """The function with these values at the vertices of the owned cells, shape (cells, d + 1) (collective)."""
+        u = fem.Function(self.scalar_space, name="u")
+        u.x.array[np.take_along_axis(cell_dofs(self.scalar_space), self.order, axis=1)] = values
+        u.x.scatter_forward()
+        return u
+
+    def scalar_values(self, u: fem.Function) -> Array:
+        """The values of such a function at the vertices of the owned cells."""
+        return u.x.array[np.take_along_axis(cell_dofs(self.scalar_space), self.order, axis=1)]
+
+    def through(self, facets: BoundaryFacets, values: Array) -> Array:
+        """σ·n at the vertices of boundary facets, shape (facets, d), of values at the nodes."""
+        at_vertices = values[facets.cells[:, None], opposite(self.dim)[facets.local]]
+        return np.einsum("naj,nj->na", at_vertices, facets.normals)
+
+    @cached_property
+    def frames(self) -> list[tuple[BoundaryFacets, Array]]:
+        """The facets of Γ_S and the other sides of those inside the domain, see `LinearTraces.frames`."""
+        dual = (self.dim + 1) * np.eye(self.dim) - 1
+        return [
+            (facets, np.broadcast_to(dual, (len(facets.facets), *dual.shape))) for facets in (self.contact, self.across)
+        ]
+
+    def unknowns(self, facets: BoundaryFacets) -> Array:
+        """The unknowns of facets, shape (facets, d)."""
+        return facets.blocks[:, None] * self.dim + np.arange(self.dim, dtype=np.int32)
+
+    @cached_property
+    def site_kinds(self) -> Sites:
+        """The vertices of the facets of Γ_S."""
+        number, dim = len(self.facets), self.dim
+        share = np.repeat(self.contact.measure / dim, dim)
+        unknown = self.unknowns(self.contact).ravel()
+        return Sites(Kind("facet", number, np.arange(number), share, (dim,), unknown))
+
+
+def linear_spaces(spaces: Spaces) -> LinearSpaces:
+    """The spaces of RT1 on the mesh of those of RT0 (collective)."""
+    return LinearSpaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)))

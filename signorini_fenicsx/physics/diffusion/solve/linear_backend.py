@@ -1,0 +1,124 @@
+"""The backend of RT1: the hybrid system with a condition per facet vertex of Γ_S."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property, partial
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.backend import Inexact, Iterate
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.discrete.field_change import FieldChange
+from signorini_fenicsx.discrete.hybrid_backend import HybridBackend
+from signorini_fenicsx.discrete.posed import State
+from signorini_fenicsx.discrete.sizes import Sizes
+from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, DIRECT_UP_TO, of_facets
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
+from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
+
+
+class LinearBackend(HybridBackend):
+    """Solves under one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
+
+    The flux is the value of σ·n − Π₁q_S at the vertex.
+    """
+
+    name = "hybrid RT1"
+    spaces: LinearSpaces
+    system: FluxSystem
+    data: LinearData
+
+    def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning | None = None):
+        """Assemble and choose the solver (collective).
+
+        Args:
+            spaces: The spaces.
+            data: The data.
+            tuning: Has the size from which CG with multigrid is the default.
+
+        Raises:
+            InputError: If PETSc refuses an option.
+        """
+        system, dim = FluxSystem(spaces, data), spaces.dim
+        large = (tuning or Tuning()).is_large(system.matrix.getSize()[0], DIRECT_UP_TO[dim])
+        make = partial(of_facets, spaces, False) if large else None  # noqa: FBT003
+        near = np.arange(len(spaces.site_kinds)).reshape(-1, dim).repeat(dim, axis=0)
+        super().__init__(system, spaces, data.fixed, make, DEFAULTS[dim], near=(near, None))
+        self._take(data)
+
+    def _take(self, data: LinearData) -> None:
+        """Take data with this matrix (collective)."""
+        self.data, self._state, self.conductance = data, State.START, data.conductance
+        loads = (self.system.load, data.load)
+        loaded = self.comm.allreduce(any(bool(load.any()) for load in loads), MPI.LOR)
+        self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=loaded)
+
+    def renew(self, data: LinearData) -> bool:
+        """Go on with other data, see `Renewable`; False if the matrix is another one (collective)."""
+        if not self.system.renew(data):
+            return False
+        if self.iterates:
+            self._factors.earlier.add(self._x)
+        self._factors.serve_more()
+        self._take(data)
+        return True
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site."""
+        return self.data.chains
+
+    @property
+    def laws(self) -> VertexLaws:
+        """The laws at the vertices."""
+        return self.data.laws_at
+
+    @property
+    def inexact(self) -> Inexact | None:
+        """The backend itself, as traces cost less than fields."""
+        return self
+
+    def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
+        """The iterate from the values of σ and u (collective)."""
+        spaces = self.spaces
+        flux = spaces.through(spaces.contact, sigma).ravel() - self.laws.flux_h
+        p, flux = self.cleaned(conditions, self.openings(self._x), flux)
+        means = self._x.array_r[self._unknowns] + self.data.lift[self._unknowns]
+        return LinearIterate(p, flux, self._iterations, spaces.flux(sigma), spaces.scalar(u), means)
+
+    def without_flux(self, iterate: LinearIterate, where: Mask) -> LinearIterate:
+        """The iterate with σ·n = q_S at some vertices, and the trace that belongs to it by (37) (collective).
+
+        If the flux changes by δσ on a facet, û changes at the vertices of the facets of Γ_S of the same cell by
+        (κ⁻¹δσ, τ), where τ has the hat of the vertex for its moment.
+        """
+        spaces, dim, contact = self.spaces, self.spaces.dim, self.spaces.contact
+        added = np.where(where, -iterate.flux, 0.0).reshape(-1, dim)
+        mass = (1 + np.eye(dim)) / (dim + 1)
+        cells, row = np.unique(contact.cells, return_inverse=True)
+        moments, places = np.zeros((len(cells), dim + 1, dim)), (row, contact.local)
+        moments[places] = contact.measure[:, None] / dim * added @ mass
+        shapes, basis = Cells(spaces.vertices[cells]), reference(dim).nodal[:, : dim * (dim + 1)]
+        change = moments.reshape(len(cells), -1) @ basis.T
+        sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, cells.astype(np.int32), shapes)
+        sigma[cells] += shapes.at_nodes(change)
+        moved = np.einsum("nbc,nc->nb", product, change) @ basis
+        means = (moved.reshape(-1, dim + 1, dim)[places] @ mass).ravel()
+        flux = np.where(where, 0.0, iterate.flux)
+        return replace(
+            iterate, sigma=spaces.flux(sigma), p=iterate.p + means, means=iterate.means + means, flux=flux
+        )
+
+    @cached_property
+    def change(self) -> FieldChange:
+        """Norms of what changed, see `Backend.change`."""
+        return FieldChange(self.spaces.flux_space, self.spaces.scalar_space)

@@ -1,0 +1,116 @@
+"""The residuals of a discrete problem with RT1, see `KKTResiduals` in `residuals.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import function_of, sums_at
+from signorini_fenicsx.contact.backend import Iterate
+from signorini_fenicsx.contact.conditions import Penalty
+from signorini_fenicsx.contact.residuals import relative, squares_off
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.quadratic_flux import QuadraticFlux
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, sizes_of_solution
+
+
+@dataclass(frozen=True)
+class LinearIterate(Iterate):
+    """An `Iterate` of RT1: σ in RT1, u in P1 on cells.
+
+    Attributes:
+        means: The mean of û by the hat of each facet vertex of Γ_S; p is this less ψ, or as `VertexLaws.own` has it.
+    """
+
+    means: Array
+
+
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is not finite is no solution
+def linear_kkt(
+    spaces: LinearSpaces, data: LinearData, iterate: LinearIterate, penalty: Penalty | None, eps: float
+) -> KKTResiduals:
+    """Residuals of a discrete solution of RT1, computed from its fields (collective).
+
+    Sites are the vertices of facets, with their share of |e|. Stationarity is tested with the basis of RT1 that is dual
+    to the moments of σ·n against hats and to those inside cells; the mass balance with Π₁f.
+
+    Args:
+        spaces: The spaces.
+        data: The data.
+        iterate: The solution.
+        penalty: Penalty law; None for the Signorini condition.
+        eps: ε of the penalty.
+    """
+    sigma, u = QuadraticFlux(spaces, spaces.flux_values(iterate.sigma)), spaces.scalar_values(iterate.u)
+    scales = sizes_of_solution(spaces, sigma, function_of(spaces.Q, u.mean(axis=1)), data)
+    (kind,), k, length = spaces.site_kinds, data.conductivities(spaces), spaces.length
+    k_e = np.repeat(k[spaces.cells], spaces.dim)
+    pair = iterate.p, spaces.through(spaces.contact, sigma.values).ravel() - data.laws_at.flux_h
+    if penalty is not None:
+        pair = penalty.shift(*pair, eps)
+    squares = squares_off(data.chains, pair, k_e / length, length * kind.measure, k_e, 1.0)
+    of_cells, facets = _of_cells(spaces, data, sigma.values, u, kind.rows_of(iterate.means)), spaces.neumann
+    lacking = ((spaces.through(facets, sigma.values) - data.given_flux) ** 2).mean(axis=1)
+    of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
+    primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
+    stationarity, balance = np.sqrt(spaces.mesh.comm.allreduce(of_cells))
+    return KKTResiduals(*(relative(each, scales) for each in (primal, dual, complementarity, stationarity, balance)))
+
+
+def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, means: Array) -> Array:
+    """The squares of stationarity and of the mass balance, each as a gradient and as a flux, shape (2, 2) (collective).
+
+    (9a) on a cell says what û is at the vertices of its facets: the residual at a facet inside Ω is the difference of
+    both sides, on Γ_S and Γ_D that to what is given.
+    """
+    dim, element, (k, h) = spaces.dim, reference(spaces.dim), (data.conductivities(spaces), spaces.cell_diameters)
+    free, traces = element.free, len(element.tractions)
+    count, squares = len(spaces.order), np.zeros((2, 2))
+    trace, sizes = np.empty((count, traces)), np.empty((count, traces, 2))
+    for numbers in blocks_of_cells(spaces.mesh):
+        cells = Cells(spaces.vertices[numbers])
+        product, identity = data.products(spaces, numbers, cells), np.broadcast_to(np.eye(dim), (len(numbers), dim, dim))
+        missing = data.moments_of_f(spaces, numbers, cells)
+        reaction = data.reactions(spaces, numbers, cells)
+        of_sigma = cells.coefficients(sigma[numbers])
+        residual = np.einsum("nbc,nc->nb", product, of_sigma)
+        residual[:, free:] += u[numbers]  # the moments of ∇· of the basis are 1
+        residual = residual @ element.nodal
+        masses = [element.nodal.T @ each @ element.nodal for each in (cells.product(identity), product)]
+        trace[numbers] = residual[:, :traces]
+        M, W = (np.einsum("nbb->nb", mass) for mass in masses)
+        sizes[numbers] = np.stack([M, W], axis=2)[:, :traces]
+        inner, m, w = (each[:, traces:] for each in (residual, M, W))
+        squares[0] += (inner**2 / m).sum(), (m * (inner / w) ** 2).sum()
+        missing += of_sigma[:, free:]
+        if reaction is not None:
+            missing -= np.einsum("nvw,nw->nv", reaction, u[numbers])
+        of_hats = np.einsum("nv,nv->n", missing, np.linalg.solve(cells.hat_masses(), missing[:, :, None])[:, :, 0])
+        squares[1] += (h[numbers] ** 2 / k[numbers] ** 2) @ of_hats, h[numbers] ** 2 @ of_hats
+    return squares + _of_traces(spaces, data, trace, sizes, means)
+
+
+def _of_traces(spaces: LinearSpaces, data: LinearData, trace: Array, sizes: Array, means: Array) -> Array:
+    """The part of the facets, see `_of_cells`, from û as each cell has it and the sizes of the basis functions."""
+    dim, numbers, inner = spaces.dim, spaces.traces.dofmap.index_map, spaces.inner.rows
+    by_facet = trace.reshape(-1, dim + 1, dim)
+    mean = sums_at(numbers, spaces.dofs, by_facet) / sums_at(numbers, spaces.dofs)[:, None]
+    size = sums_at(numbers, spaces.dofs, sizes.reshape(len(trace), dim + 1, dim, 2))
+    squares = 2 * sums_at(numbers, spaces.dofs, (by_facet - mean[spaces.dofs]) ** 2)  # of the difference of both sides
+    for facets, given in (
+        (spaces.dirichlet, data.lift[spaces.unknowns(spaces.dirichlet)]),
+        (spaces.contact, linear_from_means(means)),
+    ):
+        squares[facets.blocks] = (mean[facets.blocks] - given) ** 2
+    named, across = spaces.contact.blocks[inner], spaces.across.blocks
+    squares[named] = (mean[named] - mean[across] - linear_from_means(means)[inner]) ** 2
+    size[named] += size[across]
+    (M, W), squares = np.moveaxis(size[: numbers.size_local], 2, 0), squares[: numbers.size_local]
+    return np.array([[(squares / M).sum(), (M * squares / W**2).sum()], [0.0, 0.0]])
