@@ -26,7 +26,7 @@ from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
 from signorini_fenicsx.solving.evolution import Evolution
-from signorini_fenicsx.solving.options import BACKENDS
+from signorini_fenicsx.solving.options import BACKENDS, ELEMENTS
 from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
 
 
@@ -38,6 +38,7 @@ class Solve(Section):
 
     algorithm: Annotated[str, choice("algorithm", tuple(METHODS))] = "alg1"
     backend: Annotated[str, choice("backend", tuple(BACKENDS))] = "hybrid"
+    element: Annotated[str, choice("element", ELEMENTS)] = "RT0"
     h: Annotated[Positive, within(1e-90, 1e90)] = 2**-5  # powers of h must be floats
     rho: Annotated[Positive, within(1e-100, 1e100)] | None = None
     eps: Annotated[Positive, within(1e-14, 1e6)] = 1e-8

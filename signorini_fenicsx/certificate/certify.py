@@ -85,7 +85,7 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
     """
     bounds, watch = PHYSICS[solution.physics].bound, Stopwatch()
     if bounds is None:
-        return _none(solution)
+        return no_bound(solution)
     with watch.phase("certificate"), holding(solution):
         certificate = certify(bounds)
         names = lost_digits(solution) if certificate.proved else ()
@@ -95,7 +95,7 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def _none(solution: Solved) -> Certificate:
+def no_bound(solution: Solved, what: str = "") -> Certificate:
     """No bound (collective)."""
     spaces, infinite = solution.spaces, math.inf
     return Certificate(
@@ -111,5 +111,5 @@ def _none(solution: Solved) -> Certificate:
         coarse=np.zeros(len(spaces.cell_measures), dtype=bool),
         indicator=fem.Function(spaces.Q, name="indicator"),
         v=solution.u,
-        if_none=f"none is known for {solution.physics}",
+        if_none=f"none is known for {what or solution.physics}",
     )

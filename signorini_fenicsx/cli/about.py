@@ -18,6 +18,7 @@ def info(
     algorithm: option.AlgorithmName = None,
     h: option.MeshSize = None,
     backend: option.BackendName = None,
+    element: option.ElementName = None,
     settings: option.Settings = None,
     as_json: option.Json = False,
 ) -> None:
@@ -31,7 +32,7 @@ def info(
     from signorini_fenicsx.cli.case_report import CaseReport
 
     comm, report = MPI.COMM_WORLD, CaseReport(as_json=as_json)
-    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, backend=backend)
+    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, backend=backend, element=element)
     estimate = on_root(comm, lambda: expected(problem, comm.size))
     report.heading(problem, comm)
     report.expected(problem, estimate)
@@ -45,6 +46,7 @@ def check(
     rho: option.Rho = None,
     eps: option.Epsilon = None,
     backend: option.BackendName = None,
+    element: option.ElementName = None,
     settings: option.Settings = None,
     quiet: option.Quiet = False,
 ) -> None:
@@ -59,7 +61,9 @@ def check(
     from signorini_fenicsx.cli.case_report import CaseReport
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet)
-    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    problem = any_case(
+        comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend, element=element
+    )
     report.heading(problem, comm)
     with naming(problem.name):
         report.checked(problem, inspection.check(problem, comm))

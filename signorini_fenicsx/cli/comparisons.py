@@ -59,6 +59,7 @@ def convergence(
     rho: option.Rho = None,
     eps: option.Epsilon = None,
     backend: option.BackendName = None,
+    element: option.ElementName = None,
     settings: option.Settings = None,
     output: option.OutputFolder = None,
     quiet: option.Quiet = False,
@@ -75,7 +76,9 @@ def convergence(
     from signorini_fenicsx.output.writing import publish_convergence
 
     comm, report = MPI.COMM_WORLD, ConvergenceReport(quiet=quiet, as_json=as_json)
-    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend)
+    problem = any_case(
+        comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend, element=element
+    )
     if vary not in (ways := [way.value for way in Vary]):
         raise InputError(f"--vary {vary}: must be one of {', '.join(ways)}")
     way, steps = Vary(vary), _levels(levels)

@@ -47,6 +47,10 @@ Epsilon = Annotated[
 BackendName = Annotated[
     str | None, typer.Option("--backend", help="hybrid or mixed; only for alg1 to alg4.", rich_help_panel=METHOD)
 ]
+ElementName = Annotated[
+    str | None,
+    typer.Option("--element", help="RT0, or RT1 of one order more; only for alg1 to alg4.", rich_help_panel=METHOD),
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),

@@ -39,6 +39,7 @@ def solve(
     rho: option.Rho = None,
     eps: option.Epsilon = None,
     backend: option.BackendName = None,
+    element: option.ElementName = None,
     predict: option.Predict = True,
     settings: option.Settings = None,
     start_from: option.StartFrom = None,
@@ -70,7 +71,7 @@ def solve(
 
     said = {"quiet": quiet, "verbose": verbose, "as_json": as_json}
     comm, report = MPI.COMM_WORLD, SolutionReport(**said)
-    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
+    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend, "element": element}
     problem = any_case(comm, case, settings, **options, predict=None if predict else False)
     only_steady = {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini}
     _refuse_lacking(problem, only_steady)
@@ -169,6 +170,7 @@ def adapt(
     rho: option.Rho = None,
     eps: option.Epsilon = None,
     backend: option.BackendName = None,
+    element: option.ElementName = None,
     settings: option.Settings = None,
     output: option.OutputFolder = None,
     plot: option.Plot = False,
@@ -189,7 +191,7 @@ def adapt(
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
     wanted, part, narrow, most = _checked(target, max_cells, theta, quantity, width)
-    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend}
+    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend, "element": element}
     problem = on_root(comm, lambda: _on_first_mesh(case, settings, options))
     _refuse_lacking(problem, {"--html": html})
     measured, measure = _measuring(problem, quantity)

@@ -79,7 +79,7 @@ class Segments:
         """The segments on another mesh of the domain, by `near_facets`, of a cell that at its centroid (collective)."""
         if spaces is self.spaces:
             return self
-        rows = self.spaces.site_kinds.spread(self.segment)
+        rows = [_shaped(each, spaces) for each in self.spaces.site_kinds.spread(self.segment)]
         found = near_facets([*rows, *self.carried.values()], self.spaces, spaces)
         segment = np.rint(spaces.site_kinds.gathered(*found[: len(rows)])).astype(np.int64)
         if spaces.mesh.comm.allreduce("cell" in self.spaces.site_kinds and len(self.of("cell")) > 0, MPI.LOR):
@@ -107,6 +107,14 @@ class Segments:
         low, high = ends[0] - gap, gap - ends[1]
         centroids = mesh.geometry.x[cell_nodes(mesh)].mean(axis=1)
         return np.flatnonzero(np.all((low <= centroids) & (centroids <= high), axis=1)).astype(np.int32)
+
+
+def _shaped(rows: np.ndarray, spaces: MeshSpaces) -> np.ndarray:
+    """Values by facet in the place of those by vertex, or the other way, as the sites of other spaces are."""
+    (kind, *_), dim = spaces.site_kinds, spaces.mesh.topology.dim
+    if rows.ndim == 1 and kind.shape:
+        return np.repeat(rows[:, None], dim, axis=1)
+    return rows[:, 0] if rows.ndim > 1 and not kind.shape else rows
 
 
 def near_facets(values: Sequence[Array], source: MeshSpaces, target: MeshSpaces) -> list[Array]:

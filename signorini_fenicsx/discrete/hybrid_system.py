@@ -1,9 +1,9 @@
 """A hybrid system of any element: all but the traces is eliminated on the cells, and recovered from them.
 
-On a cell (κ⁻¹σ, τ) + (u, ∇·τ) = ⟨û, τn⟩ and −(∇·σ, v) + (cu, v) = (f, v) for the fluxes and the u of the element; of a body σ is
-the stress and κ⁻¹ the compliance. The basis of the fluxes begins with those of divergence 0. Each of the others has one
-moment of −∇· against the functions of u, which is 1, so that f gives its coefficient. What is left is a problem for û
-alone that is symmetric and positive semidefinite.
+On a cell (κ⁻¹σ, τ) + (u, ∇·τ) = ⟨û, τn⟩ and −(∇·σ, v) + (cu, v) = (f, v) for the fluxes and the u of the element; of a
+body σ is the stress and κ⁻¹ the compliance. The basis of the fluxes begins with those of divergence 0. Each of the
+others has one moment of ∇· against the functions of u, which is 1, so that f gives its coefficient. What is left is a
+problem for û alone that is symmetric and positive semidefinite.
 
 `HybridSystem` has three verbs: it *eliminates*, it *recovers* σ and u from û, and it *responds* to any right side. A
 physics says what its cells are (`eliminated`) and what coefficients stand for (`fields`).
@@ -151,13 +151,12 @@ def _with_reaction(
     Without c they are b, and u = u_x x + u_0 − Sb with S from the fluxes that b brings. With c they are b + Cu, so that
     u = (I + SC)⁻¹ (u_x x + u_0 − Sb).
     """
-    count, rest = balance.shape
-    none, units = np.zeros_like(balance), np.eye(rest)
+    none, units = np.zeros_like(balance), np.eye(balance.shape[1])
     without = eliminate(cells, geometry, tractions, product, none, functional)
     by_unit = [eliminate(cells, geometry, tractions, product, np.broadcast_to(e, balance.shape)) for e in units]
     of_flux = np.stack([each.flux_of_f for each in by_unit], axis=2)
     compliance = -np.stack([each.u_of_f for each in by_unit], axis=2)  # S
-    moved = np.linalg.inv(np.eye(rest) + compliance @ reaction)
+    moved = np.linalg.inv(units + compliance @ reaction)
     u = moved @ without.u
     u_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - np.einsum("nml,nl->nm", compliance, balance))
     given = balance + np.einsum("nml,nl->nm", reaction, u_of_f)

@@ -72,6 +72,11 @@ def linear_from_means(means: Array) -> Array:
     return (means.shape[1] + 1) * means - means.sum(axis=1, keepdims=True)
 
 
+def means_of_linear(values: Array) -> Array:
+    """The means weighted by the hats of linear functions with these values, the inverse of `linear_from_means`."""
+    return (values + values.sum(axis=1, keepdims=True)) / (values.shape[1] + 1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class LinearTraces(MeshSpaces):
     """Spaces with traces that are linear on each facet.

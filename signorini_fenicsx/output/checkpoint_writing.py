@@ -151,7 +151,7 @@ def _problem(solution: Solved) -> dict[str, Any]:
         missing=missing,
         options={
             "algorithm": options.algorithm_name,
-            **{key: getattr(options, key) for key in ("rho", "eps", "max_iterations", "predict")},
+            **{key: getattr(options, key) for key in ("element", "rho", "eps", "max_iterations", "predict")},
         },
     )
     return {"case": None, "given": given.model_dump(mode="json")}

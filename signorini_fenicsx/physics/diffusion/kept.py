@@ -1,20 +1,27 @@
 """How solutions of diffusion problems are kept in files.
 
-RT0 is stored as the values σ(x_T) and ∇·σ of each cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T).
+RT1 is stored by values at vertices, in ascending order of their numbers; RT0 as the values σ(x_T) and ∇·σ of each
+cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T).
 """
 
 import numpy as np
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, Dirichlet, Neumann
+from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import linear_data
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import linear_spaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
 from signorini_fenicsx.physics.diffusion.solve.residuals import kkt_residuals, with_cells
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored
 
@@ -33,14 +40,60 @@ LAYOUT: Layout = {
 }
 
 
+OF_LINEAR: Layout = {
+    "u_at": (np.float64, "cells", "corners"),
+    "sigma_at": (np.float64, "cells", "nodes", "dim"),
+    "facet_p_at": (np.float64, "facets", "dim"),
+    "facet_condition_at": (np.int64, "facets", "dim"),
+}
+"""Beside the means what RT1 has: values at vertices, of σ at the midpoints of edges too, of facets at theirs."""
+
+
 def _in_cells(solution: Solution) -> Arrays:
     memory, flux = solution.data.memory, solution.cell_flux
-    rows = {"u": owned_values(solution.u), "sigma": flux.centroid, "divergence": flux.divergence}
+    rows = {"u": solution.u_means, "sigma": flux.centroid, "divergence": flux.divergence}
+    if isinstance(solution, LinearSolution):
+        rows |= _at_vertices(solution)
     return rows | ({} if memory is None else {"memory": owned_values(memory)})
+
+
+def _at_vertices(solution: LinearSolution) -> Arrays:
+    """What a solution of RT1 has in cells beside its means."""
+    return {"u_at": solution.spaces.scalar_values(solution.u), "sigma_at": solution.cell_flux.values}
+
+
+def _read_linear(boundary: Boundary, problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:
+    spaces, options = linear_spaces(on_mesh), stored.options
+    missing = [name for name in OF_LINEAR if name not in stored.arrays]
+    if missing:
+        raise InputError(f"not a readable solution (it holds no {missing[0]})")
+    sigma, u = spaces.flux(stored.in_cells(spaces, "sigma_at")), spaces.scalar(stored.in_cells(spaces, "u_at"))
+    p, condition = stored.on_facets(spaces.mesh.comm, "p_at", "condition_at")
+    data = linear_data(spaces, project_data(on_mesh, problem))
+    means = means_of_linear(p).ravel()
+    flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
+    law = data.chains.with_penalty(options.method.penalty, options.eps)
+    segment = law.nearest(condition.ravel().astype(np.int8), means - data.laws_at.p_h, flux)
+    above = data.laws_at.own(data.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
+    iterate = LinearIterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u, means=means)
+    return LinearSolution(
+        boundary=boundary,
+        problem=problem,
+        options=options,
+        spaces=spaces,
+        data=data,
+        p=spaces.linear_multiplier(p),
+        outcome=stored.outcome(iterate, law.conditions(segment)),
+        kkt=linear_kkt(spaces, data, iterate, options.method.penalty, options.eps),
+        step=stored.step,
+        **stored.about,
+    )
 
 
 def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     options, mesh = stored.options, spaces.mesh
+    if options.element == "RT1":
+        return _read_linear(boundary, problem, spaces, stored)
     centroid, divergence, means = (stored.in_cells(spaces, key) for key in ("sigma", "divergence", "u"))
     u = function_of(spaces.Q, means, "u")
     sigma = CellFlux(spaces, centroid, divergence / mesh.geometry.dim).function()
@@ -79,5 +132,6 @@ KEEPING = Keeping(
     in_cells=_in_cells,
     on_facets=lambda solution: vars(solution.table()),
     read=_read,
+    of_some=OF_LINEAR,
     of_step={"memory": (np.float64, "cells")},  # a load
 )

@@ -15,7 +15,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
 from signorini_fenicsx.base.parallel import collector_off
@@ -25,6 +25,7 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
 from signorini_fenicsx.discrete.part_laws import PartLaw
+from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
@@ -164,6 +165,32 @@ class Solution(AnySolution):
         """U of second order, quadratic on each cell: its mean is u_h and its gradient κ_h⁻¹σ_h (collective)."""
         return self.cell_potential.function()
 
+    def potential_at(self, points: Points) -> Array:
+        """`potential` in points, shape (n, points)."""
+        return self.cell_potential.at(points)
+
+    def u_at(self, points: Points) -> Array:
+        """u_h in points, shape (n, points or 1)."""
+        return self.u.x.array[points.cells, None]
+
+    def trace_at(self, points: FacetPoints) -> Array:
+        """p_h in points of all facets of Γ_S, shape (facets, points or 1)."""
+        return self.p_means[:, None]
+
+    @property
+    def p_means(self) -> Array:
+        """p_h on the facets of Γ_S of this rank, or its means."""
+        return self.p.x.array[: len(self.spaces.facets)]
+
+    @property
+    def u_means(self) -> Array:
+        """u_h on the owned cells, or its means."""
+        return owned_values(self.u)
+
+    def flux_on_signorini(self) -> fem.Function:
+        """σ_h·n on the mesh of Γ_S (collective)."""
+        return self.spaces.multiplier(self.spaces.normal_flux(self.sigma))
+
     @collector_off()
     def norms(self) -> dict[str, float]:
         """L² norms of σ, ∇·σ, u over Ω and of p, σ·n over Γ_S (collective)."""
@@ -194,7 +221,7 @@ class Solution(AnySolution):
         spaces, data, exact = self.spaces, self.data, self.data.exact
         if exact is None:
             return None
-        norms = exact_errors(spaces, data, exact, self.cell_flux, self.u, self.cell_potential, self.p)
+        norms = exact_errors(self, exact)
         norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
         if data.inside is None or not data.inside.bounds_alone:
             return norms
@@ -347,6 +374,7 @@ class Solution(AnySolution):
     def _sets(self) -> dict[str, Any]:
         facets, measure = self.contact
         return {
+            "element": self.options.element,
             "signorini_facets": self.spaces.Lambda.dofmap.index_map.size_global,
             "dofs": self.outcome.dofs,
             "contact_facets": facets,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 from weakref import ref
 
@@ -25,21 +25,27 @@ from signorini_fenicsx.contact.laws import LAWS
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.known import Known
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import coarser_domains
 from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.registry import those
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces, linear_spaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
+from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
+from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.solve.residuals import far_bound
 from signorini_fenicsx.physics.diffusion.solve.solvability import check_solvability
-from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask
+from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Remesh, Wish, check_start
@@ -69,32 +75,43 @@ class System:
         self._known = Known(domain.mesh.comm)
         self.kept = KeptBackend()
 
+    @cached_property
+    def linear_spaces(self) -> LinearSpaces:
+        """The spaces of RT1 (collective when first used)."""
+        return linear_spaces(self.spaces)
+
     def prepared(self, given: tuple[Boundary, Problem], wish: Wish) -> DiffusionRun:
         """Read the data and check them (collective).
 
         Raises:
             InputError: If the problem cannot be discretised as asked.
         """
-        spaces, options, (boundary, problem) = self.spaces, wish.options, given
+        spaces: Any = self.spaces
+        options, (boundary, problem) = wish.options, given
+        linear = options.element == "RT1"
         _check_same(self.boundary, gamma_s(boundary, problem))
-        data = project_data(spaces, problem, self._known).after(wish.memory)
+        data: Any = project_data(spaces, problem, self._known).after(wish.memory)
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
+        if linear:
+            _refuse_linear(options, data)
+            spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
-        constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
+        constant = 0.0 if options.method.stabilised or linear else data.common_constant(spaces)
         in_cells = data.inside is not None
-        task = DiffusionTask(
+        made_for = options.backend, options.element, options.tuning, in_cells
+        task: Any = (LinearTask if linear else DiffusionTask)(
             spaces=spaces,
             data=data.less(spaces, constant),
             rho=options.rho,
             eps=options.eps,
             max_iterations=options.max_iterations
             or options.method.most_iterations(
-                data.chains.corners, spaces.Lambda.dofmap.index_map.size_global, in_cells=in_cells
+                data.chains.corners, spaces.mesh.comm.allreduce(len(spaces.site_kinds["facet"])), in_cells=in_cells
             ),
             on_step=wish.on_step,
             # with laws in Ω the cells are sites too
-            backend=partial(self.kept.take, (options.backend, options.tuning, in_cells), partial(_backend, options)),
+            backend=partial(self.kept.take, made_for, partial(_backend, options)),
             start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,
             alone=_alone,
             predict=options.predict and (in_cells or len(spaces.part_names) > 0),  # else the problem is linear
@@ -104,7 +121,8 @@ class System:
         )
         if remesh is not None:
             task = replace(task, coarser=partial(_coarser, task, remesh, self.boundary, problem))
-        return DiffusionRun(task, options, self.boundary, problem, data, constant, self)
+        kind = LinearRun if linear else DiffusionRun
+        return kind(task, options, self.boundary, problem, data, constant, self)
 
     def check(self, given: tuple[Boundary, Problem]) -> list[str]:
         """Read the data and check them, see `solving.system.System` (collective).
@@ -233,6 +251,51 @@ class DiffusionRun:
         )
 
 
+@dataclass
+class LinearRun(DiffusionRun):
+    """A problem with RT1, ready to be solved."""
+
+    task: LinearTask
+
+    def _nearer(self, outcome: Outcome) -> None:
+        """None: σ is corrected until too few digits of u do no harm."""
+
+    def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> LinearSolution:
+        """The solution (collective)."""
+        spaces, iterate = self.task.spaces, outcome.iterate
+        assert isinstance(iterate, LinearIterate)
+        self.system.kept.solved(outcome, self.task.data)
+        return LinearSolution(
+            boundary=self.boundary,
+            problem=self.problem,
+            options=self.options,
+            spaces=spaces,
+            data=self.task.data,
+            p=spaces.linear_multiplier(linear_from_means(spaces.site_kinds["facet"].rows_of(iterate.means))),
+            outcome=outcome,
+            kkt=kkt,
+            system=ref(self.system),
+            **about,
+        )
+
+
+def _refuse_linear(options: Options, data: Data) -> None:
+    """Refuse what RT1 is not there for.
+
+    Raises:
+        InputError: If the problem or the method is of this kind.
+    """
+    name = options.algorithm_name
+    for wrong, what, right in (
+        (data.inside is not None, "laws in Ω", "take RT0"),
+        (data.memory is not None, "problems in time", "take RT0"),
+        (options.method.rule is None, name, "take alg1 to alg4, or RT0"),
+        (options.backend != "hybrid", "this backend", "take the hybrid one, or RT0"),
+    ):
+        if wrong:
+            raise InputError(f"element: there is no RT1 for {what}; {right}")
+
+
 def _alone(name: str) -> Callable[..., Outcome]:
     """What runs a method for diffusion alone; SciPy and PIQP, which some of them need, are slow to import."""
     from signorini_fenicsx.physics.diffusion.solve.alone import METHODS
@@ -242,6 +305,8 @@ def _alone(name: str) -> Callable[..., Outcome]:
 
 def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
     """The backend that the options choose (collective)."""
+    if isinstance(spaces, LinearSpaces) and isinstance(data, LinearData):
+        return LinearBackend(spaces, data, options.tuning)
     if not isinstance(options.backend, str):
         return options.backend(spaces, data)
     return (
@@ -254,12 +319,17 @@ def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
 def _coarser(task: DiffusionTask, remesh: Remesh, boundary: Boundary, problem: Problem, factor: float) -> DiffusionTask:
     """The task on a coarser mesh, whose sets are settled at any size (collective)."""
     spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann, boundary.inner)
+    data = project_data(spaces, replace(problem, exact=None))
+    backend: Any = partial(HybridBackend, tuning=task.tuning, multigrid=not task.whole, prefix="coarse_")
+    if isinstance(task, LinearTask):
+        spaces = linear_spaces(spaces)
+        data, backend = linear_data(spaces, data), partial(LinearBackend, tuning=task.tuning)
     return replace(
         task,
         spaces=spaces,
-        data=project_data(spaces, replace(problem, exact=None)),
+        data=data,
         on_step=lambda step: None,
-        backend=partial(HybridBackend, tuning=task.tuning, multigrid=not task.whole, prefix="coarse_"),
+        backend=backend,
         start=None,
         coarser=lambda further: _coarser(task, remesh, boundary, problem, factor * further),
         tuning=task.tuning if task.whole else replace(task.tuning, predict_from=0),

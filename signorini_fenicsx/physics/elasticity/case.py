@@ -246,7 +246,7 @@ class ElasticCase(CaseFile):
             rule_of(Options(algorithm=self.solve.algorithm))
         except InputError as error:
             raise ValueError(f"[solve] {error}") from None
-        for key in ("backend", "rho", "eps"):
+        for key in ("backend", "element", "rho", "eps"):
             if key in self.solve.model_fields_set:
                 raise ValueError(f"[solve] {key}: elastic contact has no such key")
         return self

@@ -70,7 +70,7 @@ class System:
         """
         spaces, options, (boundary, problem) = self.spaces, wish.options, given
         rule_of(options)
-        for key in ("backend", "rho", "eps"):
+        for key in ("backend", "element", "rho", "eps"):
             if getattr(options, key) != getattr(Options, key):
                 raise InputError(f"{key}: elastic contact has no such option")
         if _with_parts_of_laws(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:

@@ -65,11 +65,8 @@ class CellFlux:
 
     def function(self) -> fem.Function:
         """The flux in RT0: −d|T|∇λ_i · (c − s y_i/d) goes through the facet opposite to x_i (collective)."""
-        spaces, dim = self.spaces, self.centroid.shape[1]
-        mesh, sigma = spaces.mesh, fem.Function(spaces.V, name="sigma")
-        on_facets = self.centroid[:, None] - self.slope[:, None, None] * arms(mesh) / dim
-        through = -dim * spaces.cell_measures[:, None] * np.einsum("cvi,cvi->cv", hat_gradients(mesh), on_facets)
-        sigma.x.array[cell_dofs(spaces.V)] = through / spaces.outflow
+        spaces, sigma = self.spaces, fem.Function(self.spaces.V, name="sigma")
+        sigma.x.array[cell_dofs(spaces.V)] = self.leaving / spaces.outflow
         sigma.x.scatter_forward()
         return sigma
 
@@ -90,6 +87,18 @@ class CellFlux:
         values: Array = self.slope[points.rows, None, None] * points.arms
         values += self.centroid[points.rows, None]
         return values
+
+    def divergence_at(self, points: Points) -> Array:
+        """∇·σ in points, shape (n, 1)."""
+        return self.divergence[points.cells, None]
+
+    @property
+    def leaving(self) -> Array:
+        """∫ σ·n over each facet of each cell, n pointing outwards, shape (cells, dim + 1)."""
+        mesh, dim = self.spaces.mesh, self.centroid.shape[1]
+        normals = -dim * self.spaces.cell_measures[:, None, None] * hat_gradients(mesh)
+        on_facets = self.centroid[:, None] - self.slope[:, None, None] * arms(mesh) / dim
+        return np.asarray((on_facets * normals).sum(axis=2))
 
     def squares(self, weight: Weight, moments: Array | None = None) -> Array:
         """(Bσ, σ)_T of each cell.

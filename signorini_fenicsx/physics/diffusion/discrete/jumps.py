@@ -21,7 +21,7 @@ def with_one_flux(spaces: Spaces, size: int) -> PETSc.Mat | None:
     """
     if not spaces.inner.present:
         return None
-    comm, (across, opposite) = spaces.mesh.comm, spaces.across
+    comm, (across, opposite) = spaces.mesh.comm, spaces.fluxes_across
     first = int(comm.exscan(size) or 0)
     return identity_with(
         comm, size, first + across, first + spaces.flux_dofs[spaces.inner.rows], opposite, ignored=across

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
@@ -23,8 +24,8 @@ class LinearSpaces(LinearTraces, Spaces):
     """The spaces of one domain for RT1, beside those of RT0, for which data have their means.
 
     Unknown a of a facet is û at its vertex a. On Γ_S û is in the basis dual to the hats φ_a, so that its coefficient is
-    the φ_a-weighted mean of û, and the residual that belongs to it |e|/d times σ·n at the vertex a. On a part inside the
-    domain the unknowns of the named side are the jump.
+    the φ_a-weighted mean of û, and the residual that belongs to it |e|/d times σ·n at the vertex a. On a part inside
+    the domain the unknowns of the named side are the jump.
     """
 
     degree = 1
@@ -45,7 +46,7 @@ class LinearSpaces(LinearTraces, Spaces):
         return fenicsx.function_space(self.mesh, ("DG", 2, (self.dim,)))
 
     @cached_property
-    def _node_dofs(self) -> Array:
+    def _node_dofs(self) -> npt.NDArray[np.int32]:
         """Blocks of `_quadratic` at the vertices and the midpoints of the edges of the owned cells, in their order."""
         points, dim = self._quadratic.element.basix_element.points, self.dim
         hats = np.column_stack([1 - points.sum(axis=1), points])
@@ -70,7 +71,7 @@ class LinearSpaces(LinearTraces, Spaces):
         """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes` (collective)."""
         quadratic = fem.Function(self._quadratic)
         quadratic.interpolate(sigma)
-        return quadratic.x.array.reshape(-1, self.dim)[self._node_dofs]
+        return np.asarray(quadratic.x.array.reshape(-1, self.dim)[self._node_dofs], dtype=np.float64)
 
     def scalar(self, values: Array) -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1) (collective)."""
@@ -96,9 +97,9 @@ class LinearSpaces(LinearTraces, Spaces):
             (facets, np.broadcast_to(dual, (len(facets.facets), *dual.shape))) for facets in (self.contact, self.across)
         ]
 
-    def unknowns(self, facets: BoundaryFacets) -> Array:
+    def unknowns(self, facets: BoundaryFacets) -> npt.NDArray[np.int32]:
         """The unknowns of facets, shape (facets, d)."""
-        return facets.blocks[:, None] * self.dim + np.arange(self.dim, dtype=np.int32)
+        return np.asarray(facets.blocks[:, None] * self.dim + np.arange(self.dim, dtype=np.int32))
 
     @cached_property
     def site_kinds(self) -> Sites:

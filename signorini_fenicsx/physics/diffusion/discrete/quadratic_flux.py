@@ -13,7 +13,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.points import Points
-from signorini_fenicsx.discrete.simplices import Simplices
+from signorini_fenicsx.discrete.simplices import Simplices, facet_normals, opposite
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import Weight
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 
@@ -85,6 +85,15 @@ class QuadraticFlux:
         """∇·σ in points, shape (n, points)."""
         hats = np.take_along_axis(points.barycentric, self.spaces.order[points.cells][:, None], axis=2)
         return np.asarray(np.einsum("nqv,nv->nq", hats, self.divergences[points.cells]))
+
+    @property
+    def leaving(self) -> Array:
+        """∫ σ·n over each facet of each cell, n pointing outwards, in DOLFINx's order, shape (cells, d + 1)."""
+        spaces, leaving = self.spaces, np.empty(self.spaces.order.shape)
+        means = self.values[:, opposite(spaces.dim)].mean(axis=2)
+        through = np.einsum("nsj,nsj->ns", means, facet_normals(spaces.vertices))
+        np.put_along_axis(leaving, spaces.order, through, axis=1)
+        return leaving
 
     def squares(self, weight: Weight) -> Array:
         """(Bσ, σ)_T of each cell."""

@@ -8,7 +8,6 @@ midpoints of the edges.
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import combinations, permutations
-from math import factorial
 
 import basix
 import numpy as np

@@ -54,7 +54,7 @@ class Spaces(MeshSpaces):
         return self.basis_flux * sigma.x.array[self.flux_dofs] / self.facet_measure
 
     @cached_property
-    def across(self) -> tuple[npt.NDArray[np.int32], Array]:
+    def fluxes_across(self) -> tuple[npt.NDArray[np.int32], Array]:
         """The other sides of inner facets (collective when first used).
 
         Returns:
@@ -70,7 +70,7 @@ class Spaces(MeshSpaces):
     def carry_across(self, sigma: fem.Function) -> None:
         """Give the other sides of inner facets the σ·n of the named sides, in place, ghosts updated (collective)."""
         if self.inner.present:
-            dofs, opposite = self.across
+            dofs, opposite = self.fluxes_across
             sigma.x.array[dofs] = opposite * sigma.x.array[self.flux_dofs[self.inner.rows]]
             sigma.x.scatter_forward()
 
@@ -80,7 +80,7 @@ class Spaces(MeshSpaces):
         Collective when first used. The other sides of inner facets get 0.
         """
         if self.inner.present:
-            dofs, opposite = self.across
+            dofs, opposite = self.fluxes_across
             values[self.flux_dofs[self.inner.rows]] += opposite * values[dofs]
             values[dofs] = 0.0
 

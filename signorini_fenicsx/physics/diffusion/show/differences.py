@@ -46,8 +46,7 @@ def differences(fine: Solution, coarse: Solution) -> Differences:
     mesh, gamma = fine.spaces.mesh, fine.spaces.Lambda.mesh
     inside, on_gamma = squares_degree(mesh), squares_degree(gamma)
     sigma, u, div_sigma = sampled([coarse.sigma, coarse.u, _divergence(coarse)], mesh, source, degree=inside)
-    flux_n = coarse.spaces.multiplier(coarse.spaces.normal_flux(coarse.sigma))
-    p, flux = sampled([coarse.p, flux_n], gamma, source, degree=on_gamma)
+    p, flux = sampled([coarse.p, coarse.flux_on_signorini()], gamma, source, degree=on_gamma)
     (p_middle,) = sampled([coarse.p], gamma, source, degree=0)
 
     dx, ds = measure(mesh, inside), measure(gamma, on_gamma)
@@ -55,13 +54,13 @@ def differences(fine: Solution, coarse: Solution) -> Differences:
         l2(fine.sigma - sigma, dx) + l2(ufl.div(fine.sigma) - div_sigma, dx),
         l2(fine.u - u, dx),
         l2(fine.p - p, ds),
-        l2(fine.spaces.multiplier(fine.spaces.normal_flux(fine.sigma)) - flux, ds),
+        l2(fine.flux_on_signorini() - flux, ds),
     ]
     local = np.array([fem.assemble_scalar(fenicsx.form(square)) for square in squares])
     sigma_V, u_Q, p_Lambda, flux_Lambda = np.sqrt(mesh.comm.allreduce(local)).tolist()
     size = len(fine.spaces.facets)
     return Differences(
-        sigma_V, u_Q, p_Lambda, slobodeckij_norm(fine, fine.p.x.array[:size] - p_middle.x.array[:size]), flux_Lambda
+        sigma_V, u_Q, p_Lambda, slobodeckij_norm(fine, fine.p_means - p_middle.x.array[:size]), flux_Lambda
     )
 
 
@@ -87,8 +86,8 @@ def slobodeckij_norm(solution: Solution, values: Array) -> float:
 
 
 def _divergence(solution: Solution) -> fem.Function:
-    """∇·σ_h in P0."""
-    Q = solution.spaces.Q
+    """∇·σ_h in the space of u_h."""
+    Q = solution.u.function_space
     divergence = fem.Function(Q)
     divergence.interpolate(fenicsx.expression(ufl.div(solution.sigma), Q.element.interpolation_points))
     return divergence

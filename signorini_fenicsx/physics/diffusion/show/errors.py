@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
@@ -19,26 +20,20 @@ from signorini_fenicsx.discrete.points import (
     cell_quadrature,
     facet_quadrature,
 )
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
-from signorini_fenicsx.physics.diffusion.discrete.potential import Potential
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
+if TYPE_CHECKING:  # it has these
+    from signorini_fenicsx.physics.diffusion.solution import Solution
 
-def exact_errors(
-    spaces: Spaces,
-    data: Data,
-    exact: Datum,
-    flux: CellFlux,
-    u: fem.Function,
-    potential: Potential,
-    p: fem.Function,
-) -> dict[str, float]:
+
+def exact_errors(solution: Solution, exact: Datum) -> dict[str, float]:
     """The error of σ in the energy norm, and L² norms of those of σ, ∇·σ, u, ũ over Ω and of p over Γ_S (collective).
 
     In time, and with laws in Ω, ∇·σ is not known from u and the data, and left out.
     """
+    spaces, data, flux = solution.spaces, solution.data, solution.cell_flux
     mesh, degree = spaces.mesh, quadrature_degree(exact)
     squares = np.zeros(6)
     for points in cell_quadrature(mesh, owned_cells(mesh), degree):
@@ -47,18 +42,18 @@ def exact_errors(
         exact_flux = kappa[..., None] * slope[..., 0] if kappa.ndim == 2 else (kappa @ slope)[..., 0]
         off = exact_flux - flux.at(points)
         inverse = off / kappa[..., None] if kappa.ndim == 2 else np.linalg.solve(kappa, off[..., None])[..., 0]
-        balance = data.f.values(points) - data.c.values(points) * jet[:, :, 0] + flux.divergence[points.cells, None]
+        balance = data.f.values(points) - data.c.values(points) * jet[:, :, 0] + flux.divergence_at(points)
         errors = [
             (off * inverse).sum(axis=2),
             (off**2).sum(axis=2),
             balance**2,
-            (jet[:, :, 0] - u.x.array[points.cells, None]) ** 2,
-            (jet[:, :, 0] - potential.at(points)) ** 2,
+            (jet[:, :, 0] - solution.u_at(points)) ** 2,
+            (jet[:, :, 0] - solution.potential_at(points)) ** 2,
         ]
         squares[:5] += [points.integrals(error).sum() for error in errors]
     on_signorini = facet_quadrature(mesh, spaces.facets, degree)
-    traces = p.x.array[: len(spaces.facets), None]
-    squares[5] = on_signorini.integrals((exact_trace(spaces, exact, on_signorini) - traces) ** 2).sum()
+    off = exact_trace(spaces, exact, on_signorini) - solution.trace_at(on_signorini)
+    squares[5] = on_signorini.integrals(off**2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
     names = ("energy", "sigma_L2", "div_sigma_L2", "u_L2", "u_potential_L2", "p_L2")
     by_name = dict(zip(names, norms, strict=True))

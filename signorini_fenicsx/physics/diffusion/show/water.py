@@ -19,10 +19,10 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells, sums_at
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.contact.laws import River, Seepage
-from signorini_fenicsx.discrete.cell_shapes import corners, hat_gradients
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.quantities.bracket import PASSES
@@ -66,7 +66,7 @@ def _above_table(solution: Solution) -> Mask:
     spaces, laws = solution.spaces, solution.data.laws.of_parts
     is_pressure = all(isinstance(part.law, Seepage) and part.data["level"].number == 0 for part in laws)
     height = corners(spaces.mesh, owned_cells(spaces.mesh)).mean(axis=1)[:, -1]
-    return np.asarray(owned_values(solution.u) < (0.0 if is_pressure else height))
+    return np.asarray(solution.u_means < (0.0 if is_pressure else height))
 
 
 def share_above_table(solution: Solution, parts: Sequence[str]) -> float | None:
@@ -79,23 +79,13 @@ def share_above_table(solution: Solution, parts: Sequence[str]) -> float | None:
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
     facets = np.unique(np.concatenate([spaces.domain.facets[part] for part in parts])).astype(np.int32)
     on = in_facets(spaces.mesh, facets, np.full((1, spaces.mesh.topology.dim - 1), 1 / spaces.mesh.topology.dim))
-    leaving = _leaving(solution)
+    leaving = -solution.cell_flux.leaving
     way = 1.0 if comm.allreduce(float(leaving[on.cells, on.local].sum())) >= 0 else -1.0
     passed = np.maximum(way * leaving[on.cells, on.local], 0.0)
     c = _passed(solution, way * leaving)
     sums = np.array([passed @ c[on.cells], passed.sum(), np.abs(leaving).sum()])
     share, total, everywhere = comm.allreduce(sums).tolist()
     return share / total if total > ROUNDING * everywhere else 0.0
-
-
-def _leaving(solution: Solution) -> Array:
-    """The water that leaves each owned cell through each facet, shape (cells, d + 1)."""
-    mesh, flux = solution.spaces.mesh, solution.cell_flux
-    cells, dim = owned_cells(mesh), mesh.topology.dim
-    x, n = corners(mesh, cells), -dim * solution.spaces.cell_measures[:, None, None] * hat_gradients(mesh, cells)
-    arms = (x.mean(axis=1, keepdims=True) - x) / dim  # of the facet opposite to each vertex
-    sigma = flux.centroid[cells, None] + flux.slope[cells, None, None] * arms
-    return -np.asarray((sigma * n).sum(axis=2))
 
 
 def _passed(solution: Solution, leaving: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -50,7 +51,7 @@ class LinearBackend(HybridBackend):
         """
         system, dim = FluxSystem(spaces, data), spaces.dim
         large = (tuning or Tuning()).is_large(system.matrix.getSize()[0], DIRECT_UP_TO[dim])
-        make = partial(of_facets, spaces, False) if large else None  # noqa: FBT003
+        make = partial(of_facets, spaces, False) if large else None
         near = np.arange(len(spaces.site_kinds)).reshape(-1, dim).repeat(dim, axis=0)
         super().__init__(system, spaces, data.fixed, make, DEFAULTS[dim], near=(near, None))
         self._take(data)
@@ -95,7 +96,7 @@ class LinearBackend(HybridBackend):
         means = self._x.array_r[self._unknowns] + self.data.lift[self._unknowns]
         return LinearIterate(p, flux, self._iterations, spaces.flux(sigma), spaces.scalar(u), means)
 
-    def without_flux(self, iterate: LinearIterate, where: Mask) -> LinearIterate:
+    def without_flux(self, iterate: Any, where: Mask) -> LinearIterate:
         """The iterate with σ·n = q_S at some vertices, and the trace that belongs to it by (37) (collective).
 
         If the flux changes by δσ on a facet, û changes at the vertices of the facets of Γ_S of the same cell by
@@ -114,9 +115,7 @@ class LinearBackend(HybridBackend):
         moved = np.einsum("nbc,nc->nb", product, change) @ basis
         means = (moved.reshape(-1, dim + 1, dim)[places] @ mass).ravel()
         flux = np.where(where, 0.0, iterate.flux)
-        return replace(
-            iterate, sigma=spaces.flux(sigma), p=iterate.p + means, means=iterate.means + means, flux=flux
-        )
+        return replace(iterate, sigma=spaces.flux(sigma), p=iterate.p + means, means=iterate.means + means, flux=flux)
 
     @cached_property
     def change(self) -> FieldChange:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import function_of, sums_at
@@ -76,7 +75,10 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
     trace, sizes = np.empty((count, traces)), np.empty((count, traces, 2))
     for numbers in blocks_of_cells(spaces.mesh):
         cells = Cells(spaces.vertices[numbers])
-        product, identity = data.products(spaces, numbers, cells), np.broadcast_to(np.eye(dim), (len(numbers), dim, dim))
+        product, identity = (
+            data.products(spaces, numbers, cells),
+            np.broadcast_to(np.eye(dim), (len(numbers), dim, dim)),
+        )
         missing = data.moments_of_f(spaces, numbers, cells)
         reaction = data.reactions(spaces, numbers, cells)
         of_sigma = cells.coefficients(sigma[numbers])

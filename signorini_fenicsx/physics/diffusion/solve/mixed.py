@@ -64,7 +64,7 @@ class MixedBackend(FacetBackend):
         self._flux_size = V.dofmap.index_map.size_local
         self.dofs = self._system.matrix.getSize()[0]
         self._cells = spaces.cell_measures
-        across = spaces.across[0] if spaces.inner.present else spaces.neumann_dofs[:0]
+        across = spaces.fluxes_across[0] if spaces.inner.present else spaces.neumann_dofs[:0]
         self._given = np.concatenate([spaces.neumann_dofs, across])  # these fluxes are never unknown
         self._load = self._right_side()
         self.before = fem.Function(Q)

@@ -113,7 +113,7 @@ def _matrices(spaces: Spaces, data: Data) -> list[PETSc.Mat]:
     if basis is None:
         return matrices
     mass, divergence = matrices[0].ptap(basis), matrices[1].matMult(basis)
-    mass.zeroRowsColumns(spaces.across[0] + mass.getOwnershipRange()[0])
+    mass.zeroRowsColumns(spaces.fluxes_across[0] + mass.getOwnershipRange()[0])
     return [mass, divergence]
 
 
@@ -168,7 +168,7 @@ def _laws(task: DiffusionTask, flux_size: int) -> tuple[Array, Array]:
     bounds = np.tile([-np.inf, np.inf, 0.0, 0.0], (flux_size, 1))
     bounds[spaces.neumann_dofs, :2] = 0.0
     if spaces.inner.present:
-        bounds[spaces.across[0], :2] = 0.0
+        bounds[spaces.fluxes_across[0], :2] = 0.0
     e, basis, steep = spaces.facet_measure, spaces.basis_flux, law.slope > 0
     several = steep.sum(axis=1) > 1
     ends = np.stack(law.extent()[2:], axis=1) * (e / basis)[:, None]

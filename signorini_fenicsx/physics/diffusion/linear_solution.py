@@ -1,0 +1,146 @@
+"""A discrete solution with RT1: fluxes of order two, u in P1 on cells, p linear on the facets of Γ_S."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.discrete.points import FacetPoints, Points
+from signorini_fenicsx.physics.diffusion.discrete.data import project_data
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.quadratic_flux import QuadraticFlux
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.show import linear_shown
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class LinearSolution(Solution):
+    """A discrete solution with RT1, see `Solution`; p is linear on each facet."""
+
+    spaces: LinearSpaces
+    data: LinearData
+    order = 2
+    fields, drawn = linear_shown.fields, linear_shown.drawn
+    table, other_tables = linear_shown.table, linear_shown.other_tables
+
+    @property
+    def iterate(self) -> LinearIterate:
+        """The last iterate."""
+        assert isinstance(self.outcome.iterate, LinearIterate)
+        return self.outcome.iterate
+
+    def of_problem(self, problem: Problem) -> Self:
+        """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
+        return replace(self, problem=problem, data=linear_data(self.spaces, project_data(self.spaces, problem)))
+
+    def linearised(self, tolerance: float) -> Any:
+        """Refused.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("element: there are no derivatives of solutions with RT1; take RT0")
+
+    @cached_property
+    def cell_flux(self) -> QuadraticFlux:  # type: ignore[override]
+        """σ_h on each cell of this rank (collective when first used)."""
+        return QuadraticFlux(self.spaces, self.spaces.flux_values(self.sigma))
+
+    @property
+    def p_at(self) -> Array:
+        """p_h at the vertices of the facets of Γ_S, as in `LinearTraces.contact`, shape (facets, d)."""
+        return linear_from_means(self.spaces.site_kinds["facet"].rows_of(self.iterate.means))
+
+    @property
+    def flux_at(self) -> Array:
+        """σ_h·n at these vertices."""
+        return self.spaces.through(self.spaces.contact, self.cell_flux.values)
+
+    def u_at(self, points: Points) -> Array:
+        """u_h in points, shape (n, points)."""
+        hats = np.take_along_axis(points.barycentric, self.spaces.order[points.cells][:, None], axis=2)
+        return np.asarray(np.einsum("nqv,nv->nq", hats, self.spaces.scalar_values(self.u)[points.cells]))
+
+    @property
+    def potential(self) -> fem.Function:
+        """The function u_h, which is of second order."""
+        return self.u
+
+    def potential_at(self, points: Points) -> Array:
+        """`potential` in points, shape (n, points)."""
+        return self.u_at(points)
+
+    def trace_at(self, points: FacetPoints) -> Array:
+        """p_h in points of all facets of Γ_S, shape (facets, points)."""
+        hats = np.column_stack([1 - points.points.sum(axis=1), points.points])[:, self.spaces.contact.ranking]
+        return np.asarray(np.einsum("qfa,fa->fq", hats, self.p_at))
+
+    @property
+    def p_means(self) -> Array:
+        """The means of p_h on the facets of Γ_S of this rank."""
+        return np.asarray(self.p_at.mean(axis=1))
+
+    @property
+    def u_means(self) -> Array:
+        """The means of u_h on the owned cells."""
+        return np.asarray(self.spaces.scalar_values(self.u).mean(axis=1))
+
+    def flux_on_signorini(self) -> fem.Function:
+        """σ_h·n on the mesh of Γ_S, linear on each facet (collective)."""
+        return self.spaces.linear_multiplier(self.flux_at)
+
+    @cached_property
+    def _norms(self) -> dict[str, float]:
+        """The norms that `norms` copies (collective when first used)."""
+        spaces, flux, dim = self.spaces, self.cell_flux, self.spaces.dim
+        in_cells, on_facets = spaces.cell_measures / ((dim + 1) * (dim + 2)), spaces.facet_measure / (dim * (dim + 1))
+        squares = [
+            flux.squares(1.0).sum(),
+            *(
+                measure @ ((values**2).sum(axis=1) + values.sum(axis=1) ** 2)
+                for measure, values in (
+                    (in_cells, flux.divergences),
+                    (in_cells, spaces.scalar_values(self.u)),
+                    (on_facets, self.p_at),
+                    (on_facets, self.flux_at),
+                )
+            ),
+        ]
+        norms = np.sqrt(spaces.mesh.comm.allreduce(np.array(squares))).tolist()
+        return dict(zip(("sigma_L2", "div_sigma_L2", "u_L2", "p_L2", "flux_L2"), norms, strict=True))
+
+    @property
+    def touching(self) -> Mask:
+        """Mask of the facet vertices in contact, shape (facets, d)."""
+        holds: Mask = self.outcome.conditions.kind == self.method.contact
+        return self.spaces.site_kinds["facet"].rows_of(holds) & self.data.laws.leave_open[:, None]
+
+    def contact_set(self) -> FacetSet:
+        """The Γ_S facets with a vertex in contact."""
+        return FacetSet(self.spaces, self.touching.any(axis=1))
+
+    @collector_off()
+    def segments_of_parts(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
+        return by_part(self.spaces, self.data.laws.of_parts, self.segments().of("facet"), "vertices")
+
+    @collector_off()
+    def violation(self) -> dict[str, float]:
+        """The error by ε in the Signorini condition at facet vertices, see `Solution.violation` (collective)."""
+        (kind,), laws = self.spaces.site_kinds, self.data.laws_at
+        values = self.iterate.means - laws.p_h, self.flux_at.ravel() - laws.flux_h
+        squares = [kind.measure @ np.minimum(each, 0) ** 2 for each in values]
+        trace, flux = np.sqrt(self.spaces.mesh.comm.allreduce(np.array(squares))).tolist()
+        return {"trace": trace, "flux": flux}

@@ -1,0 +1,128 @@
+"""What is shown of a solution with RT1: fields and tables by vertices of cells and facets, beside `shown.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.site_table import along_parts
+from signorini_fenicsx.meshes.domain import facet_vertices
+from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable
+from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
+from signorini_fenicsx.solving.solved import Columns
+
+if TYPE_CHECKING:  # it shows this
+    from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
+
+
+def fields(solution: LinearSolution) -> Fields:
+    """The fields, see `Solved.fields`: u_h and σ_h at vertices of cells, on Γ_S p_h, σ_h·n and the state of the law."""
+    spaces, laws, (kind,) = solution.spaces, solution.data.laws, solution.spaces.site_kinds
+    u = Field("u", spaces.scalar_values(solution.u), at_points=True)
+    on_cells = [u, Field("sigma", solution.cell_flux.in_vertices(), order=1)]
+    if not spaces.part_names:
+        return {IN_CELLS: on_cells}
+    condition = kind.rows_of(solution.outcome.conditions.kind)
+    on_facets = [
+        Field("p", solution.p_at),
+        Field("flux", solution.flux_at),
+        Field("condition", condition, names=CONDITIONS),
+    ]
+    if laws.listed:
+        on_facets.append(Field("segment", laws.labels(kind.rows_of(solution.segments().segment)), names=laws.names()))
+    return {IN_CELLS: on_cells, "multiplier": on_facets}
+
+
+@dataclass(frozen=True)
+class VertexTable(GammaTable):
+    """One row per facet of Γ_S, with means over it, and what there is at its vertices.
+
+    Attributes:
+        p_at: p_h, shape (facets, d).
+        flux_at: σ_h·n.
+        condition_at: The condition of the vertex.
+        segment_at: Its segment, an index into the names of the segments of all laws.
+        x_at: The vertices, shape (facets, d, 3).
+    """
+
+    p_at: Array
+    flux_at: Array
+    condition_at: npt.NDArray[np.int64]
+    segment_at: Indices
+    x_at: Array
+
+
+def table(solution: LinearSolution) -> VertexTable:
+    """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
+    spaces, data, (kind,) = solution.spaces, solution.data, solution.spaces.site_kinds
+    part = spaces.part_of_facet.astype(np.int64)
+    condition = kind.rows_of(solution.outcome.conditions.kind).astype(np.int64)
+    segment = data.laws.labels(kind.rows_of(solution.segments().segment))
+    strongest = np.argmax(condition, axis=1)[:, None]
+    u = solution.u_means[spaces.cells]
+    u[spaces.inner.rows] -= solution.u_means[spaces.across.cells]
+    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
+    return VertexTable(
+        part=part,
+        along=along_parts(spaces, part, midpoints),
+        x=midpoints,
+        measure=spaces.facet_measure,
+        u=u,
+        p=solution.p_means,
+        flux=solution.flux_at.mean(axis=1),
+        psi=data.psi_h,
+        q_S=data.q_Sh,
+        condition=np.take_along_axis(condition, strongest, axis=1)[:, 0],
+        segment=np.take_along_axis(segment, strongest, axis=1)[:, 0],
+        vertices=facet_vertices(spaces.mesh, spaces.facets),
+        p_at=solution.p_at,
+        flux_at=solution.flux_at,
+        condition_at=condition,
+        segment_at=segment,
+        x_at=np.pad(spaces.contact.vertices, ((0, 0), (0, 0), (0, 3 - spaces.dim))),
+    )
+
+
+def other_tables(solution: LinearSolution) -> dict[str, Columns]:
+    """`vertices.csv`: the vertices of the facets of Γ_S, facet by facet as in `facets.csv` (collective)."""
+    spaces, laws = solution.spaces, solution.data.laws
+    rows = table(solution).gathered(spaces.mesh.comm)
+    if rows is None or not spaces.part_names:
+        return {}
+    dim = spaces.dim
+    return {
+        "vertices": {
+            "part": np.repeat(np.array(spaces.part_names)[rows.part], dim),
+            "facet": np.repeat(np.arange(len(rows.part)), dim),
+            **dict(zip("xyz", rows.x_at.reshape(-1, 3).T, strict=True)),
+            "measure": np.repeat(rows.measure / dim, dim),
+            "p": rows.p_at.ravel(),
+            "flux": rows.flux_at.ravel(),
+            "condition": np.array(CONDITIONS)[rows.condition_at.ravel()],
+            **({"segment": np.array(laws.names())[rows.segment_at.ravel()]} if laws.listed else {}),
+        }
+    }
+
+
+def drawn(solution: LinearSolution) -> Drawn:
+    """The solution for pictures (collective)."""
+    spaces, laws = solution.spaces, solution.data.laws
+    p, u = solution.p_means.copy(), np.empty((len(spaces.order), spaces.dim + 1))
+    p[spaces.inner.rows] = np.nan
+    np.put_along_axis(u, spaces.order, spaces.scalar_values(solution.u), axis=1)
+    u_D = solution.data.lift[spaces.unknowns(spaces.dirichlet)].mean(axis=1)
+    return Drawn(
+        u=u[:, :, None],
+        sigma=solution.cell_flux.centroid,
+        facets=table(solution),
+        boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
+        divergence=solution.cell_flux.divergence,
+        segments=laws.names() if laws.listed else (),
+        inside=solution.boundary.inner,
+    )
