@@ -129,7 +129,8 @@ class LinearTraces(MeshSpaces):
     @cached_property
     def vertices(self) -> Array:
         """Vertices of the owned cells, shape (cells, d + 1, d)."""
-        return self.mesh.geometry.x[self.nodes, : self.dim]
+        nodes = np.take_along_axis(cell_nodes(self.mesh), self.order, axis=1)
+        return self.mesh.geometry.x[nodes, : self.dim]
 
     def boundary_facets(self, numbers: npt.NDArray[np.int32]) -> BoundaryFacets:
         """Boundary facets by their numbers."""

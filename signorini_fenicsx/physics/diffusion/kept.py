@@ -51,7 +51,7 @@ OF_LINEAR: Layout = {
 
 def _in_cells(solution: Solution) -> Arrays:
     memory, flux = solution.data.memory, solution.cell_flux
-    rows = {"u": solution.u_means, "sigma": flux.centroid, "divergence": flux.divergence}
+    rows = {"u": solution.u_means, "sigma": flux.centroid, "divergence": solution.divergences}
     if isinstance(solution, LinearSolution):
         rows |= _at_vertices(solution)
     return rows | ({} if memory is None else {"memory": owned_values(memory)})
@@ -59,7 +59,7 @@ def _in_cells(solution: Solution) -> Arrays:
 
 def _at_vertices(solution: LinearSolution) -> Arrays:
     """What a solution of RT1 has in cells beside its means."""
-    return {"u_at": solution.spaces.scalar_values(solution.u), "sigma_at": solution.cell_flux.values}
+    return {"u_at": solution.spaces.scalar_values(solution.u), "sigma_at": solution.sigma_values}
 
 
 def _read_linear(boundary: Boundary, problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:

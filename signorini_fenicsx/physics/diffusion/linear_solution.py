@@ -15,10 +15,10 @@ from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.points import FacetPoints, Points
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
-from signorini_fenicsx.physics.diffusion.discrete.quadratic_flux import QuadraticFlux
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show import linear_shown
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -32,7 +32,7 @@ class LinearSolution(Solution):
     spaces: LinearSpaces
     data: LinearData
     order = 2
-    fields, drawn = linear_shown.fields, linear_shown.drawn
+    drawn = linear_shown.drawn
     table, other_tables = linear_shown.table, linear_shown.other_tables
 
     @property
@@ -53,11 +53,6 @@ class LinearSolution(Solution):
         """
         raise InputError("element: there are no derivatives of solutions with RT1; take RT0")
 
-    @cached_property
-    def cell_flux(self) -> QuadraticFlux:  # type: ignore[override]
-        """σ_h on each cell of this rank (collective when first used)."""
-        return QuadraticFlux(self.spaces, self.spaces.flux_values(self.sigma))
-
     @property
     def p_at(self) -> Array:
         """p_h at the vertices of the facets of Γ_S, as in `LinearTraces.contact`, shape (facets, d)."""
@@ -66,21 +61,16 @@ class LinearSolution(Solution):
     @property
     def flux_at(self) -> Array:
         """σ_h·n at these vertices."""
-        return self.spaces.through(self.spaces.contact, self.cell_flux.values)
+        return self.spaces.through(self.spaces.contact, self.sigma_values)
+
+    @cached_property
+    def sigma_values(self) -> Array:
+        """σ_h at the nodes of the owned cells, see `LinearSpaces.flux_values` (collective when first used)."""
+        return self.spaces.flux_values(self.sigma)
 
     def u_at(self, points: Points) -> Array:
         """u_h in points, shape (n, points)."""
-        hats = np.take_along_axis(points.barycentric, self.spaces.order[points.cells][:, None], axis=2)
-        return np.asarray(np.einsum("nqv,nv->nq", hats, self.spaces.scalar_values(self.u)[points.cells]))
-
-    @property
-    def potential(self) -> fem.Function:
-        """The function u_h, which is of second order."""
-        return self.u
-
-    def potential_at(self, points: Points) -> Array:
-        """`potential` in points, shape (n, points)."""
-        return self.u_at(points)
+        return np.asarray(np.einsum("nqv,nv->nq", points.barycentric, cell_values(self.u)[points.rows]))
 
     def trace_at(self, points: FacetPoints) -> Array:
         """p_h in points of all facets of Γ_S, shape (facets, points)."""
@@ -93,9 +83,14 @@ class LinearSolution(Solution):
         return np.asarray(self.p_at.mean(axis=1))
 
     @property
+    def divergences(self) -> Array:
+        """The mean of ∇·σ_h on each owned cell."""
+        return np.asarray(self.cell_flux.divergence.mean(axis=1))
+
+    @property
     def u_means(self) -> Array:
         """The means of u_h on the owned cells."""
-        return np.asarray(self.spaces.scalar_values(self.u).mean(axis=1))
+        return np.asarray(cell_values(self.u).mean(axis=1))
 
     def flux_on_signorini(self) -> fem.Function:
         """σ_h·n on the mesh of Γ_S, linear on each facet (collective)."""
@@ -111,8 +106,8 @@ class LinearSolution(Solution):
             *(
                 measure @ ((values**2).sum(axis=1) + values.sum(axis=1) ** 2)
                 for measure, values in (
-                    (in_cells, flux.divergences),
-                    (in_cells, spaces.scalar_values(self.u)),
+                    (in_cells, flux.divergence),
+                    (in_cells, cell_values(self.u)),
                     (on_facets, self.p_at),
                     (on_facets, self.flux_at),
                 )

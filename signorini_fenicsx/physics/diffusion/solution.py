@@ -178,9 +178,24 @@ class Solution(AnySolution):
         return self.p_means[:, None]
 
     @property
-    def p_means(self) -> Array:
-        """p_h on the facets of Γ_S of this rank, or its means."""
+    def p_at(self) -> Array:
+        """p_h on the facets of Γ_S of this rank, shape (facets,); of RT1 at their vertices, shape (facets, d)."""
         return self.p.x.array[: len(self.spaces.facets)]
+
+    @property
+    def flux_at(self) -> Array:
+        """σ_h·n there."""
+        return self.spaces.normal_flux(self.sigma)
+
+    @property
+    def p_means(self) -> Array:
+        """The means of p_h on these facets."""
+        return self.p_at
+
+    @property
+    def divergences(self) -> Array:
+        """The mean of ∇·σ_h on each owned cell."""
+        return self.cell_flux.divergence
 
     @property
     def u_means(self) -> Array:
@@ -189,7 +204,7 @@ class Solution(AnySolution):
 
     def flux_on_signorini(self) -> fem.Function:
         """σ_h·n on the mesh of Γ_S (collective)."""
-        return self.spaces.multiplier(self.spaces.normal_flux(self.sigma))
+        return self.spaces.multiplier(self.flux_at)
 
     @collector_off()
     def norms(self) -> dict[str, float]:

@@ -181,6 +181,19 @@ class LinearFlux(CellFlux):
         jets = (jet(component, vertices, slopes)[:, :, 1 + i] for i, component in enumerate(self.components))
         return np.asarray(sum(jets))
 
+    def divergence_at(self, points: Points) -> Array:
+        """∇·σ in points, shape (n, points)."""
+        return np.asarray(np.einsum("nqv,nv->nq", points.barycentric, self.divergence[points.rows]))
+
+    @property
+    def leaving(self) -> Array:
+        """∫ σ·n over each facet of each cell, n pointing outwards, shape (cells, dim + 1)."""
+        mesh, dim = self.spaces.mesh, len(self.components)
+        normals = -dim * self.spaces.cell_measures[:, None, None] * hat_gradients(mesh)
+        at_vertices = self.in_vertices()
+        on_facets = (at_vertices.sum(axis=1, keepdims=True) - at_vertices) / dim
+        return np.asarray((on_facets * normals).sum(axis=2))
+
     def in_vertices(self) -> Array:
         """σ in the vertices of the cells, shape (cells, dim + 1, dim)."""
         return np.moveaxis(self.components[:, :, : len(self.components) + 1], 0, 2)

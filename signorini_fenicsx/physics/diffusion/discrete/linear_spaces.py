@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.contact.sites import Kind, Sites
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
 from signorini_fenicsx.discrete.simplices import opposite
@@ -28,7 +28,10 @@ class LinearSpaces(LinearTraces, Spaces):
     the domain the unknowns of the named side are the jump.
     """
 
-    degree = 1
+    @property
+    def nodes(self) -> npt.NDArray[np.integer]:
+        """The nodes at the vertices of the owned cells in DOLFINx's order."""
+        return cell_nodes(self.mesh)
 
     @cached_property
     def flux_space(self) -> fem.FunctionSpace:
@@ -112,4 +115,4 @@ class LinearSpaces(LinearTraces, Spaces):
 
 def linear_spaces(spaces: Spaces) -> LinearSpaces:
     """The spaces of RT1 on the mesh of those of RT0 (collective)."""
-    return LinearSpaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)))
+    return LinearSpaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)) | {"degree": 1})

@@ -12,31 +12,12 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.site_table import along_parts
 from signorini_fenicsx.meshes.domain import facet_vertices
-from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable
+from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable, in_vertices
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
-from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
 
 if TYPE_CHECKING:  # it shows this
     from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
-
-
-def fields(solution: LinearSolution) -> Fields:
-    """The fields, see `Solved.fields`: u_h and σ_h at vertices of cells, on Γ_S p_h, σ_h·n and the state of the law."""
-    spaces, laws, (kind,) = solution.spaces, solution.data.laws, solution.spaces.site_kinds
-    u = Field("u", spaces.scalar_values(solution.u), at_points=True)
-    on_cells = [u, Field("sigma", solution.cell_flux.in_vertices(), order=1)]
-    if not spaces.part_names:
-        return {IN_CELLS: on_cells}
-    condition = kind.rows_of(solution.outcome.conditions.kind)
-    on_facets = [
-        Field("p", solution.p_at),
-        Field("flux", solution.flux_at),
-        Field("condition", condition, names=CONDITIONS),
-    ]
-    if laws.listed:
-        on_facets.append(Field("segment", laws.labels(kind.rows_of(solution.segments().segment)), names=laws.names()))
-    return {IN_CELLS: on_cells, "multiplier": on_facets}
 
 
 @dataclass(frozen=True)
@@ -113,16 +94,15 @@ def other_tables(solution: LinearSolution) -> dict[str, Columns]:
 def drawn(solution: LinearSolution) -> Drawn:
     """The solution for pictures (collective)."""
     spaces, laws = solution.spaces, solution.data.laws
-    p, u = solution.p_means.copy(), np.empty((len(spaces.order), spaces.dim + 1))
+    p, u = solution.p_means.copy(), in_vertices(solution)
     p[spaces.inner.rows] = np.nan
-    np.put_along_axis(u, spaces.order, spaces.scalar_values(solution.u), axis=1)
     u_D = solution.data.lift[spaces.unknowns(spaces.dirichlet)].mean(axis=1)
     return Drawn(
         u=u[:, :, None],
         sigma=solution.cell_flux.centroid,
         facets=table(solution),
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
-        divergence=solution.cell_flux.divergence,
+        divergence=solution.divergences,
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
     )

@@ -32,22 +32,23 @@ CONDITIONS = [condition.name.lower() for condition in Condition]
 
 def fields(solution: Solution) -> Fields:
     """The fields, see `Solved.fields`: `potential`, σ_h, on Γ_S p_h, σ_h·n and the state of the law."""
-    spaces, laws = solution.spaces, solution.data.laws
-    u = Field("u", _in_vertices(solution), at_points=True, cell_means=owned_values(solution.u))
+    spaces, laws, facet = solution.spaces, solution.data.laws, solution.spaces.site_kinds["facet"]
+    u = Field("u", in_vertices(solution), at_points=True, cell_means=solution.u_means)
     on_cells = [u, Field("sigma", solution.cell_flux.in_vertices(), order=1)]
     if not spaces.part_names:
         return {IN_CELLS: [*on_cells, *_inside(solution)]}
     on_facets = [
-        Field("p", solution.p.x.array[: len(spaces.facets)]),
-        Field("flux", spaces.normal_flux(solution.sigma)),
-        Field("condition", spaces.site_kinds["facet"].of(solution.outcome.conditions.kind), names=CONDITIONS),
+        Field("p", solution.p_at),
+        Field("flux", solution.flux_at),
+        Field("condition", facet.rows_of(solution.outcome.conditions.kind), names=CONDITIONS),
     ]
     if laws.listed:
-        on_facets.append(Field("segment", laws.labels(solution.segments().of("facet")), names=laws.names()))
+        segments = laws.labels(facet.rows_of(solution.segments().segment))
+        on_facets.append(Field("segment", segments, names=laws.names()))
     return {IN_CELLS: [*on_cells, *_inside(solution)], "multiplier": on_facets}
 
 
-def _in_vertices(solution: Solution) -> Array:
+def in_vertices(solution: Solution) -> Array:
     """The potential of second order in the vertices of the cells, shape (cells, dim + 1) (collective)."""
     return solution.cell_potential.in_nodes(basix.geometry(solution.spaces.mesh.basix_cell()))
 
@@ -144,7 +145,7 @@ def drawn(solution: Solution) -> Drawn:
     p = solution.p.x.array[: len(spaces.facets)].copy()
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    u, laws_inside = _in_vertices(solution), solution.data.inside
+    u, laws_inside = in_vertices(solution), solution.data.inside
     if laws_inside is not None and all(
         given.number is not None for part in laws_inside.of_regions for given in part.data.values()
     ):  # u is constant where it is held, and a line of this level is to end there

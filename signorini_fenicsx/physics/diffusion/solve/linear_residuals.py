@@ -13,9 +13,9 @@ from signorini_fenicsx.contact.conditions import Penalty
 from signorini_fenicsx.contact.residuals import relative, squares_off
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
-from signorini_fenicsx.physics.diffusion.discrete.quadratic_flux import QuadraticFlux
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, sizes_of_solution
 
@@ -47,16 +47,16 @@ def linear_kkt(
         penalty: Penalty law; None for the Signorini condition.
         eps: ε of the penalty.
     """
-    sigma, u = QuadraticFlux(spaces, spaces.flux_values(iterate.sigma)), spaces.scalar_values(iterate.u)
-    scales = sizes_of_solution(spaces, sigma, function_of(spaces.Q, u.mean(axis=1)), data)
+    sigma, u = spaces.flux_values(iterate.sigma), spaces.scalar_values(iterate.u)
+    scales = sizes_of_solution(spaces, CellFlux.of(spaces, iterate.sigma), function_of(spaces.Q, u.mean(axis=1)), data)
     (kind,), k, length = spaces.site_kinds, data.conductivities(spaces), spaces.length
     k_e = np.repeat(k[spaces.cells], spaces.dim)
-    pair = iterate.p, spaces.through(spaces.contact, sigma.values).ravel() - data.laws_at.flux_h
+    pair = iterate.p, spaces.through(spaces.contact, sigma).ravel() - data.laws_at.flux_h
     if penalty is not None:
         pair = penalty.shift(*pair, eps)
     squares = squares_off(data.chains, pair, k_e / length, length * kind.measure, k_e, 1.0)
-    of_cells, facets = _of_cells(spaces, data, sigma.values, u, kind.rows_of(iterate.means)), spaces.neumann
-    lacking = ((spaces.through(facets, sigma.values) - data.given_flux) ** 2).mean(axis=1)
+    of_cells, facets = _of_cells(spaces, data, sigma, u, kind.rows_of(iterate.means)), spaces.neumann
+    lacking = ((spaces.through(facets, sigma) - data.given_flux) ** 2).mean(axis=1)
     of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
     stationarity, balance = np.sqrt(spaces.mesh.comm.allreduce(of_cells))

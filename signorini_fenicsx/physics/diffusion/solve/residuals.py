@@ -1,7 +1,6 @@
 """Residuals of the discrete Signorini problem that do not depend on units."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -156,8 +155,8 @@ def _pairs_of_cells(
     return owned_values(u) - laws.means, force, data.conductivities(spaces) / (spaces.length * spaces.cell_diameters)
 
 
-def sizes_of_solution(spaces: Spaces, sigma: Any, u: fem.Function, data: Data) -> Array:
-    """The sizes G and S of gradient and flux, of a `CellFlux` or a `QuadraticFlux` and u in P0 (collective)."""
+def sizes_of_solution(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
+    """The sizes G and S of gradient and flux, from σ_h and u in P0 (collective)."""
     comm = spaces.mesh.comm
     if data.kappa.number is not None:
         flux = np.sqrt(comm.allreduce(sigma.squares(1.0).sum()))
