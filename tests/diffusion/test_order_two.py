@@ -1,0 +1,200 @@
+"""RT1: order two with error bounds, the forms as an oracle, all laws on Γ_S, ranks, files, what is refused."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from commands import signorini
+from dolfinx import fem
+from made_cases import EXACT, on_grid
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Signorini
+from signorini_fenicsx.discrete.linear_traces import means_of_linear
+from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
+from signorini_fenicsx.physics.diffusion.problem import Diffusion
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+RT1 = Options(element="RT1")
+
+
+def smooth(dim: int, c: str) -> Diffusion:
+    """All data vary, κ within cells; in space κ is a matrix."""
+    wave, z = ("sin(2*x + y)", "") if dim == 2 else ("sin(2*x + y) + z^2", "z")
+    slope = "cos(2*x + y)"
+    f = f"5*(1 + x)*sin(2*x + y) - 2*{slope} + ({c})*({wave})" + (" - 6*z^2 - 2" if z else "")
+    kappa = "1 + x" if dim == 2 else [["1 + x", 0, 0], [0, "1 + x", 0], [0, 0, "1 + z^2"]]
+    return Diffusion(f=f, kappa=kappa, c=c, u_D=wave, exact=wave, conditions=[Neumann("right", f"(1 + x)*2*{slope}")])
+
+
+@pytest.mark.parametrize(
+    ("dim", "c", "numbers", "bounds"), [(2, "1 + y", (8, 16), (3.9e-3, 9e-4)), (3, "0", (3, 6), (1.2e-2, 4e-3))]
+)
+def test_smooth_data(dim: int, c: str, numbers: tuple[int, int], bounds: tuple[float, float]):
+    """Order two in σ and u, with bounds of the errors, and a potential of order four beside it."""
+    errors = []
+    for n in numbers:
+        domain = build_domain(COMM, "square" if dim == 2 else "cube", 1.0001 * math.sqrt(dim) / n, mesh="structured")
+        solution = solve(domain, smooth(dim, c), RT1)
+        errors.append(solution.errors())
+        assert max(vars(solution.kkt).values()) < 1e-11
+    rates = {key: math.log2(errors[0][key] / errors[1][key]) for key in ("energy", "u_L2", "u_potential_L2")}
+    assert min(rates["energy"], rates["u_L2"]) > 1.85, rates
+    assert rates["u_potential_L2"] > 2.8, rates
+    assert errors[1]["energy"] < bounds[0], errors
+    assert errors[1]["u_L2"] < bounds[1], errors
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_all_laws(name: str):
+    """Order two for every law on Γ_S, also on slopes, and pairs on the graph to rounding."""
+    before, after = (on_grid(name, n, solve__element="RT1") for n in (12, 24))
+    rates = {key: math.log2(before.errors()[key] / after.errors()[key]) for key in ("u_L2", "p_L2", "sigma_L2")}
+    assert min(rates["u_L2"], rates["p_L2"]) > 1.85, rates
+    assert rates["sigma_L2"] > 1.65, rates
+    assert after.errors()["sigma_L2"] < on_grid(name, 24).errors()["sigma_L2"] / 8
+    assert max(vars(after.kkt).values()) < 1e-11
+
+
+def transition(domain: Domain, options: Options = RT1, **how: object) -> LinearSolution:
+    """A known solution with a transition at x = 0.413."""
+    u = "max(x - 0.413, 0)^3 - y*max(0.413 - x, 0)^3"
+    f = "-6*(max(x - 0.413, 0) - y*max(0.413 - x, 0))"
+    return solve(domain, Diffusion(f=f, u_D=u, exact=u, conditions=[Signorini("bottom")]), options, **how)
+
+
+def test_forms_of_the_mixed_method():
+    """σ_h, u_h, p_h solve (9a) and (9b) in UFL on RT of DOLFINx's degree 2 and DG1, and (9c) at the facet vertices."""
+    domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
+    problem = Diffusion(
+        f="50*(0.5 - x)*(0.5 - y)",
+        kappa="1 + x*y",
+        c=1.0,
+        u_D="x",
+        conditions=[Signorini("bottom", psi="0.1*x", q_S="x/4"), Neumann("right", "y")],
+    )
+    solution = solve(domain, problem, RT1)
+    spaces, x = solution.spaces, ufl.SpatialCoordinate(domain.mesh)
+    tau, v = ufl.TestFunction(spaces.flux_space), ufl.TestFunction(spaces.scalar_space)
+    sigma, u, kappa, dx = solution.sigma, solution.u, 1 + x[0] * x[1], ufl.dx(degree=14)
+    traces = trace_term(solution.p, tau, spaces.n, spaces.ds) + trace_term(x[0], tau, spaces.n, spaces.ds_dirichlet)
+    equation = assembled(spaces.form(flux_equation(sigma, u, tau, dx, kappa) - traces))
+    equation[fem.locate_dofs_topological(spaces.flux_space, 1, spaces.neumann_facets)] = 0.0
+    assert np.abs(equation).max() < 1e-12
+    f = 50 * (0.5 - x[0]) * (0.5 - x[1])
+    balance = assembled(spaces.form(mass_balance(sigma, v, dx) - u * v * dx + load(f, v, dx)))
+    assert np.abs(balance).max() < 1e-13
+    gap = means_of_linear(solution.p_at) - 0.1 * means_of_linear(spaces.contact.vertices[:, :, 0])
+    excess = solution.flux_at - spaces.contact.vertices[:, :, 0] / 4
+    assert gap.min() > -1e-13
+    assert excess.min() > -1e-12
+    assert np.abs(gap * excess).max() < 1e-13
+    assert 0 < (gap > 1e-6).sum() < gap.size
+    flux = spaces.integrate(ufl.dot(sigma, spaces.n) * spaces.ds_neumann)
+    assert flux == pytest.approx(0.5, abs=1e-12)
+
+
+def test_algorithms_and_starts():
+    """All four algorithms, by factors and by multigrid, from near sets and from those of RT0, have one solution."""
+    domain = build_domain(COMM, "square", 1 / 12, mesh="unstructured")
+    expected = transition(domain)
+    for algorithm in ("alg2", "alg3", "alg4"):
+        found = transition(domain, Options(algorithm, element="RT1", eps=1e-12))
+        np.testing.assert_allclose(found.p_at, expected.p_at, atol=1e-9)
+    found = transition(domain, Options(element="RT1", tuning=Tuning(direct_up_to=0)))
+    assert found.outcome.linear_solver == "cg+mg"
+    assert max(step.linear_iterations for step in found.outcome.history) < 20
+    np.testing.assert_allclose(found.p_at, expected.p_at, atol=1e-10)
+    for start in (transition(build_domain(COMM, "square", 1 / 6, mesh="unstructured")), transition(domain, Options())):
+        found = transition(domain, start=start)
+        assert len(found.outcome.history) < len(expected.outcome.history)
+        np.testing.assert_allclose(found.p_at, expected.p_at, atol=1e-12)
+
+
+def test_inside_the_domain():
+    """Across a part inside the domain u jumps, by 3/2 of the order of RT0 at its end: exact solution of the crack."""
+    errors = {
+        element: solve_case(load_case("fault").with_values({"solve.element": element})).errors()
+        for element in ("RT0", "RT1")
+    }
+    assert errors["RT1"]["energy"] < errors["RT0"]["energy"] / 10, errors
+    assert errors["RT1"]["p_L2"] < errors["RT0"]["p_L2"] / 8, errors
+
+
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize("name", ["transition3d", "fault", "regulator"])
+def test_ranks(name: str):
+    """Numbers do not depend on the number of ranks."""
+    h = {"transition3d": {"solve.h": 0.5}, "fault": {}, "regulator": {"solve.h": 1 / 6}}[name]
+    case = load_case(name).with_values(h | {"solve.element": "RT1"})
+    together, alone = (solve_case(case, comm) for comm in (COMM, MPI.COMM_SELF))
+    for key, value in alone.norms().items():
+        assert together.norms()[key] == pytest.approx(value, rel=1e-10)
+    assert together.contact == pytest.approx(alone.contact)
+    for key, value in alone.errors().items():
+        assert together.errors()[key] == pytest.approx(value, rel=1e-9, abs=1e-14)
+
+
+@pytest.mark.parallel([1, 2])
+def test_files(tmp_path: Path):
+    """A solution is read as it was written, on any ranks; its tables have the vertices of facets."""
+    folder = COMM.bcast(tmp_path)
+    domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
+    solution = transition(domain)
+    write_solution(solution, folder / "out")
+    read = load_solution(folder / "out", COMM)
+    assert isinstance(read, LinearSolution)
+    assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
+    assert read.contact == pytest.approx(solution.contact)
+    assert vars(read.kkt) == pytest.approx(vars(solution.kkt), abs=1e-12)
+    rows = (folder / "out" / "vertices.csv").read_text().splitlines()
+    assert len(rows) == 1 + 2 * COMM.allreduce(len(solution.spaces.facets))
+
+
+def test_command_line(tmp_path: Path):
+    """The option and the key, comparisons of elements, and one sentence where RT1 is not there."""
+    small = ["--h", "1/4", "--quiet"]
+    for element in ("RT0", "RT1"):
+        assert (
+            signorini(tmp_path, "solve", "example1", *small, "--element", element, "--output", element).returncode == 0
+        )
+    summary = json.loads((tmp_path / "RT1" / "summary.json").read_text())
+    assert summary["element"] == "RT1"
+    compared = signorini(tmp_path, "compare", "RT1", "RT0")
+    assert compared.returncode == 0, compared.stderr
+    for given, told in (
+        (["example1", "--element", "RT2"], "element"),
+        (["dead_core", "--element", "RT1"], "there is no RT1 for laws in Ω; take RT0"),
+        (["membrane", "--element", "RT1"], "there is no RT1 for problems in time; take RT0"),
+        (["example1", "--element", "RT1", "--backend", "mixed"], "there is no RT1 for this backend"),
+        (["example1", "--element", "RT1", "--algorithm", "qp"], "--element: qp has no such option"),
+        (["hertz", "--element", "RT1"], "elastic contact has no such key"),
+    ):
+        ended = signorini(tmp_path, "solve", *given, *small, "--output", "refused")
+        assert ended.returncode == 2
+        assert told in ended.stderr, ended.stderr
+        assert not (tmp_path / "refused").exists()
+
+
+def test_refused_in_python():
+    """There are no derivatives of solutions with RT1, and no given traces without a part for them."""
+    solution = transition(build_domain(COMM, "square", 1 / 4, mesh="unstructured"))
+    with pytest.raises(InputError, match="no derivatives of solutions with RT1"):
+        solution.linearised(1e-8)
+    held = Diffusion(f=-1.0, conditions=[Dirichlet("bottom", "x"), Signorini("top")])
+    assert solve(build_domain(COMM, "square", 1 / 4, mesh="unstructured"), held, RT1).converged
