@@ -95,7 +95,7 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def no_bound(solution: Solved, what: str = "") -> Certificate:
+def no_bound(solution: Solved) -> Certificate:
     """No bound (collective)."""
     spaces, infinite = solution.spaces, math.inf
     return Certificate(
@@ -111,5 +111,5 @@ def no_bound(solution: Solved, what: str = "") -> Certificate:
         coarse=np.zeros(len(spaces.cell_measures), dtype=bool),
         indicator=fem.Function(spaces.Q, name="indicator"),
         v=solution.u,
-        if_none=f"none is known for {what or solution.physics}",
+        if_none=f"none is known for {solution.physics}",
     )

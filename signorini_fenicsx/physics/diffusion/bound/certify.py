@@ -149,7 +149,9 @@ class Admissible:
         metric = cell_metric(spaces, data)
         size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
         cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
-        resolution = Resolution(spaces, data, size * cells ** (-(spaces.degree + 1) / dim), comm.allreduce(metric.volume.sum()))
+        resolution = Resolution(
+            spaces, data, size * cells ** (-(spaces.degree + 1) / dim), comm.allreduce(metric.volume.sum())
+        )
         metric = enclosed(resolution, metric, data.kappa, size)
         energies = Energies(resolution, metric, data.kappa)
         if data.kappa.number is None:

@@ -192,7 +192,7 @@ def _asked(on: OnGammaS, v: fem.Function, nodes: Indices, bounds: list[Array]) -
         for end, (sign, datum) in enumerate(zip((1.0, -1.0), part.bounds, strict=True)):
             if datum is None or datum.number is not None or datum.pieces is None:
                 continue
-            touched = on.segment[rows] == (0 if sign > 0 else on.law.count[rows])
+            touched = on.segment[rows] == (0 if sign > 0 else on.goal.chains.count[rows])
             of_v = coefficients_of(v.x.array[nodes[rows]], facet)
             simplices = Simplices(spaces.corners[rows], spaces.cells[rows], nodes[rows], of_v, touched)
             bounds[end][rows], *others = simplices.asked(datum, sign, space, spaces.frame)

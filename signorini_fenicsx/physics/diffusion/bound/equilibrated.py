@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any, cast
 
 import numpy as np
 from dolfinx import fem
@@ -27,11 +28,12 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
+from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
 
 ROUNDING = 1e-9
 """If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding. The bound contains the share instead of L‖c‖/√κ or of a
@@ -53,50 +55,70 @@ NONE = (np.empty(0), np.empty(0))
 def admissible_flux(
     solution: Solution, metric: CellMetric, goal: Goal
 ) -> tuple[fem.Function, CellFlux, fem.Function, float, str]:
-    """The flux y ∈ RT0 with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
+    """The flux y near σ_h with ∇·y = −f_h + c_h u*, y·n = g_h on Γ_N and y·n ≥ q_Sh on Γ_S (collective).
 
     Under other laws y·n is between the least and the largest flux that they allow. With laws in Ω the balance has an s
-    that they allow.
+    that they allow. For RT1 all this is about means over cells and facets: there a flux of RT0 is added to σ_h.
 
     Returns:
-        y, y cell by cell, u*, ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be corrected,
-        and why it cannot.
+        y, y cell by cell, u* in P0, ‖y − σ_h‖ including the term for rounding, infinite if the residual cannot be
+        corrected, and why it cannot.
     """
-    spaces, data, cells = solution.spaces, solution.data, solution.cell_conditions
+    spaces = solution.spaces
+    sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
+    flux = solution.cell_flux if sigma is solution.sigma else CellFlux.of(spaces, sigma)
+    if not isinstance(flux, LinearFlux):
+        y, u, rounding, why = _balanced(solution, metric, goal, sigma, u)
+        flux = flux if y is sigma else CellFlux.of(spaces, y)
+    else:
+        y, lowest = sigma, flux.function()
+        near, u, rounding, why = _balanced(
+            solution, metric, goal, lowest, function_of(spaces.Q, cell_values(u).mean(axis=1))
+        )
+        if near is not lowest:
+            change, added = near.copy(), fem.Function(sigma.function_space)
+            change.x.array[:] -= lowest.x.array
+            added.interpolate(change)
+            y = sigma.copy()
+            y.x.array[:] += added.x.array
+            flux = CellFlux.of(spaces, y)
+    return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), why
+
+
+def _balanced(
+    solution: Solution, metric: CellMetric, goal: Goal, sigma: fem.Function, u: fem.Function
+) -> tuple[fem.Function, fem.Function, float, str]:
+    """Y in RT0 near σ, u* near u in P0, the term for rounding, infinite if there is none, and why (collective)."""
+    spaces, data = solution.spaces, solution.data
     comm, volume = spaces.mesh.comm, metric.volume
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
     limits = tuple(data.q_Sh + end for end in goal.chains.extent()[2:])
-    sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     y = _within(spaces, limits, sigma)
     flux = solution.cell_flux if y is solution.sigma else CellFlux.of(spaces, y)
     c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
     loads = np.abs(owned_values(data.f_h)) + c_h * np.abs(owned_values(u))
-    squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ _mean_squares(loads, volume)]))
+    squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ loads**2]))
     rounding = float(np.sqrt(squares) @ [ROUNDING, OF_SUMS * constant])
     for _ in range(CORRECTIONS):
-        s, may = flux.divergence + cell_values(data.source(u)), None
+        s, may = flux.divergence + owned_values(data.source(u)), None
         off = s
         if data.inside is not None:
+            cells = solution.cell_conditions
             off = s - selected(data.inside, cells, s, owned_values(u), metric)
             may = room(data.inside, cells, s, owned_values(u))
-        left = constant * np.sqrt(comm.allreduce(volume @ _mean_squares(off, volume)))
+        left = constant * np.sqrt(comm.allreduce(volume @ off**2))
         if left <= rounding:
-            return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), ""
+            return y, u, rounding, ""
         try:
             correction = balancing_flux(spaces, data, y, function_of(spaces.Q, off), limits, may)
         except LinearSolveFailure:
-            return y, flux, u, np.inf, FAILED
+            return y, u, np.inf, FAILED
         correction.sigma.x.array[:] += y.x.array
         correction.u.x.array[:] += u.x.array
         y, u = _within(spaces, limits, correction.sigma), correction.u
         flux = CellFlux.of(spaces, y)
-    return y, flux, u, np.inf, LEFT if kappa_min > 0 else _without_ellipticity(spaces, metric)
-
-
-def _mean_squares(values: Array, volume: Array) -> Array:
-    """Mean squares on cells at most, of functions of P0, or linear ones by their values in the vertices."""
-    return np.asarray((values.reshape(len(volume), -1) ** 2).mean(axis=1))
+    return y, u, np.inf, LEFT if kappa_min > 0 else _without_ellipticity(spaces, metric)
 
 
 def _without_ellipticity(spaces: Spaces, metric: CellMetric) -> str:
@@ -121,7 +143,8 @@ def _without_penalty(solution: Solution) -> tuple[fem.Function, fem.Function]:
         open_facets = solution.outcome.conditions.kind == Condition.ROBIN
         kind = np.where(open_facets, Condition.NO_FLUX, Condition.ZERO_TRACE).astype(np.int8)
         with contextlib.suppress(LinearSolveFailure):
-            iterate = HybridBackend(solution.spaces, solution.data).solve(SiteConditions(kind))
+            backend: Any = LinearBackend if solution.spaces.degree else HybridBackend
+            iterate = backend(solution.spaces, solution.data).solve(SiteConditions(kind))
             return iterate.sigma, iterate.u
     return solution.sigma, solution.u
 
@@ -155,6 +178,7 @@ def balancing_flux(
     Raises:
         LinearSolveFailure: If the solve fails.
     """
+    spaces, data = _lowest(spaces, Spaces), _lowest(data, Data)
     kind, inside = np.full(len(spaces.facets), Condition.NO_FLUX, dtype=np.int8), None
     if not data.holds(spaces):
         flux = spaces.normal_flux(y)
@@ -176,6 +200,12 @@ def balancing_flux(
         inside=inside,
     )
     return HybridBackend(spaces, loads).solve(SiteConditions(kind))
+
+
+def _lowest[T](of_linear: T, kind: type[T]) -> T:
+    """The spaces or the data of RT0 that those of RT1 have in them."""
+    names = [each.name for each in fields(cast(Any, kind))]
+    return of_linear if type(of_linear) is kind else kind(**{name: getattr(of_linear, name) for name in names})
 
 
 def _most_room(excess: Array, comm: MPI.Comm) -> Kinds:

@@ -218,11 +218,11 @@ class Inside:
         cls, solution: Solution, metric: CellMetric, y: fem.Function, level: fem.Function, resolution: Resolution
     ) -> Inside:
         """The laws with a flux, with u* as `level` (collective)."""
-        spaces, data, laws, cells = solution.spaces, solution.data, solution.data.inside, solution.cell_conditions
+        spaces, data, laws = solution.spaces, solution.data, solution.data.inside
         if laws is None:
             none = np.zeros((2, len(spaces.cell_measures)))
             return cls(spaces, (), none[0], Chains.at_corner(0), none[0].astype(np.int64), (), none[1], none[1] > 0)
-        u = owned_values(level)
+        u, cells = owned_values(level), solution.cell_conditions
         s = CellFlux.of(spaces, y).divergence + owned_values(data.source(level))
         s = selected(laws, cells, s, u, metric)
         segment = laws.chains.segments(cells, (u - laws.means, -s))

@@ -17,7 +17,6 @@ contact where y·n is larger than q_S, however much q_S varies; on a facet witho
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -92,7 +91,7 @@ class Goal:
     Attributes:
         parts: Each law and where it holds.
         chains: The law of each facet by means, measured from `Data.psi_h` and `Data.q_Sh`.
-        flux_h: Mean of `Data.q_Sh` on each facet.
+        flux_h: `Data.q_Sh`.
         plain: Whether that is the Signorini problem of ψ and q_S.
         of_penalty: Whether that is the problem of a penalty.
     """
@@ -106,9 +105,7 @@ class Goal:
     @classmethod
     def of(cls, solution: Solution, *, for_signorini: bool) -> Goal:
         """The problem that a solution approximates, or the Signorini problem also for a penalty."""
-        laws, penalty = solution.data.laws, solution.method.penalty
-        kind = solution.spaces.site_kinds["facet"]
-        flux_h = solution.data.q_Sh.reshape(kind.count, math.prod(kind.shape)).mean(axis=1)
+        laws, flux_h, penalty = solution.data.laws, solution.data.q_Sh, solution.method.penalty
         if penalty is None or for_signorini:
             return cls(laws.of_parts, laws.chains, flux_h, plain=not laws.listed)
         slopes = penalty.slopes(solution.options.eps)
@@ -121,7 +118,8 @@ class Goal:
             )
             for part in laws.of_parts
         )
-        return cls(parts, solution.law, flux_h, plain=False, of_penalty=True)
+        chains = laws.chains.with_penalty(penalty, solution.options.eps)
+        return cls(parts, chains, flux_h, plain=False, of_penalty=True)
 
     def at(
         self, spaces: Spaces, points: Array, weights: Array | None = None, corners: tuple[PartLaw, Array] | None = None

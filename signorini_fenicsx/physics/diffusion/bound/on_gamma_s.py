@@ -9,13 +9,12 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.bernstein import basis
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.points import Points, facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, normal_flux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -32,7 +31,6 @@ class OnGammaS:
     Attributes:
         goal: The problem.
         spaces: The discrete spaces.
-        law: The law of each facet by means; for RT1 that of one of its vertices.
         segment: The segment of each facet; for RT1 that of a vertex that a vertical one holds, if there is any.
         piece: The sloped or flat segment that v is near on each facet; rigid only if no other is beside.
         flux: Mean of y·n per facet.
@@ -45,7 +43,6 @@ class OnGammaS:
 
     goal: Goal
     spaces: Spaces
-    law: Chains
     segment: Indices
     piece: Indices
     flux: Array
@@ -58,13 +55,13 @@ class OnGammaS:
     @classmethod
     def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function, of_cells: CellFlux) -> OnGammaS:
         """The terms on Γ_S for a solution and a flux."""
-        spaces, data, chains = solution.spaces, solution.data, goal.chains
-        kind, iterate, number = spaces.site_kinds["facet"], solution.outcome.iterate, len(spaces.facets)
-        of, by_facet = kind.of, (number, math.prod(kind.shape))
-        segment = chains.segments(of(solution.outcome.conditions), (of(iterate.p), of(iterate.flux)))
-        vertical = np.isinf(chains.slope[np.arange(len(segment)), segment]).reshape(by_facet)
-        site = np.arange(len(segment)).reshape(by_facet)[np.arange(number), vertical.argmax(axis=1)]
-        law, segment, by_nodes = chains[site], segment[site], isinstance(of_cells, LinearFlux)
+        spaces, data, law = solution.spaces, solution.data, goal.chains
+        kind, iterate, by_nodes = spaces.site_kinds["facet"], solution.outcome.iterate, spaces.degree > 0
+        chains = kind.of(solution.law if goal.of_penalty else data.chains)
+        of_sites = chains.segments(kind.of(solution.outcome.conditions), (kind.of(iterate.p), kind.of(iterate.flux)))
+        number, rows = len(spaces.facets), np.arange(len(spaces.facets))
+        vertical = np.isinf(chains.slope[np.arange(len(of_sites)), of_sites]).reshape(number, math.prod(kind.shape))
+        segment = of_sites.reshape(vertical.shape)[rows, vertical.argmax(axis=1)]
         if by_nodes:
             ends = in_facets(spaces.mesh, spaces.facets, lattice(facet_type(spaces.mesh.topology.dim), 1))
             tilt = normal_flux(of_cells, ends)
@@ -75,12 +72,11 @@ class OnGammaS:
         height = metric.volume[spaces.cells] / spaces.facet_measure
         resistance = np.trace(metric.inverse, axis1=1, axis2=2)[spaces.cells] / metric.inverse.shape[1]
         steepness = law.slope * (height * resistance)[:, None]
-        piece = pieces_beside(law, segment, flux - goal.flux_h, steepness > RIGID)
-        rows = np.arange(len(piece))
+        piece = pieces_beside(law, segment, flux - data.q_Sh, steepness > RIGID)
         slope = np.where(np.isinf(law.slope[rows, piece]), 0.0, law.slope[rows, piece])
-        level = law.value[rows, piece] + data.q_Sh.ravel()[site] + slope * data.psi_h.ravel()[site]
+        level = law.value[rows, piece] + data.q_Sh + slope * data.psi_h
         steep, rigid = steepness > STIFF, steepness > RIGID
-        return cls(goal, spaces, law, segment, piece, flux, tilt, level, steep, rigid, by_nodes)
+        return cls(goal, spaces, segment, piece, flux, tilt, level, steep, rigid, by_nodes)
 
     def flux_at(self, points: Points) -> Array:
         """y·n in points of the facets."""
@@ -104,8 +100,8 @@ class OnGammaS:
     def flux_ends(self, at: LawPoints) -> tuple[Array, Array]:
         """The least and the largest σ·n in points: those of the law, or of a rigid segment if y·n is between them."""
         low, high = at.extent()[2:]
-        segment, last = self.segment, self.law.corners - 1
-        first, beyond = (segment == 0)[:, None], (segment == self.law.count)[:, None]
+        segment, last = self.segment, self.goal.chains.corners - 1
+        first, beyond = (segment == 0)[:, None], (segment == self.goal.chains.count)[:, None]
         least = np.where(beyond, low, at.flux_at(np.minimum(segment, last)))
         largest = np.where(first, high, at.flux_at(np.maximum(segment - 1, 0)))
         weights = at.points.weights / at.points.weights.sum()

@@ -45,7 +45,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import (
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Seen
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values, normal_flux, of_vertices
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
@@ -111,7 +111,7 @@ def load_oscillation(
         rest = g_N - g_h
         facet_loads.append(FacetLoad(on_neumann, rest - on_neumann.means(rest)[:, None], missed))
     of_load, cell = OF_LOAD if of_laws is None else OF_LAW, mesh.basix_cell()
-    load = _load(spaces, data, metric, resolution, takes_f, of_load)
+    load = _load(spaces, data, metric, flux, resolution, takes_f, of_load)
     if of_laws is not None:
         load = of_laws if load is None else load.plus(of_laws)
     if memory is not None and data.memory is not None:
@@ -218,32 +218,35 @@ def _projected(
 
 
 def _load(
-    spaces: Spaces, data: Data, metric: CellMetric, resolution: Resolution, takes_f: Mask, of_load: int
+    spaces: Spaces, data: Data, metric: CellMetric, flux: CellFlux, resolution: Resolution, takes_f: Mask, of_load: int
 ) -> Projection | None:
-    """The load f − f_h on the owned cells, f_h without `Data.memory`; None if f is a number (collective).
+    """The load f − f_h on the owned cells, f_h without `Data.memory`; None if it is 0, as f is a number (collective).
 
-    Where f is enclosed, its projection has the degree `of_load`, 1 or 2.
+    For RT1 f_h has the mean of this one, and the slope of −∇·y. Where f is enclosed, its projection has the degree
+    `of_load`, 1 or 2.
     """
-    if data.f.number is not None:
+    if data.f.number is not None and not isinstance(flux, LinearFlux):
         return None
-    cell, f_h = spaces.mesh.basix_cell(), cell_values(data.f_h)
-    f_h = f_h if data.memory is None else f_h - cell_values(data.memory)
+    cell, means_of_f = spaces.mesh.basix_cell(), data.means_of_f
+
+    def f_h(points: CellPoints) -> Array:
+        means = np.repeat(means_of_f[points.rows, None], points.shape[1], axis=1)
+        if not isinstance(flux, LinearFlux):
+            return means
+        divergence = flux.divergence_at(points)
+        return means + flux.divergence[points.rows].mean(axis=1, keepdims=True) - divergence
+
     degree = quadrature_degree(data.f, power=2)
     enclosed = resolution.encloses("f", data.f)
     of_load = of_load if enclosed else HIGH[spaces.mesh.topology.dim]
-    load, means = _projected(
-        spaces,
-        lambda points: data.f.values(points) - of_vertices(f_h[points.rows], points.barycentric[0]),
-        degree,
-        of_load,
-    )
+    load, means = _projected(spaces, lambda points: data.f.values(points) - f_h(points), degree, of_load)
     load = load.without(takes_f)
     cells = owned_cells(spaces.mesh)[~takes_f]
     if not enclosed:
         return load
-    at = quadratic_nodes(cell)
-    of_f_h = of_vertices(f_h, np.column_stack([1 - at.sum(axis=1), at]))
-    p = quadratic_of(resolution.vertices, of_f_h + at_points(load, cell, of_load, at))
+    nodes = quadratic_nodes(cell)
+    of_nodes = np.concatenate([f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), nodes)])
+    p = quadratic_of(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
     volume = 1 / math.factorial(metric.jacobian.shape[1])
     seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
     load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume

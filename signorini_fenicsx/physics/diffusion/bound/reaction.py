@@ -125,7 +125,9 @@ def reaction_terms(
     coefficient = _coefficient(data, metric, resolution, farthest, trace.cells)
     if coefficient is None:
         return None
-    squares = SQUARE if "c" not in resolution.by_quadrature else max(SQUARE, quadrature_degree(data.c, power=2))
+    squares = SQUARE + 2 * spaces.degree  # of RT1 v is cubic
+    if "c" in resolution.by_quadrature:
+        squares = max(squares, quadrature_degree(data.c, power=2))
     near = _near(trace, coefficient, level, nodes, squares)
     c_h, load = np.zeros_like(level) if data.c_h is None else owned_values(data.c_h), near.load
     of_level = (Interval(c_h - near.mean, c_h - near.mean) - coefficient.mean) * level

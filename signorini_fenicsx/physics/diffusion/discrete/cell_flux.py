@@ -50,7 +50,7 @@ class CellFlux:
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
         """The flux on cells of a function with up-to-date ghost values; of RT1 a `LinearFlux` (collective)."""
-        if spaces.degree and not issubclass(cls, LinearFlux):
+        if spaces.degree and sigma.function_space is not spaces.V and not issubclass(cls, LinearFlux):
             return cast(Self, LinearFlux.of(spaces, sigma))
         mesh, dofs = spaces.mesh, cell_dofs(spaces.V)
         outflow, volumes = spaces.outflow, spaces.cell_measures  # first of all: a rank may have no cells
@@ -222,8 +222,3 @@ def cell_values(function: fem.Function) -> Array:
     """The values of a function of P0 in the owned cells, or of DG1 in their vertices, shape (cells,) or (cells, …)."""
     values = function.x.array[cell_dofs(function.function_space)]
     return values if values.shape[1] > 1 else values[:, 0]
-
-
-def of_vertices(values: Array, barycentric: Array) -> Array:
-    """Values in points of what `cell_values` gives for some cells, shape (cells, points), or (cells, 1) of P0."""
-    return values @ barycentric.T if values.ndim > 1 else values[:, None]

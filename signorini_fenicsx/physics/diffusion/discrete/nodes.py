@@ -24,7 +24,6 @@ from signorini_fenicsx.discrete.matrices import identity_with
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import (
     Entities,
-    facet_lattice,
     facet_type,
     from_inside,
     in_facets,
@@ -167,12 +166,8 @@ def _over_places(space: fem.FunctionSpace, pairs: tuple[Entities, Entities], val
 
 def _in_pairs(space: fem.FunctionSpace, named: Entities, across: Entities) -> tuple[Entities, Entities]:
     """The nodes of facets, and for each the node in the same place of the facet that lies on it."""
-    corners = [facet_lattice(space.mesh, facets, 1).vertices for facets in (named, across)]
-    dim = space.mesh.topology.dim
-    same = np.all(corners[0][:, :, None] == corners[1][:, None], axis=3)
-    vertex = np.argmax(same, axis=2)
-    nodes = [facet_nodes(space, facets) for facets in (named, across)]
-    order = vertex
-    if nodes[0].shape[1] > dim:  # an edge has the number of the vertex opposite to it, in 2D it is the facet
-        order = np.hstack([vertex, dim + (vertex if dim == 3 else np.zeros_like(vertex[:, :1]))])
-    return nodes[0], np.take_along_axis(nodes[1], order, axis=1)
+    at = nodes(facet_type(space.mesh.topology.dim), degree_of(space))
+    places = [in_facets(space.mesh, facets, at).x for facets in (named, across)]
+    order = np.linalg.norm(places[0][:, :, None] - places[1][:, None], axis=3).argmin(axis=2)
+    of_named, of_across = (facet_nodes(space, facets) for facets in (named, across))
+    return of_named, np.take_along_axis(of_across, order, axis=1)
