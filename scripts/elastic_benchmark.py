@@ -105,14 +105,14 @@ def with_known_set(domain: Domain, solution: ElasticSolution) -> None:
     ElasticBackend(spaces, data).solve(solution.outcome.conditions)
 
 
-def pressed(dim: int, poisson: float = POISSON) -> tuple[ElasticBoundary, ElasticProblem]:
+def pressed(dim: int, poisson: float = POISSON) -> ElasticProblem:
     """The block's problem."""
     last = "xyz"[dim - 1]
     f, push = loads(dim)
     free = [f"{last}1", "x1", *(["y0", "y1"] if dim == 3 else [])]
     g_N = {f"{last}1": [str(x) for x in push]}
-    return ElasticBoundary([f"{last}0"], neumann=free), ElasticProblem(
-        YOUNG, poisson, f=[str(x) for x in f], g_N=g_N, gap=GAP
+    return ElasticProblem(
+        YOUNG, poisson, f=[str(x) for x in f], g_N=g_N, gap=GAP, boundary=ElasticBoundary([f"{last}0"], neumann=free)
     )
 
 
@@ -183,9 +183,9 @@ def print_iterations(cells: dict[int, tuple[int, ...]]) -> None:
         for n in sizes:
             domain, iterations, dofs = block(dim, n), [], 0
             for poisson in POISSONS:
-                boundary, problem = pressed(dim, poisson)
+                problem = pressed(dim, poisson)
                 options = Options(predict=False, tuning=Tuning(direct_up_to=0))
-                solution = solve(domain, (boundary, problem), options)
+                solution = solve(domain, problem, options)
                 most = max(step.linear_iterations for step in solution.outcome.history)
                 iterations.append(f"{most:3d} ({solution.timings['solve']:.1f} s)")
                 dofs = solution.outcome.dofs
@@ -217,12 +217,12 @@ def main() -> None:
         return
     for dim, sizes in cells.items():
         f, push = loads(dim)
-        boundary, problem = pressed(dim)
+        problem = pressed(dim)
         rows = []
         for n in sizes:
             domain = block(dim, n)
             coarser_mesh = partial(coarser, dim, n)
-            solution, ours = timed(partial(solve, domain, (boundary, problem), remesh=coarser_mesh))
+            solution, ours = timed(partial(solve, domain, problem, remesh=coarser_mesh))
             _, bound = timed(solution.certify)
             _, known = timed(partial(with_known_set, domain, solution))
             other = solve_p2(Box(domain.mesh, YOUNG, POISSON, {(dim - 1, 1.0): push}, {(0, 0.0): range(dim)}, GAP, f))

@@ -196,11 +196,11 @@ def random_pair(seed: int, jumps: str, comm: MPI.Comm) -> tuple[Case, Domain, Do
 def examine_pulses(seed: int, comm: MPI.Comm) -> Row:
     """Certify a solution for pulses and compare it with one on the finer mesh (collective)."""
     case, coarse, fine, _ = random_pair(seed, "none", comm)
-    boundary, _ = case.posed(coarse.mesh.geometry.dim)
+    boundary = case.posed(coarse.mesh.geometry.dim).boundary
     text = pulses_of(np.random.default_rng([seed, 1]), coarse)
-    solution = solve(coarse, (boundary, Problem(f=text)), options_of(case))
+    solution = solve(coarse, Problem(f=text, boundary=boundary), options_of(case))
     means, missed = means_of(text, fine)
-    finer = solve(fine, (boundary, Problem(f=means)), options_of(case))
+    finer = solve(fine, Problem(f=means, boundary=boundary), options_of(case))
     certificate, distance = certify(solution, for_signorini=True), difference(solution, finer)
     bound, least = certificate.sigma_bound, distance - certify(finer).sigma_bound - missed
     words = f"{'guaranteed' if certificate.guaranteed else 'not guaranteed'}, error at least {least:.2e}, {text}"
@@ -215,9 +215,9 @@ def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
         NumericalFailure: If a solve fails.
     """
     case, coarse, fine, problem = random_pair(seed, jumps, comm)
-    boundary, _ = case.posed(coarse.mesh.geometry.dim)
-    solution = solve(coarse, (boundary, problem(coarse)), options_of(case))
-    finer = solve(fine, (boundary, problem(fine)))
+    boundary = case.posed(coarse.mesh.geometry.dim).boundary
+    solution = solve(coarse, replace(problem(coarse), boundary=boundary), options_of(case))
+    finer = solve(fine, replace(problem(fine), boundary=boundary))
     words = f"{case.geometry.shape} {case.geometry.mesh} {case.solve.algorithm} Γ_S {boundary.signorini}"
     bound, distance = certify(solution, for_signorini=True).sigma_bound, difference(solution, finer)
     wrong = bound < distance and bound < (1 - 1e-9) * (distance - certify(finer).sigma_bound)

@@ -75,7 +75,7 @@ class ElasticRow(Row):
     finer: float
 
 
-def problem_of(rng: np.random.Generator, shape: str) -> tuple[ElasticBoundary, ElasticProblem]:
+def problem_of(rng: np.random.Generator, shape: str) -> ElasticProblem:
     """A random problem whose data are in the discrete spaces."""
     dim = SHAPES[shape].dim
     parts = [str(part) for part in rng.permutation(list(SHAPES[shape].parts))]
@@ -90,13 +90,14 @@ def problem_of(rng: np.random.Generator, shape: str) -> tuple[ElasticBoundary, E
     middle = rng.uniform(0, 1, dim)
     bowl = " + ".join(f"({x} - {m})^2" for x, m in zip("xyz", middle, strict=False))
     laws = [Friction(contact, g=rng.uniform(0, 0.1))] if dim == 2 and rng.random() < 0.4 else []
-    return boundary, ElasticProblem(
+    return ElasticProblem(
         young=1.0,
         poisson=float(rng.choice([0.0, 0.3, 0.45, 0.49])),
         f=[str(x) for x in rng.uniform(-1, 1, dim)],
         g_N=[linear(0.5) for _ in range(dim)] if loaded else None,
         gap=f"{rng.uniform(0, 0.1)} + {rng.uniform(0, 0.2)}*({bowl})",
         laws=laws,
+        boundary=boundary,
     )
 
 
@@ -171,32 +172,32 @@ def stress_at(solution: ElasticSolution, points: Array) -> Array:
     return np.einsum("pa,paij->pij", local, solution.stresses[cells, subcells])
 
 
-def one_body(seed: int) -> tuple[str, Domain, tuple[ElasticBoundary, ElasticProblem]]:
+def one_body(seed: int) -> tuple[str, Domain, ElasticProblem]:
     """What the problem of a seed is, its mesh, and the problem."""
     rng = np.random.default_rng(seed)
     shape = str(rng.choice(["square", "lshape", "square", "cube"]))
     size, mesh = (rng.uniform(0.3, 0.6), "unstructured") if SHAPES[shape].dim == 2 else (1.7, "structured")
     coarse = build_domain(MPI.COMM_SELF, shape, size, mesh=mesh)
-    boundary, problem = problem_of(rng, shape)
+    problem = problem_of(rng, shape)
     friction = ", friction" if problem.laws else ""
     return (
-        f"{shape}, contact on {', '.join(boundary.contact)}, ν = {problem.poisson}{friction}",
+        f"{shape}, contact on {', '.join(problem.boundary.contact)}, ν = {problem.poisson}{friction}",
         coarse,
-        (boundary, problem),
+        problem,
     )
 
 
-def bodies(seed: int) -> tuple[str, Domain, tuple[ElasticBoundary, ElasticProblem]]:
+def bodies(seed: int) -> tuple[str, Domain, ElasticProblem]:
     """What the problem of two bodies of a seed is, its mesh, and the problem."""
     rng = np.random.default_rng(seed)
     dim = int(rng.choice([2, 2, 2, 3]))
     coarse, conditions = two_bodies(rng, dim), problem_of_bodies(rng, dim)
-    boundary, problem = conditions.on(coarse)
+    problem = conditions.on(coarse)
     friction = ", friction" if problem.laws else ""
-    return f"two bodies in {dim}D, E = {problem.young}, ν = {problem.poisson}{friction}", coarse, (boundary, problem)
+    return f"two bodies in {dim}D, E = {problem.young}, ν = {problem.poisson}{friction}", coarse, problem
 
 
-def rough_body(seed: int) -> tuple[str, Domain, tuple[ElasticBoundary, ElasticProblem]]:
+def rough_body(seed: int) -> tuple[str, Domain, ElasticProblem]:
     """What the problem of a seed with rough data is, its mesh, and the problem."""
     rng = np.random.default_rng(seed)
     shape = str(rng.choice(["square", "square", "lshape", "square", "square", "cube"]))
@@ -246,7 +247,7 @@ def measured(seed: int, kind: str) -> ElasticRow:
     wrong = certificate.sigma_bound < (1 - 1e-9) * (difference - of_finer.sigma_bound)
     assert certificate.guaranteed or rough
     about, wrong = f"{certificate.reservation or 'guaranteed'} {about}", wrong and certificate.guaranteed
-    poisson = float(str(asked[1].poisson))
+    poisson = float(str(asked.poisson))
     return ElasticRow(about, difference, certificate.sigma_bound, wrong, poisson, dim, of_finer.sigma_bound)
 
 

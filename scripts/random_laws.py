@@ -135,7 +135,7 @@ def examine(seed: int, *, inside: bool = False) -> Result | None:
     """Solve the problem of a seed, and in another way; None if it has no unique solution."""
     domain, boundary, problem, options, words = random_problem(seed, inside=inside)
     try:
-        solution = solve(domain, (boundary, problem), options)
+        solution = solve(domain, replace(problem, boundary=boundary), options)
     except InputError as error:
         if "no part of the boundary" in str(error) or "u_D on Γ_D" in str(error):
             return None
@@ -153,7 +153,7 @@ def examine(seed: int, *, inside: bool = False) -> Result | None:
 def apart(solution: Solution, domain: Domain, boundary: Boundary, problem: Problem, way: Options) -> float | None:
     """The relative difference of σ and p from those of another way to solve; None if that way fails."""
     try:
-        expected = solve(domain, (boundary, problem), way)
+        expected = solve(domain, replace(problem, boundary=boundary), way)
     except (NumericalFailure, InputError):
         return None
     size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (solution.p, solution.u))

@@ -13,7 +13,7 @@ import argparse
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -151,12 +151,16 @@ def examine(seed: int) -> Result:
     """Solve the problem of a seed with its algorithm and with the reference."""
     case, domain, problem, words = random_problem(seed)
     try:
-        solution = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem), options_of(case))
+        solution = solve(
+            domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary), options_of(case)
+        )
     except NumericalFailure as failure:
         return Result(words, str(failure), np.inf, np.nan)
     reference = case.with_values({"solve.algorithm": REFERENCES[case.solve.algorithm]})
     try:
-        expected = solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem), options_of(reference))
+        expected = solve(
+            domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary), options_of(reference)
+        )
     except NumericalFailure:
         difference = np.nan
     else:

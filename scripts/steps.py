@@ -85,12 +85,13 @@ def main() -> None:
     parser.add_argument("--moving", action="store_true", help="a load that moves")
     options = parser.parse_args()
     solver = Solver(
-        build_domain(COMM, "square", float(options.h), mesh="unstructured"), (Boundary(["bottom", "left"]), None)
+        build_domain(COMM, "square", float(options.h), mesh="unstructured"),
+        Problem(0, boundary=Boundary(["bottom", "left"])),
     )
     problem = MOVING if options.moving else PROBLEM
     evolution = Evolution(end=options.steps / 40, steps=options.steps, capacity="1/1000")
     solutions: list[Solution] = []
-    steps = (instant.solution for instant in evolve(solver, (Boundary(["bottom"]), problem), evolution))
+    steps = (instant.solution for instant in evolve(solver, replace(problem, boundary=Boundary(["bottom"])), evolution))
     linear_solve, ratios = LinearSolve(), []
     for step in range(options.steps):
         spent = seconds(lambda: solutions.append(next(steps)))

@@ -80,7 +80,7 @@ def solve_known(case: Case, solution: Solution) -> dict[str, float]:
     watch = Stopwatch()
     with watch.phase("assembly"):
         spaces = build_spaces(solution.spaces.domain, case.boundary.signorini, case.boundary.neumann)
-        system = HybridBackend(spaces, project_data(spaces, case.data(spaces.mesh.geometry.dim)))
+        system = HybridBackend(spaces, project_data(spaces, case.posed(spaces.mesh.geometry.dim)))
     with watch.phase("solve"):
         system.solve(solution.outcome.conditions)
     return watch.longest(COMM)
@@ -106,7 +106,7 @@ def run(method: str, case: Case, domain: Domain, tuning: Tuning) -> dict[str, ob
     elif method == "saddle point, fresh":
         options = replace(options_of(case, tuning), backend=FreshMixed)
         dim = domain.mesh.geometry.dim
-        solution = solve(domain, (case.posed(dim)[0], case.data(dim)), options)
+        solution = solve(domain, case.posed(dim), options)
         timings = solution.timings
     else:
         solution = solve_case(case, COMM, domain=None if own_mesh else domain, tuning=tuning)

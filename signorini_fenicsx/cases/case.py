@@ -116,8 +116,8 @@ class CaseFile(Section):
         """The section `[boundary]`."""
         raise NotImplementedError
 
-    def posed(self, dim: int) -> tuple[Any, Any]:
-        """The parts of each kind of boundary, and the problem sorted by them, as `Solver` takes both.
+    def posed(self, dim: int, step: int | None = None) -> Any:
+        """The problem, in time of a step or with t in it, sorted by the kinds of its boundary, as `Solver` takes it.
 
         Raises:
             InputError: If an expression cannot be read.
@@ -128,10 +128,6 @@ class CaseFile(Section):
     def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
         """The texts of the sections of a first case, with words for the parts of the boundary and for those inside."""
         raise NotImplementedError
-
-    def problem_at(self, dim: int, step: int | None) -> Any:
-        """The problem of a step in time; without a step that of the case."""
-        return self.posed(dim)[1]
 
     @property
     def last_time(self) -> float | None:

@@ -148,9 +148,10 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     with doing("mesh"):
         domain = mesh_case(case, comm)
     with doing("assembly"):
-        posed = case.posed(domain.mesh.geometry.dim)
-        check_quantities_of(case, domain)
-        system = system_on(domain, *posed)
+        dim = domain.mesh.geometry.dim
+        posed = case.posed(dim)
+        check_quantities_of(case, domain, posed if case.time is None else case.posed(dim, 1))
+        system = system_on(domain, posed)
         spaces, contact = system.spaces, next(iter(system.boundary.named))
         if case.time is None:
             remarks = system.prepared(posed, Wish(options_of(case))).remarks()

@@ -62,7 +62,7 @@ def solve_case(
     remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh))
     with watch.phase("assembly"), naming(case.name):
         posed = case.posed(mesh.mesh.geometry.dim)
-        check_quantities_of(case, mesh)
+        check_quantities_of(case, mesh, posed)
     solved = place.solve if isinstance(place, Solver) else partial(solve, place)
     about: dict[str, Any] = {"name": case.name, "title": case.title, "source": case}
     with naming(case.name):
@@ -82,14 +82,12 @@ def _remade(case: CaseFile, present: Domain, factor: float) -> Domain:
     return mesh_case(case.with_values({"solve.h": factor * h}), present.mesh.comm)
 
 
-def check_quantities_of(case: CaseFile, domain: Domain) -> None:
-    """Refuse what are no quantities of a case, in time of its first step, before it is solved (collective).
+def check_quantities_of(case: CaseFile, domain: Domain, posed: Any) -> None:
+    """Refuse what are no quantities of the problem of a case, before it is solved (collective).
 
     Raises:
         InputError: If one is none.
     """
-    dim = domain.mesh.geometry.dim
-    posed = case.posed(dim)[0], case.problem_at(dim, 1)
     check_quantities(domain, posed, [each.made() for each in case.quantity])
 
 
@@ -127,10 +125,11 @@ def evolve_case(
         raise InputError(f"{case.name}: has no [time]")
     with naming(case.name):
         place = domain or mesh_case(case, comm)
-        check_quantities_of(case, place)
+        dim = place.mesh.geometry.dim
+        check_quantities_of(case, place, case.posed(dim, 1))
     return evolve(
         place,
-        case.posed(place.mesh.geometry.dim),
+        case.posed(dim),
         case.time.evolution(),
         options_of(case, tuning),
         start=start,

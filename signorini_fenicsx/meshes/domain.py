@@ -142,13 +142,13 @@ class Boundary:
     """The parts of the boundary that are Γ_S and Γ_N; the rest is Γ_D.
 
     Attributes:
-        signorini: Names of the parts of Γ_S, at least one.
+        signorini: Names of the parts of Γ_S; those of laws are added.
         neumann: Names of the parts of Γ_N.
         inner: Names of the parts inside the domain, across which u may jump. They are part of Γ_S: the law of such a
             part is one between the jump of u and σ·n, with n outward from the named side.
     """
 
-    signorini: Sequence[str]
+    signorini: Sequence[str] = ()
     neumann: Sequence[str] = ()
     inner: Sequence[str] = ()
     physics: ClassVar[str] = "diffusion"
@@ -157,6 +157,7 @@ class Boundary:
         """Refuse a string instead of a list."""
         for key, parts in self.named.items():
             check_names(key, parts)
+            object.__setattr__(self, key, list(parts))  # as they are read from files
 
     @property
     def named(self) -> dict[str, Sequence[str]]:

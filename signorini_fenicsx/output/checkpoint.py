@@ -1,6 +1,7 @@
 """Reads a saved solution on any number of ranks, see `checkpoint_writing`; a damaged one is told by its residuals."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -59,19 +60,21 @@ def load_solution(
     check_kind("folder", folder, str, Path)
     on_root(comm, lambda: refuse_incomplete(folder))
     checkpoint = read_checkpoint(comm, Path(folder))
-    given, boundary = problem, checkpoint.boundary
+    posed: Any = problem
+    boundary = checkpoint.boundary
     if hasattr(problem, "on"):
-        _, problem = sorted_on(_read_domain(checkpoint, comm, {}), problem)
-    if problem is not None and not isinstance(problem, checkpoint.keeping.problem):
+        posed = sorted_on(_read_domain(checkpoint, comm, {}), problem)
+    if posed is not None and not isinstance(posed, checkpoint.keeping.problem):
         name = checkpoint.about.physics.capitalize()
-        raise InputError(f"problem: {folder} is the solution of a problem of {name}, not of {type(given).__name__}")
-    problem, options = problem or _read_problem(checkpoint), options or _read_options(checkpoint)
+        raise InputError(f"problem: {folder} is the solution of a problem of {name}, not of {type(problem).__name__}")
+    posed = replace(posed, boundary=boundary) if posed else _read_problem(checkpoint)
+    options = options or _read_options(checkpoint)
     try:
-        system = system_on(_read_domain(checkpoint, comm, boundary.named), boundary, problem)
+        system = system_on(_read_domain(checkpoint, comm, boundary.named), posed)
         rows = _rows_of_facets(checkpoint, system.spaces)
     except InputError as error:
         raise InputError(f"{checkpoint.path}: is damaged: its mesh: {error}") from None
-    solution = checkpoint.keeping.read(system.boundary, problem, system.spaces, _stored(checkpoint, options, rows))
+    solution = checkpoint.keeping.read(posed, system.spaces, _stored(checkpoint, options, rows))
     damage = _damage_of(checkpoint.about, solution)
     if damage is not None:
         raise InputError(f"{checkpoint.path}: is damaged: {damage}")
@@ -165,10 +168,11 @@ def _read_problem(checkpoint: Checkpoint) -> Any:
         InputError: If the file does not have all data.
     """
     if checkpoint.case is not None:
-        return checkpoint.case.problem_at(checkpoint.dim, checkpoint.about.step)
+        return checkpoint.case.posed(checkpoint.dim, checkpoint.about.step)
     given = _given(checkpoint)
     laws = tuple(_law(checkpoint.keeping, table) for table in given.laws)
-    return _made(checkpoint.keeping.problem, given.problem | ({"laws": laws} if laws else {}))
+    data = given.problem | {"boundary": checkpoint.boundary} | ({"laws": laws} if laws else {})
+    return _made(checkpoint.keeping.problem, data)
 
 
 def _given(checkpoint: Checkpoint) -> GivenInPython:

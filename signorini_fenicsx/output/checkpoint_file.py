@@ -149,7 +149,7 @@ class Checkpoint:
     def boundary(self) -> Any:
         """The parts of each kind of boundary."""
         if self.case is not None:
-            return self.case.posed(self.dim)[0]
+            return self.case.posed(self.dim).boundary
         given = self.about.given
         assert given is not None
         _, *others = (each.name for each in fields(self.keeping.boundary))

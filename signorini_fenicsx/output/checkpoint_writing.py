@@ -132,7 +132,8 @@ def _problem(solution: Solved) -> dict[str, Any]:
         return {"case": solution.source.model_dump(mode="json", exclude_unset=True)}
     boundary, options = solution.boundary, solution.options
     laws, laws_of_files = getattr(solution.problem, "laws", ()), PHYSICS[boundary.physics].keeping.laws
-    problem = {name: value for name, value in vars(solution.problem).items() if value is not None and name != "laws"}
+    given_data = {name: value for name, value in vars(solution.problem).items() if name not in ("laws", "boundary")}
+    problem = {name: value for name, value in given_data.items() if value is not None}
     stored = {name: value for name, value in problem.items() if _storable(value)}
     missing = [name for name in problem if name not in stored]
     if not all(law.name in laws_of_files and _storable(vars(law)) for law in laws):

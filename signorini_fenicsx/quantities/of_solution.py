@@ -44,7 +44,7 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
         NumericalFailure: If a linear solver fails; it holds the solution.
     """
     check_kind("solution", solution, Solved)
-    check_quantities(solution.spaces.domain, (solution.boundary, solution.problem), [kind])
+    check_quantities(solution.spaces.domain, solution.problem, [kind])
     physics: Quantities = PHYSICS[solution.physics].quantities
     with holding(solution):
         if isinstance(kind, Energy):
@@ -58,12 +58,12 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
     return interval
 
 
-def check_quantities(domain: Domain, posed: tuple[Any, Any], kinds: Sequence[Kind]) -> None:
+def check_quantities(domain: Domain, problem: Any, kinds: Sequence[Kind]) -> None:
     """Refuse what are no quantities of a problem, before it is solved (collective).
 
     Args:
         domain: The mesh with its parts.
-        posed: The parts of each kind of boundary, and the problem sorted by them.
+        problem: The problem, sorted by the kinds of its boundary.
         kinds: The quantities.
 
     Raises:
@@ -71,6 +71,6 @@ def check_quantities(domain: Domain, posed: tuple[Any, Any], kinds: Sequence[Kin
     """
     for kind in kinds:
         check_kind("kind", kind, Kind)
-        if (physics := PHYSICS[posed[0].physics].quantities) is None:
-            raise InputError(f"{posed[0].physics}: no quantities are known")
-        physics.check(domain, posed, kind)
+        if (physics := PHYSICS[problem.boundary.physics].quantities) is None:
+            raise InputError(f"{problem.boundary.physics}: no quantities are known")
+        physics.check(domain, problem, kind)

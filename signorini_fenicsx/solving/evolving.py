@@ -90,15 +90,15 @@ def evolve(
     options = Options.of(options)
     check_kind("evolution", evolution, Evolution)
     domain = place.spaces.domain if isinstance(place, Solver) else with_sides(place, problem)
-    boundary, sorted_problem = sorted_on(domain, problem)
-    solver: Solver = place if isinstance(place, Solver) else Solver(domain, (boundary, sorted_problem))
+    problem = sorted_on(domain, problem)
+    solver: Solver = place if isinstance(place, Solver) else Solver(domain, problem)
     comm = solver.spaces.mesh.comm
-    steps: Steps = solver.steps(sorted_problem, evolution, start)
+    steps: Steps = solver.steps(problem, evolution, start)
     before = Past(0, [], start) if past is None else past(steps)
     left, segments = [*before.left, steps.start()][:2], before.segments
     for step in range(before.step + 1, evolution.steps + 1):
         solved = solver.solve(
-            (boundary, steps.problem(step)),
+            steps.problem(step),
             options,
             start=segments if options.method.starts_from_sets else None,
             memory=steps.memory(step, left),

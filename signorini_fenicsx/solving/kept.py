@@ -66,20 +66,20 @@ class Keeping:
         codes: Those of them that are numbers below another number.
         in_cells: The arrays of a solution for the cells of this rank (collective).
         on_facets: Those for the facets of Γ_S, their vertices among them, by their names without "facet_".
-        read: Makes the solution from the boundary, the problem and the spaces (collective).
+        read: Makes the solution from the problem and the spaces (collective).
         own: Attributes of a solution that are lists of numbers, kept beside the arrays.
         of_step: The arrays that a step in time has besides: what it takes from those before.
         of_some: The arrays that only some solutions have; `read` refuses a file without what it needs.
     """
 
     boundary: type
-    problem: type
+    problem: type[Any]
     laws: Mapping[str, type]
     layout: Layout
     codes: Mapping[str, int]
     in_cells: Callable[[Any], Arrays]
     on_facets: Callable[[Any], Arrays]
-    read: Callable[[Any, Any, Any, Stored], Any]
+    read: Callable[[Any, Any, Stored], Any]
     own: Sequence[str] = ()
     of_step: Layout = field(default_factory=dict)
     of_some: Layout = field(default_factory=dict)

@@ -68,7 +68,6 @@ class Solved(ABC):
     Attributes:
         name: Name of the results.
         title: A longer name in words.
-        boundary: The parts of each kind of boundary.
         problem: The data as given.
         options: Algorithm, backend and their parameters.
         spaces: The discrete spaces; `spaces.mesh` is the mesh.
@@ -84,7 +83,6 @@ class Solved(ABC):
 
     name: str
     title: str
-    boundary: Any
     problem: Any
     options: Options
     spaces: Any
@@ -145,9 +143,15 @@ class Solved(ABC):
         return self.method.title
 
     @property
+    def boundary(self) -> Any:
+        """The parts of each kind of boundary."""
+        return self.problem.boundary
+
+    @property
     def physics(self) -> str:
         """Name of the physics."""
-        return self.boundary.physics
+        physics: str = self.boundary.physics
+        return physics
 
     @property
     def gamma(self) -> str:

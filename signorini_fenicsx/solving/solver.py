@@ -31,7 +31,7 @@ class Solver[S: Solved]:
     """
 
     @collector_off()
-    def __init__(self, domain: Domain, problem: Posed[S] | tuple[Any, Any]):
+    def __init__(self, domain: Domain, problem: Posed[S] | Any):
         """Set up the spaces (collective).
 
         Args:
@@ -44,7 +44,7 @@ class Solver[S: Solved]:
         """
         check_kind("domain", domain, Domain)
         domain = with_sides(domain, problem)
-        self._system = system_on(domain, *sorted_on(domain, problem))
+        self._system = system_on(domain, sorted_on(domain, problem))
 
     @property
     def spaces(self) -> Any:
@@ -59,7 +59,7 @@ class Solver[S: Solved]:
     @collector_off()
     def solve(
         self,
-        problem: Posed[S] | tuple[Any, Any],
+        problem: Posed[S] | Any,
         options: Options | None = None,
         *,
         start: Any = None,
@@ -83,12 +83,12 @@ class Solver[S: Solved]:
         wish = Wish(Options.of(options), start, remesh, memory, watch or Stopwatch(), on_step)
         system, comm = self._system, self.spaces.mesh.comm
         with wish.watch.phase("assembly"):
-            boundary, data = sorted_on(self.spaces.domain, problem, system.boundary)
+            data = sorted_on(self.spaces.domain, problem)
             if with_sides(self.spaces.domain, problem) is not self.spaces.domain:
                 raise InputError("side: the named side of a part is not the one that the solver was set up for")
-            if not isinstance(boundary, type(system.boundary)):
+            if data.boundary.physics != system.boundary.physics:
                 raise InputError("problem: is of another physics than that which the solver was set up for")
-            run = system.prepared((boundary, data), wish)
+            run = system.prepared(data, wish)
         outcome = run.outcome()
         with wish.watch.phase("kkt"):
             outcome, kkt = run.judged(outcome)
@@ -106,7 +106,7 @@ class Solver[S: Solved]:
 @collector_off()
 def solve[S: Solved](
     domain: Domain,
-    problem: Posed[S] | tuple[Any, Any],
+    problem: Posed[S] | Any,
     options: Options | None = None,
     *,
     start: Any = None,

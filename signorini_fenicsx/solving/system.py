@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from signorini_fenicsx.base.arguments import check_kind
@@ -54,8 +54,8 @@ class Posed[S: Solved](Protocol):
     def solution_type(self) -> type[S]:
         """The class of its solutions."""
 
-    def on(self, domain: Domain) -> tuple[Any, Any]:
-        """The parts of each kind of boundary, and the problem sorted by them (collective)."""
+    def on(self, domain: Domain) -> Any:
+        """The problem sorted by the kinds of its boundary, of which it has the parts as `boundary` (collective)."""
 
 
 class Run(Protocol):
@@ -85,7 +85,7 @@ class System(Protocol):
     spaces: MeshSpaces
     boundary: Any
 
-    def __init__(self, domain: Domain, boundary: Any, problem: Any):
+    def __init__(self, domain: Domain, problem: Any):
         """Set up the spaces for such a problem (collective).
 
         Raises:
@@ -125,16 +125,13 @@ class System(Protocol):
         """Keep nothing of the last solve, which has failed."""
 
 
-def system_on(domain: Domain, boundary: Any, problem: Any) -> System:
-    """The system of a physics on a mesh (collective).
+def system_on(domain: Domain, problem: Any) -> System:
+    """The system of the physics of a sorted problem on a mesh (collective).
 
     Raises:
-        InputError: If the boundary is of no physics, or does not suit the mesh; if bodies in it are not joined.
+        InputError: If the boundary does not suit the mesh, or bodies in it are not joined.
     """
-    name = getattr(boundary, "physics", None)
-    if name not in PHYSICS:
-        raise InputError(f"problem: must be {_problems()}, not {type(boundary).__name__}")
-    system: System = PHYSICS[name].system(domain, boundary, problem)
+    system: System = PHYSICS[problem.boundary.physics].system(domain, problem)
     check_joined(system.spaces, system.boundary.named)
     return system
 
@@ -161,23 +158,16 @@ def _problems() -> str:
     return " or ".join(f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" for name in names)
 
 
-def sorted_on(domain: Domain, problem: Any, boundary: Any = None) -> tuple[Any, Any]:
-    """The parts of each kind of boundary, and the problem sorted by them (collective).
+def sorted_on(domain: Domain, problem: Any) -> Any:
+    """A problem sorted by the kinds of its boundary, if it is not yet (collective).
 
-    Args:
-        domain: The mesh with its parts.
-        problem: A problem with conditions, or this pair itself; the sorted problem alone if its boundary is given.
-        boundary: The boundary of a problem that is sorted; None if it is not known.
+    Raises:
+        InputError: If it is of no physics.
     """
-    if isinstance(problem, tuple):
-        boundary, data = problem
-        return boundary, data
-    if hasattr(problem, "on"):
-        boundary, data = problem.on(domain)
-        return boundary, data
-    if boundary is None or not is_dataclass(problem):
+    sorted_problem = problem.on(domain) if hasattr(problem, "on") else problem
+    if getattr(getattr(sorted_problem, "boundary", None), "physics", None) not in PHYSICS:
         raise InputError(f"problem: must be {_problems()}, not {type(problem).__name__}")
-    return boundary, problem
+    return sorted_problem
 
 
 def check_start(domain: Domain, start: Any, *kinds: type) -> None:

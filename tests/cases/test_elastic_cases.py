@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import adios2
@@ -65,7 +66,7 @@ def test_hertz():
         domain = box(COMM, round(20 * size), [0.0, 0.0], [size, size])
         boundary = ElasticBoundary(["y0"], neumann=["y1", "x1"], fixed={"x0": "x"})
         g_N = {"y1": ["0", str(-load / 2 / size)]}
-        solution = solve(domain, (boundary, ElasticProblem(1.0, nu, g_N=g_N, gap="x^2/2")))
+        solution = solve(domain, ElasticProblem(1.0, nu, g_N=g_N, gap="x^2/2", boundary=boundary))
         assert solution.contact[1] == pytest.approx(a, abs=1 / 20)
         x, pressure = solution.spaces.contact.vertices[:, :, 0].mean(axis=1), solution.pressure.mean(axis=1)
         inside = x < 0.7 * a
@@ -176,7 +177,7 @@ def test_von_mises_and_table():
     """A uniform compression in plane strain: σ_yy = −q, σ_zz = −νq."""
     domain = box(COMM, 2, [0.0, 0.0], [1.0, 1.0])
     boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
-    solution = solve(domain, (boundary, ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.1"]})))
+    solution = solve(domain, ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.1"]}, boundary=boundary))
     stresses = in_space(solution.spaces, solution.data, solution.stresses)
     np.testing.assert_allclose(von_mises(stresses), 0.1 * np.sqrt(1 - 0.3 + 0.3**2), rtol=1e-10)
     table = solution.table().gathered(COMM)
@@ -190,7 +191,7 @@ def test_pictures_tell_fixed_parts_from_loaded_ones():
     """A plane of symmetry is not drawn as Γ_N."""
     boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
     problem = ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"])
-    body = gather(solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+    body = gather(solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
     assert body is not None
     middle = body.fields.points[body.boundary.vertices].mean(axis=1)
     for kind, x in ((PARTLY_FIXED, 0.0), (NEUMANN, 1.0)):
@@ -243,7 +244,7 @@ def test_energy_difference_is_that_of_the_energies():
     """Without sets that change, ‖σ_fine − σ_coarse‖ by quadrature is what Galerkin's orthogonality gives."""
     u_D, boundary = ["0.1*y*x", "-0.2 + x*y^2"], ElasticBoundary(["x1"])
     problem = ElasticProblem("1 + x", 0.3, u_D=u_D, gap=10.0)
-    coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)) for n in (2, 4))
+    coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)) for n in (2, 4))
     found = differences(coarse, fine)
     assert isinstance(found, ElasticDifferences)
     one, other = (solution.norms()["energy"] for solution in (coarse, fine))
@@ -291,7 +292,7 @@ def test_problems_given_in_python_are_saved(tmp_path: Path):
     """With data that are numbers and texts nothing has to be passed again."""
     problem = ElasticProblem(1.0, "0.3", u_D=[0.01, "-0.1*y"], gap=0.02, laws=[Friction(["y0"], g=0.01)])
     domain = box(MPI.COMM_SELF, 2, [0.0, 0.0], [1.0, 1.0])
-    solution = solve(domain, (ElasticBoundary([], fixed={"x0": "x"}), problem))
+    solution = solve(domain, replace(problem, boundary=ElasticBoundary([], fixed={"x0": "x"})))
     solution.write(tmp_path / "new" / "run")
     read = load_solution(tmp_path / "new" / "run", MPI.COMM_SELF)
     assert isinstance(read, ElasticSolution)

@@ -54,7 +54,7 @@ def test_functions_and_ufl():
         ),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(domain, (Boundary(["bottom"]), Problem(f=given)))
+            solve(domain, Problem(f=given, boundary=Boundary(["bottom"])))
     for given, message in [
         (lambda x: x[:2] * 1j, of_points + "must give real numbers, not complex128"),
         (lambda x: x, of_points + "fails: ValueError: it must give 2 rows, not an array of shape"),
@@ -62,7 +62,7 @@ def test_functions_and_ufl():
         (["x", "1)"], r"^\[problem\] f: expression '1\)' is not .* the '\)' at character 2 closes nothing"),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(domain, (ElasticBoundary(["bottom"]), ElasticProblem(1.0, 0.3, f=given)))
+            solve(domain, ElasticProblem(1.0, 0.3, f=given, boundary=ElasticBoundary(["bottom"])))
 
 
 def test_functions_are_asked_in_the_mesh_alone():
@@ -75,13 +75,13 @@ def test_functions_are_asked_in_the_mesh_alone():
 
     mesh = dolfinx.mesh.create_rectangle(COMM, [[1.0, 1.0], [2.0, 2.0]], [2, 2])
     domain = domain_of(mesh, {"bottom": lambda x: np.isclose(x[1], 1)})
-    assert solve(domain, (Boundary(["bottom"]), Problem(f=table))).converged
+    assert solve(domain, Problem(f=table, boundary=Boundary(["bottom"]))).converged
 
 
 @pytest.mark.parallel(2)
 def test_data_that_differ_between_ranks_do_not_part_them():
     """What is kept of earlier data is taken by all ranks or by none; else one would wait for the others for ever."""
     _, domain = unit_square()
-    solver = Solver(domain, (Boundary(["bottom"]), None))
+    solver = Solver(domain, Problem(0, boundary=Boundary(["bottom"])))
     for psi, f in ((-0.1, 1.0), (-0.1, 1.0 + 1e-15 * COMM.rank), (-0.1 - 1e-15 * COMM.rank, 1.0)):
-        assert solver.solve(Problem(f=f, psi=psi, kappa=2.0)).converged
+        assert solver.solve(Problem(f=f, psi=psi, kappa=2.0, boundary=Boundary(["bottom"]))).converged

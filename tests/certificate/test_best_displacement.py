@@ -31,7 +31,7 @@ def pressed(comm: MPI.Comm, dim: int, n: int, **data: object) -> ElasticSolution
     last, none = "xyz"[dim - 1], ["0"] * (dim - 2)
     boundary = ElasticBoundary([f"{last}0"], neumann=["x1", *(["y0", "y1"] if dim == 3 else [])], fixed={"x0": "x"})
     given = {"young": 1.0, "poisson": 0.3, "gap": "0.1*x^2", "u_D": ["0.02*x", *none, "-0.1"]} | data
-    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), (boundary, ElasticProblem(**given)))  # type: ignore[arg-type]
+    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), ElasticProblem(**given, boundary=boundary))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -38,7 +38,7 @@ def test_bound_is_near_a_singular_error(nu: float):
     """In contact that ends with σ ~ r^½ the bound is at most 1.4 times the error; with quadratics alone it was 1.63."""
     u = half_plane_contact(nu)
     solution = solve(
-        box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u))
+        box(COMM, 8, [-1.0, 0.0], [1.0, 1.0]), ElasticProblem(1.0, nu, u_D=u, exact=u, boundary=ElasticBoundary(["y0"]))
     )
     errors, certificate = solution.errors(), certify(solution)
     assert errors is not None
@@ -52,7 +52,7 @@ def test_loads_that_are_polynomials():
     load = ["2*y*(1 - y) + x*(1 - x)", "-(1 - 2*x)*(1 - 2*y)/2"]
     problem = ElasticProblem(1.0, 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
     for n in (2, 8):
-        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary([]), problem))
+        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem)
         errors, certificate = solution.errors(), certify(solution)
         assert errors is not None
         assert certificate.guaranteed
@@ -67,7 +67,7 @@ def test_tractions_that_are_polynomials():
     problem = ElasticProblem(1.0, 0.0, f=["-8*x*y", "-7*x^2/2 - y^2"], g_N=tractions, exact=["x^3*y", "x^2*y^2"])
     boundary = ElasticBoundary([], neumann=["x1", "y1"], fixed={"x0": "n"})
     for n in (2, 8):
-        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
+        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
         errors, certificate = solution.errors(), certify(solution)
         assert errors is not None
         assert certificate.guaranteed
@@ -81,7 +81,7 @@ def test_tractions_that_the_mesh_does_not_see(dim: int):
     legendre = "20*x^3 - 30*x^2 + 12*x - 1" if dim == 2 else "20*y^3 - 30*y^2 + 12*y - 1"
     boundary = ElasticBoundary([], neumann=["yz"[dim - 2] + "1"])
     problem = ElasticProblem(1.0, 0.3, g_N=["0"] * (dim - 1) + [legendre])
-    solution, fine = (solve(box(COMM, n, *ends), (boundary, problem)) for n in (1, {2: 8, 3: 4}[dim]))
+    solution, fine = (solve(box(COMM, n, *ends), replace(problem, boundary=boundary)) for n in (1, {2: 8, 3: 4}[dim]))
     certificate = certify(solution)
     assert certificate.guaranteed
     assert fine.norms()["energy"] <= certificate.sigma_bound
@@ -96,7 +96,7 @@ def test_a_body_of_two_materials():
     )
     problem = ElasticProblem({"soft": 1.0, "hard": 3.0}, 0.0, u_D=["0", "-0.1"])
     boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
-    solution = solve(domain, (boundary, problem))
+    solution = solve(domain, replace(problem, boundary=boundary))
     certificate = certify(solution)
     assert certificate.guaranteed
     assert solution.norms()["contact_force"] == pytest.approx(0.15)
@@ -108,7 +108,7 @@ def test_a_stiffness_that_varies():
     load = ["2*(1 + y)*y*(1 - y) + (1 + y)*x*(1 - x) - x*(1 - x)*(1 - 2*y)/2", "-(1 + y)*(1 - 2*x)*(1 - 2*y)/2"]
     problem = ElasticProblem("1 + y", 0.0, f=load, exact=["x*(1 - x)*y*(1 - y)", "0"])
     for n in (2, 8):
-        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary([]), problem))
+        solution = solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem)
         errors, certificate = solution.errors(), certify(solution)
         assert errors is not None
         assert certificate.guaranteed
@@ -124,7 +124,7 @@ def test_what_quadrature_misses_of_the_gap(plane: str, own: str):
     texts = {"eigenstrain": "exp(-6*x*y)", "initial_stress": [["sin(5*x*y)", "cos(4*y)"], ["cos(4*y)", "x"]]}
     given: dict[str, Any] = {own: texts[own]} if own else {}
     problem = ElasticProblem(young, poisson, u_D=["0", "-0.1"], plane=plane, **given)
-    solution = solve(box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
+    solution = solve(box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
     spaces, y = solution.spaces, admissible_stress(solution)
     best = BestDisplacement(spaces, solution.data, y, spaces.split, 2)
     v, _ = best.minimum()
@@ -161,7 +161,9 @@ def test_a_stiffness_that_the_mesh_does_not_see():
     """A pulse of E between the points of the quadrature is told."""
     pulse = "1 + 1000*exp(-1e6*((x - 0.313)^2 + (y - 0.417)^2))"
     problem = ElasticProblem(pulse, 0.3, u_D=["0", "-0.1"])
-    solution = solve(box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"], neumann=["x0", "x1"]), problem))
+    solution = solve(
+        box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=ElasticBoundary(["y0"], neumann=["x0", "x1"]))
+    )
     certificate = certify(solution)
     assert not certificate.guaranteed
     assert certificate.reservation.startswith("young or poisson is not resolved near (0.")
@@ -199,7 +201,9 @@ def test_bounds_of_random_problems():
         g_N = [f"{a}*x + {b}*y" for a, b in zip(g, g[::-1], strict=True)]
         problem = ElasticProblem(1.0, nu, f=[str(f[0]), str(f[1] - 0.5)], g_N=g_N, gap=gap)
         boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"y1": "y"} if number % 2 else {})
-        coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), (boundary, problem)) for n in (3, 12))
+        coarse, fine = (
+            solve(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=boundary)) for n in (3, 12)
+        )
         certificate = certify(coarse)
         assert certificate.guaranteed
         error = complementary_energy(coarse, gap) - complementary_energy(fine, gap)  # at least this
@@ -227,7 +231,7 @@ def test_indicators_are_the_bound():
     """A symmetric half with a normal that is fixed, a gap that is curved, tractions: cells add up to the gap."""
     boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
     problem = ElasticProblem(1.0, 0.3, g_N=["0", "-0.05 if y > 0.999999 else 0"], gap="0.1*x^2")
-    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
     assert float((certificate.indicator.x.array**2).sum()) == pytest.approx(2 * certificate.gap, rel=1e-9)
     assert certificate.relative < 0.3
 
@@ -237,11 +241,11 @@ def test_bound_in_space():
     domain = box(COMM, 2, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
     boundary = ElasticBoundary(["z0"], neumann=["x1", "y1"], fixed={"x0": "x", "y0": "y"})
     problem = ElasticProblem(1.0, 0.3, u_D=["0", "0", "-0.1"], gap="0.1*(x^2 + y^2)")
-    solution = solve(domain, (boundary, problem))
+    solution = solve(domain, replace(problem, boundary=boundary))
     certificate = certify(solution)
     assert certificate.guaranteed
     assert certificate.relative < 0.5
-    fine = solve(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), (boundary, problem))
+    fine = solve(box(COMM, 4, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), replace(problem, boundary=boundary))
     assert abs(solution.norms()["energy"] - fine.norms()["energy"]) < certificate.bound
 
 
@@ -252,7 +256,7 @@ def test_adaptive_meshes_start_from_the_sets_before():
     problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"]}, gap="x^2/2")
 
     def solve_on(domain: Domain, start: ElasticSolution | None) -> ElasticSolution:
-        return solve(domain, (boundary, problem), start=start)
+        return solve(domain, replace(problem, boundary=boundary), start=start)
 
     rows: dict[float, list[AdaptRow]] = {0.5: [], 1.0: []}
     for theta, found in rows.items():
@@ -268,7 +272,7 @@ def test_contact_with_two_normals_at_a_corner():
     """The stress is exact, and v is found exactly though its vertex has two conditions; the bound was 12 %."""
     problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.02"], "x1": ["-0.01", "0"]})
     boundary = ElasticBoundary(["x0", "y0"], neumann=["x1", "y1"])
-    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+    certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
     assert certificate.guaranteed
     assert certificate.relative < 1e-7
 
@@ -277,7 +281,7 @@ def test_a_body_that_one_vertex_holds():
     """Contact at one vertex of a facet holds v against a rigid motion; without that the bound was 1e9 %."""
     problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.005"]}, gap="2*x^2")
     boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})
-    solution, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)) for n in (4, 24))
+    solution, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)) for n in (4, 24))
     assert solution.contact.facets == 1
     difference = energy_difference(solution, fine)
     assert difference < certify(solution).bound < 3 * difference
@@ -285,7 +289,7 @@ def test_a_body_that_one_vertex_holds():
 
 def test_grooves():
     """On a polygon each vertex of Γ_C has two normals: the bound is near the error in energy, and does not grow."""
-    boundary, problem = ElasticBoundary(["arc"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.05"], gap="0.01")
+    problem = ElasticProblem(1.0, 0.3, u_D=["0", "-0.05"], gap="0.01", boundary=ElasticBoundary(["arc"]))
     for h in (0.6, 0.3):
         domain = build_domain(COMM, "half_disk", h, mesh="unstructured")
         parts = {name: replace(part, nearest=None) for name, part in domain.parts.items()}  # no finer polygons
@@ -294,7 +298,7 @@ def test_grooves():
         rows: list[AdaptRow] = []
 
         def solve_on(domain: Domain, start: ElasticSolution | None, found: list[float] = found) -> ElasticSolution:
-            solution = solve(domain, (boundary, problem), start=start)
+            solution = solve(domain, problem, start=start)
             given = 0.05 * solution.resultants()["diameter"][1]
             found.append(complementary_energy(solution, "0.01") + given)
             return solution
@@ -312,7 +316,7 @@ def test_flat_cells(nu: float):
     mu, lame = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
     f = [f"{2 * (2 * mu + lame)}*y*(1 - y) + {2 * mu}*x*(1 - x)", f"-{lame + mu}*(1 - 2*x)*(1 - 2*y)"]
     problem = ElasticProblem(1.0, nu, f=f, exact=["x*(1 - x)*y*(1 - y)", "0"])
-    solution = solve(domain_of(mesh, {"y0": lambda x: np.isclose(x[1], 0)}), (ElasticBoundary([]), problem))
+    solution = solve(domain_of(mesh, {"y0": lambda x: np.isclose(x[1], 0)}), problem)
     errors, certificate = solution.errors(), certify(solution)
     assert errors is not None
     assert certificate.guaranteed
@@ -322,7 +326,9 @@ def test_flat_cells(nu: float):
 def test_what_a_solver_leaves():
     """A stress that does not balance its load is replaced, and its distance from the new one is in the bound."""
     problem = ElasticProblem(1.0, 0.3, f=["0.1", "-0.2"])
-    solution = solve(box(COMM, 3, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary(["y0"], neumann=["x1"]), problem))
+    solution = solve(
+        box(COMM, 3, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=ElasticBoundary(["y0"], neumann=["x1"]))
+    )
     exact, iterate = certify(solution), solution.outcome.iterate
     sigma = iterate.sigma.copy()
     sigma.x.array[:] *= 1 + 1e-4

@@ -58,7 +58,7 @@ def bounded(comm: MPI.Comm, n: int, data: dict[str, Any]) -> tuple[ElasticSoluti
     """A square with these data, and its bound."""
     given = dict(data)
     boundary = given.pop("boundary")
-    solution = solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), (boundary, ElasticProblem(1.0, 0.25, **given)))
+    solution = solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), ElasticProblem(1.0, 0.25, **given, boundary=boundary))
     return solution, certify(solution)
 
 
@@ -94,7 +94,7 @@ def test_on_ranks():
 def test_what_is_lacking_is_bounded(text: str):
     """The bound is above the energy of s(t − p) by a fine quadrature, and near it."""
     problem = ElasticProblem(1.0, 0.25, u_D=[text, "0"])
-    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (ElasticBoundary([]), problem))
+    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), problem)
     spaces = solution.spaces
     bound, names = lifted(Resolution(spaces, solution.data), np.full(len(spaces.order), 1e9), np.empty(0))
     assert names == ("u_D",)
@@ -190,8 +190,8 @@ def test_friction_that_is_negative_between_points(text: str, guaranteed: bool):
 @pytest.mark.parametrize("text", ["0.1 + x^2", "1 - x^2/2", "0.1 + (x - 0.3)^4", "x^6", "exp(x)"])
 def test_distances_to_linear_bounds_of_friction(text: str):
     """They are those by the midpoints of many parts, or a bit more, also for polynomials of low degree."""
-    boundary, problem = ElasticBoundary(["y0"]), ElasticProblem(1.0, 0.25, laws=[Friction(["y0"], text)])
-    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
+    problem = ElasticProblem(1.0, 0.25, laws=[Friction(["y0"], text)], boundary=ElasticBoundary(["y0"]))
+    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), problem)
     friction, facets = solution.data.friction, solution.spaces.rough
     ((_, datum, rows),) = friction.texts
     bound, tau = friction.bound[rows], (np.arange(20_000) + 0.5) / 20_000

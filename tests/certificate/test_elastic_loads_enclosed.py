@@ -1,5 +1,6 @@
 """Elastic loads that quadrature may miss: the constant of Korn of a body is one, and what is not resolved is told."""
 
+from dataclasses import replace
 from typing import Any
 
 import basix
@@ -42,7 +43,7 @@ def of_sines(comm: MPI.Comm, n: int) -> tuple[ElasticSolution, Certificate]:
     }
     boundary = ElasticBoundary([], neumann=["x1", "y1"], fixed={"x0": "n"})
     problem = ElasticProblem(1.0, 0.25, f=load, g_N=g_N, exact=["y*sin(2*x)", "y*exp(x)"])
-    solution = solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
+    solution = solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
     return solution, certify(solution)
 
 
@@ -75,7 +76,9 @@ def test_on_ranks():
 def test_pulses_are_told(given: dict[str, Any]):
     """Between the points of the quadrature they are not seen: the bound is not guaranteed, and it is said where."""
     boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
-    certificate = certify(solve(box(COMM, 6, [0.0, 0.0], [1.0, 1.0]), (boundary, ElasticProblem(1.0, 0.3, **given))))
+    certificate = certify(
+        solve(box(COMM, 6, [0.0, 0.0], [1.0, 1.0]), ElasticProblem(1.0, 0.3, **given, boundary=boundary))
+    )
     assert not certificate.guaranteed
     assert not certificate.by_quadrature
     name, place = certificate.unresolved[0]
@@ -89,7 +92,7 @@ def test_bodies_that_only_contact_holds():
     boundary = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "n"})
     for load, missing in (("-exp(x)", ("f",)), ("-1 - x^2", ())):
         problem = ElasticProblem(1.0, 0.3, f=["0", load])
-        certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem)))
+        certificate = certify(solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary)))
         assert certificate.by_quadrature == missing
         reason = "f by quadrature, as what is given of u does not hold each body"
         assert certificate.reservation == (reason if missing else "")

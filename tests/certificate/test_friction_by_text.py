@@ -26,7 +26,9 @@ COMM = MPI.COMM_WORLD
 )
 def test_near_the_error(g: str, u_D: list[str], sharp: float):
     """It is above the distance to a solution on a mesh 4 times as fine; where the body slips and where it sticks."""
-    given = ElasticBoundary(["y0"], neumann=["x0", "x1"]), ElasticProblem(1.0, 0.3, u_D=u_D, laws=[Friction(["y0"], g)])
+    given = ElasticProblem(
+        1.0, 0.3, u_D=u_D, laws=[Friction(["y0"], g)], boundary=ElasticBoundary(["y0"], neumann=["x0", "x1"])
+    )
     coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), given) for n in (5, 20))
     certificate, error = certify(coarse), energy_difference(coarse, fine)
     assert certificate.guaranteed

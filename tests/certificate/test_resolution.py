@@ -1,6 +1,7 @@
 """Data that quadrature may miss: unresolved data are reported, and the bound includes them."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -133,7 +134,7 @@ def test_data_from_python_are_by_quadrature():
     domain = solve_case(problem(0.2), COMM).spaces.domain
     x = ufl.SpatialCoordinate(domain.mesh)
     given = Problem(f=ufl.sin(x[0]), kappa=1 + x[1] ** 2)
-    certificate = certify(solve(domain, (Boundary(["bottom"]), given)))
+    certificate = certify(solve(domain, replace(given, boundary=Boundary(["bottom"]))))
     assert certificate.by_quadrature == ("f", "kappa")
     assert not certificate.guaranteed
     assert bound(certificate).endswith("not guaranteed: f, kappa by quadrature")

@@ -68,7 +68,9 @@ def test_second_step():
     content = means + bubbles[cells] * points.means(points.barycentric.prod(axis=2))
     content *= np.where(middles[:, 0] < 0.375, 1, 100)
     f = 10 + 20 * function_of(dolfinx.fem.functionspace(fine.mesh, ("DG", 0)), content, "content")
-    error = difference(second.solution, solve(fine, (Boundary(["bottom"]), Problem(f, c=f"20*({capacity})", psi=-1))))
+    error = difference(
+        second.solution, solve(fine, Problem(f, c=f"20*({capacity})", psi=-1, boundary=Boundary(["bottom"])))
+    )
     assert certificate.proved
     assert error < certificate.sigma_bound < 2.5 * error
 

@@ -13,7 +13,6 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Graph, Law, Values
 from signorini_fenicsx.contact.laws import Corners, TwoSided
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
@@ -55,7 +54,7 @@ def test_bounds_are_found_by_the_graph():
     domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
     given = "0.1*cos(3*x)"
     solutions = [
-        solve(domain, (Boundary([]), Problem("20*(x - 0.6)", laws=[law])))
+        solve(domain, Problem("20*(x - 0.6)", laws=[law]))
         for law in (
             TwoSided(["bottom"], psi_upper=2.0, psi=given),
             Held(["bottom"], rest=given),
@@ -85,7 +84,7 @@ def test_graphs_are_checked(law: Law, message: str):
     """A bound must be finite in all points and a datum; a graph must be monotone, also that of a law of one's own."""
     domain = build_domain(COMM, "square", 0.25, mesh="structured")
     with pytest.raises(InputError, match=message):
-        solve(domain, (Boundary([]), Problem("20*(x - 0.6)", laws=[law])))
+        solve(domain, Problem("20*(x - 0.6)", laws=[law]))
 
 
 def test_beside():
@@ -107,16 +106,16 @@ def test_many_corners(folder: Path):
     corners = [(float(a), float(b)) for a, b in zip(u, -8 * np.sinh(3 * u), strict=True)]
     law = Corners(["bottom"], corners, "vertical", "vertical")
     domain = build_domain(COMM, "square", 0.1, mesh="structured")
-    solution = solve(domain, (Boundary([]), Problem("20*sin(5*x)*cos(3*y)", laws=[law])))
+    solution = solve(domain, Problem("20*sin(5*x)*cos(3*y)", laws=[law]))
     chains, segment = solution.law, solution.segments().segment
     assert set(chains.count) == {300}
     np.testing.assert_allclose([end[0] for end in chains.extent()], [-0.3, 0.3, -np.inf, np.inf], atol=1e-15)
     assert segment.max() > 130
-    qp = solve(domain, (Boundary([]), solution.problem), Options("qp"))
+    qp = solve(domain, solution.problem, Options("qp"))
     np.testing.assert_allclose(qp.sigma.x.array, solution.sigma.x.array, atol=1e-8)
     np.testing.assert_array_equal(qp.segments().segment, segment)
     assert certify(solution).guaranteed
     write_solution(solution, folder, fields=False)
     np.testing.assert_array_equal(load_solution(folder, COMM).segments().segment, segment)
-    again = solve(domain, (Boundary([]), solution.problem), start=solution)
+    again = solve(domain, solution.problem, start=solution)
     assert len(again.outcome.history) == 1

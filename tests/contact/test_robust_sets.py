@@ -1,6 +1,7 @@
 """Set updates in difficult situations: cycles, ties, scales, any size of Γ_S, ranks with nothing to do."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,7 +124,7 @@ def test_rounding_would_decide():
 
     def ends(n: int, diagonal: str, f: str, u_D: str, rule: SetRule, tie: float) -> tuple[bool, bool, int]:
         spaces = build_spaces(square(COMM, n, diagonal, part=middle_facet(n)), ["bottom"])
-        backend = HybridBackend(spaces, project_data(spaces, problem(f=f, u_D=u_D).data(2)))
+        backend = HybridBackend(spaces, project_data(spaces, problem(f=f, u_D=u_D).posed(2)))
         outcome = iterate_sets(backend, rule, Parameters(tie=tie))
         return outcome.converged, bool(outcome.conditions.kind[0] == rule.contact), len(outcome.history)
 
@@ -158,7 +159,7 @@ def test_units_do_not_matter(algorithm: str, backend: str):
         solver = case.solve.model_copy(update={"eps": 1e-6 * (L / K if algorithm in ("alg3", "snes1") else K / L)})
         case = case.model_copy(update={"solve": solver})  # a case file has no ε of such size
         domain = square(COMM, 7, "right", scale=L)
-        return solve(domain, (case.posed(domain.mesh.geometry.dim)[0], data), options_of(case))
+        return solve(domain, replace(data, boundary=case.posed(domain.mesh.geometry.dim).boundary), options_of(case))
 
     expected = scaled(1.0, 1.0, 1.0)
     assert 0 < expected.contact[0] < 7

@@ -104,8 +104,8 @@ def on_laws(comm: MPI.Comm, law: str) -> Controlled:
         Neumann(["left", "right"]),
     ]
     problem = Elasticity(young=E, poisson=0.3, conditions=conditions)
-    boundary, posed = problem.on(domain)
-    return Controlled(domain, (boundary, replace(posed, gap=gap * (1 + x[0] ** 2))), [E, gap, push, *given, level])
+    posed = replace(problem.on(domain), gap=gap * (1 + x[0] ** 2))
+    return Controlled(domain, posed, [E, gap, push, *given, level])
 
 
 def in_space(comm: MPI.Comm, friction: str) -> Controlled:

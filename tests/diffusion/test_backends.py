@@ -46,7 +46,7 @@ def test_a_solve_that_failed_is_done_again():
     """The next solve under the same sets took what was left for the solution."""
     case = load_case("example1").with_values({"solve.h": 0.3})
     spaces = solve_case(case, COMM).spaces
-    backend, held = HybridBackend(spaces, project_data(spaces, case.data(2))), np.ones(len(spaces.facets), np.int8)
+    backend, held = HybridBackend(spaces, project_data(spaces, case.posed(2))), np.ones(len(spaces.facets), np.int8)
     with pytest.MonkeyPatch.context() as during:
         during.setattr(FacetSolver, "solve", Mock(side_effect=LinearSolveFailure("made up")))
         with pytest.raises(LinearSolveFailure):
@@ -90,7 +90,7 @@ def test_traces_are_those_of_the_recovered_flux(name: str):
     """For any x, any conditions, with cu and with jumps: rows of the matrix and the recovered flux give the same."""
     case = load_case(name).with_values({"solve.h": 0.3})
     spaces = solve_case(case, COMM).spaces
-    system = FacetSystem(spaces, project_data(spaces, case.data(2)), Tuning())
+    system = FacetSystem(spaces, project_data(spaces, case.posed(2)), Tuning())
     rng = np.random.default_rng(COMM.rank)
     conditions = SiteConditions(rng.integers(0, 2, len(spaces.facets)).astype(np.int8))
     system.apply(conditions)
@@ -139,7 +139,7 @@ def test_smoothers_are_safe_without_estimates(folder: Path):
     domain = mesh_case(case, COMM)
     domain.mesh.geometry.x[:, 2] *= 0.05
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    backend = HybridBackend(spaces, project_data(spaces, case.data(3)), multigrid=True)
+    backend = HybridBackend(spaces, project_data(spaces, case.posed(3)), multigrid=True)
     rng = np.random.default_rng(1)
     for _ in range(2):
         backend.solve(SiteConditions(rng.integers(0, 2, len(spaces.facets)).astype(np.int8)))
@@ -234,7 +234,7 @@ def test_a_factorisation_takes_over(monkeypatch: pytest.MonkeyPatch):
         np.testing.assert_array_equal(found.outcome.conditions.kind, expected.outcome.conditions.kind)
         np.testing.assert_allclose(found.sigma.x.array, expected.sigma.x.array, atol=1e-12)
     monkeypatch.undo()
-    solver, problem = Solver(domain, (case.posed(domain.mesh.geometry.dim)[0], None)), case.data(2)
+    solver, problem = Solver(domain, case.posed(domain.mesh.geometry.dim)), case.posed(2)
     tuning = Tuning(predict_from=0)
     found = [solver.solve(replace(problem, f=f"{f}*(x - 0.3*{f})"), Options(tuning=tuning)) for f in (1, 2)]
     assert [each.outcome.linear_solver for each in found] == ["cg+mg", "preonly+cholesky+mumps"]
@@ -318,7 +318,7 @@ def test_one_factorisation_for_any_conditions(folder: Path):
     """All kinds at once, with a β and a value on each site, as by a factorisation for these conditions alone."""
     case = make_case(folder, shape="lshape", parts=["bottom", "left"], f="x - y", h=0.3)
     spaces = solve_case(case, COMM).spaces
-    data = project_data(spaces, case.with_values({"problem.psi": "0.1*x", "problem.u_D": "x"}).data(2))
+    data = project_data(spaces, case.with_values({"problem.psi": "0.1*x", "problem.u_D": "x"}).posed(2))
     backend = HybridBackend(spaces, data)
     assert backend.renew(data)
     rng = np.random.default_rng(COMM.rank)

@@ -26,6 +26,7 @@ from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.case import Case
+from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
@@ -209,6 +210,6 @@ def test_solvers_that_are_refused():
     with pytest.raises(InputError, match="alg3 does not take parts inside the domain; alg1, alg2, vi and qp do"):
         solve_case(case.with_values({"solve.algorithm": "alg3"}), domain=mesh)
     with pytest.raises(InputError, match="'slit' is inside the domain: it belongs to inner, with a law"):
-        Solver(mesh, (Boundary(["top"]), None))
+        Solver(mesh, Problem(0, boundary=Boundary(["top"])))
     with pytest.raises(InputError, match="inner: the mesh is not cut along 'top'"):
-        Solver(mesh, (Boundary(["top", "slit"], inner=["top", "slit"]), None))
+        Solver(mesh, Problem(0, boundary=Boundary(["top", "slit"], inner=["top", "slit"])))

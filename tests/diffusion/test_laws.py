@@ -117,14 +117,13 @@ def test_corners_that_coincide():
     f = "20*(x - 0.6)"
     corners = [(-0.05, 0.3), (-0.05, 0.3), (0, 0.1), (0, 0.1), (0, 0.1)]
     twice, once = (
-        solve(domain, (Boundary([]), Problem(f, laws=[Corners(["bottom"], some, "vertical", 2)])))
-        for some in (corners, corners[1:3])
+        solve(domain, Problem(f, laws=[Corners(["bottom"], some, "vertical", 2)])) for some in (corners, corners[1:3])
     )
     np.testing.assert_allclose(twice.sigma.x.array, once.sigma.x.array, atol=1e-12)
     assert max(vars(twice.kkt).values()) < 1e-11
     for algorithm in ("alg1", "alg2", "qp", "vi"):
         closed = Problem(f, laws=[TwoSided(["bottom"], psi_upper="0.1*x", psi="0.1*x")], u_D="0.1*x")
-        found = solve(domain, (Boundary([]), closed), Options(algorithm=algorithm))
+        found = solve(domain, closed, Options(algorithm=algorithm))
         assert max(vars(found.kkt).values()) < 1e-8
         assert found.outcome.iterate.p == pytest.approx(0, abs=1e-10)
 
@@ -161,16 +160,16 @@ def test_laws_in_python():
     """Objects as data; a law of one's own is the graph with the same line; a Signorini law is the short form."""
     domain = build_domain(COMM, "square", 0.2, mesh="unstructured")
     f = "20*(x - 0.6)"
-    spring = solve(domain, (Boundary([]), Problem(f, laws=[Spring(["bottom"], stiffness=3.0)])))
-    line = solve(domain, (Boundary([]), Problem(f, laws=[Corners(["bottom"], [(0, 0), (1, -3)], 3, 3)])))
+    spring = solve(domain, Problem(f, laws=[Spring(["bottom"], stiffness=3.0)]))
+    line = solve(domain, Problem(f, laws=[Corners(["bottom"], [(0, 0), (1, -3)], 3, 3)]))
     np.testing.assert_allclose(spring.sigma.x.array, line.sigma.x.array, atol=1e-12)
     assert spring.spaces.normal_flux(spring.sigma) == pytest.approx(-3 * spring.outcome.iterate.p, abs=1e-12)
-    short = solve(domain, (Boundary(["bottom", "left"]), Problem(f, psi="0.01*x", q_S=0.1)))
+    short = solve(domain, Problem(f, psi="0.01*x", q_S=0.1, boundary=Boundary(["bottom", "left"])))
     for boundary, laws in [
         (Boundary([]), [Signorini(["bottom", "left"], "0.01*x", 0.1)]),
         (Boundary(["bottom"]), [TwoSided(["left"], psi_upper=1e3, psi="0.01*x", q_S=0.1)]),
     ]:
-        long = solve(domain, (boundary, Problem(f, psi="0.01*x", q_S=0.1, laws=laws)))
+        long = solve(domain, Problem(f, psi="0.01*x", q_S=0.1, laws=laws, boundary=boundary))
         assert long.norms() == pytest.approx(short.norms(), rel=1e-12)
         assert [step.changed for step in long.outcome.history] == [step.changed for step in short.outcome.history]
 
@@ -189,11 +188,12 @@ def test_a_given_u_is_no_contact():
 def test_results_of_python_are_kept(folder: Path):
     """Laws that are numbers and texts are in the file, others are asked for."""
     domain, f = build_domain(COMM, "square", 0.4, mesh="unstructured"), "20*(x - 0.6)"
-    problem = Problem(f, laws=(Corners(["bottom"], ((0, 1), (0, -1))), Friction(["left"], "0.1 + y")))
-    write_solution(solve(domain, (Boundary(["top"]), problem)), folder, fields=False)
+    laws = Corners(["bottom"], ((0, 1), (0, -1))), Friction(["left"], "0.1 + y")
+    problem = Problem(f, laws=laws, boundary=Boundary(["top"]))
+    write_solution(solve(domain, problem), folder, fields=False)
     assert load_solution(folder, COMM).problem == problem
     other = replace(problem, laws=[Friction(["left"], g=lambda x: 0.1 + x[1])])
-    write_solution(solve(domain, (Boundary(["top"]), other)), folder, fields=False)
+    write_solution(solve(domain, other), folder, fields=False)
     with pytest.raises(InputError, match="laws: given in Python"):
         load_solution(folder, COMM)
 
@@ -253,7 +253,7 @@ def test_laws_that_hold_a_body_alone(laws: list[Law], f: float, level: float, ex
     rest = [part for part in ("bottom", "left", "right", "top") if all(part not in law.parts for law in laws)]
     boundary = Boundary([], rest)
     for options in (Options(), Options("alg2", backend="mixed"), Options(tuning=Tuning(direct_up_to=0))):
-        solution = solve(domain, (boundary, Problem(f=f, laws=laws)), options)
+        solution = solve(domain, Problem(f=f, laws=laws, boundary=boundary), options)
         assert certify(solution).bound < 0.5
         p, spaces = solution.p.x.array, solution.spaces
         bottom = np.flatnonzero(spaces.part_of_facet == spaces.part_names.index("bottom"))
@@ -261,7 +261,7 @@ def test_laws_that_hold_a_body_alone(laws: list[Law], f: float, level: float, ex
             assert p[bottom] == pytest.approx(level, abs=1e-9)
     if not math.isnan(excess):
         with pytest.raises(InputError, match="there is no solution"):
-            solve(domain, (boundary, Problem(f=excess, laws=laws)))
+            solve(domain, Problem(f=excess, laws=laws, boundary=boundary))
 
 
 def test_what_methods_refuse(folder: Path):
@@ -310,7 +310,7 @@ def test_safeguard_ends_cycles():
             "20*sin(9*x)", laws=[Corners(["bottom", "right"], corners, 2, "vertical"), Friction(["left"], 0.2)]
         )
         results = [
-            solve(domain, (Boundary([]), problem), Options(algorithm=name, backend=backend)).norms()
+            solve(domain, problem, Options(algorithm=name, backend=backend)).norms()
             for name, backend in itertools.product(("alg1", "alg2"), ("hybrid", "mixed"))
         ]
         for result in results[1:]:
@@ -327,10 +327,13 @@ def test_one_problem_after_another(folder: Path):
     """A `Solver` goes on with other loads and other data of the laws, by one factorisation on few facets."""
     case = many(**{"boundary.signorini": [], "law.0.g": "0.3"})
     domain = mesh_case(case, COMM)
-    solver = Solver(domain, (case.posed(domain.mesh.geometry.dim)[0], None))
+    solver = Solver(domain, case.posed(domain.mesh.geometry.dim))
     for load, g in [(10, 0.3), (-4, 0.1), (7, 0.5), (3, 0.2)]:
-        problem = case.with_values({"problem.f": f"{load}*sin(7*x)*cos(5*y)", "law.0.g": g}).data(2)
-        kept, fresh = solver.solve(problem), solve(domain, (case.posed(domain.mesh.geometry.dim)[0], problem))
+        problem = case.with_values({"problem.f": f"{load}*sin(7*x)*cos(5*y)", "law.0.g": g}).posed(2)
+        kept, fresh = (
+            solver.solve(problem),
+            solve(domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary)),
+        )
         assert kept.norms() == pytest.approx(fresh.norms(), rel=1e-10)
         assert kept.segments_of_parts() == fresh.segments_of_parts()
     with pytest.raises(InputError, match="problem: has other parts in signorini"):

@@ -39,7 +39,9 @@ def test_rounding_in_the_facet_system():
     assert f"{words}stationarity" in result.ending
     case, domain, problem, _ = random_problem(65)
     solution = solve(
-        domain, (case.posed(domain.mesh.geometry.dim)[0], replace(problem, obstacle=-0.01)), options_of(case)
+        domain,
+        replace(problem, obstacle=-0.01, boundary=case.posed(domain.mesh.geometry.dim).boundary),
+        options_of(case),
     )
     assert words in solution.outcome.reason
 

@@ -99,7 +99,7 @@ def test_bounds_for_other_coefficients(c: str | Callable[[Array], Array], sharp:
     of_c = 10 + x[0] if callable(c) else parse_expression(c, x)
     f = -6 * (ufl.max_value(x[0] - 0.413, 0) - x[1] * ufl.max_value(0.413 - x[0], 0)) + of_c * u
     text = None if callable(c) else f"-6*(max(x - 0.413, 0) - y*max(0.413 - x, 0)) + ({c})*({U})"
-    solution = solve(domain, (Boundary(["bottom"]), Problem(f=text or f, c=c, u_D=U, exact=U)))
+    solution = solve(domain, Problem(f=text or f, c=c, u_D=U, exact=U, boundary=Boundary(["bottom"])))
     certificate = certify(solution)
     assert 1 < certificate.sigma_bound / solution.errors()["sigma_L2"] < sharp
     assert certificate.guaranteed == resolved

@@ -115,7 +115,10 @@ def test_the_normal_in_ufl(folder: Path):
     bounds = []
     for g_N in (ufl.dot(ufl.grad(u), n), ufl.grad(u)[0], "cos(x)*y"):
         solution = solve(
-            domain, (case.posed(domain.mesh.geometry.dim)[0], Problem(f="sin(x)*y", u_D="sin(x)*y", g_N=g_N, psi="-1"))
+            domain,
+            Problem(
+                f="sin(x)*y", u_D="sin(x)*y", g_N=g_N, psi="-1", boundary=case.posed(domain.mesh.geometry.dim).boundary
+            ),
         )
         bounds.append(certify(solution).bound)
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-12)

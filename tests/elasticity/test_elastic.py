@@ -1,5 +1,7 @@
 """Elastic contact: the element against its forms, exact solutions with rates, a quadratic programme."""
 
+from dataclasses import replace
+
 import dolfinx.mesh
 import numpy as np
 import pytest
@@ -91,7 +93,7 @@ def test_patch(dim: int):
     boundary = ElasticBoundary(["y0"], neumann=["y1"], fixed={"x0": "n"})
     if dim == 3:  # there is shear on x = 0
         boundary = ElasticBoundary(["y0"], neumann=["y1"], fixed={"x0": "xyz"})
-    solution = solve(domain, (boundary, ElasticProblem(200.0, 0.3, u_D=u, g_N=g_N, exact=u)))
+    solution = solve(domain, ElasticProblem(200.0, 0.3, u_D=u, g_N=g_N, exact=u, boundary=boundary))
     np.testing.assert_allclose(solution.stresses, np.broadcast_to(stress, solution.stresses.shape), atol=1e-11)
     errors = solution.errors()
     assert errors is not None
@@ -107,7 +109,7 @@ def test_smooth_solution_has_full_order(dim: int, nu: float):
         domain = box(COMM, n, *UNIT[dim])
         young, u, f = smooth(domain, nu)
         ends = ElasticBoundary([f"{'xyz'[dim - 1]}0"])
-        solution = solve(domain, (ends, ElasticProblem(young, nu, f=f, u_D=u, exact=u)))
+        solution = solve(domain, ElasticProblem(young, nu, f=f, u_D=u, exact=u, boundary=ends))
         assert solution.touching.all()
         found.append(solution.errors())
     orders = {name: np.log2(found[0][name] / found[1][name]) for name in ("energy", "u_L2")}
@@ -121,7 +123,7 @@ def test_contact_with_a_singular_solution(nu: float):
     errors, u = [], half_plane_contact(nu)
     for n in (8, 16):
         domain = box(COMM, n, [-1.0, 0.0], [1.0, 1.0])
-        solution = solve(domain, (ElasticBoundary(["y0"]), ElasticProblem(1.0, nu, u_D=u, exact=u)))
+        solution = solve(domain, ElasticProblem(1.0, nu, u_D=u, exact=u, boundary=ElasticBoundary(["y0"])))
         assert len(solution.outcome.history) <= 7
         assert solution.pressure.min(initial=0.0) > -1e-10
         errors.append(solution.errors())
@@ -134,7 +136,7 @@ def pressed(comm: MPI.Comm, n: int = 2, nu: float = 0.4) -> ElasticSolution:
     """A block that a load presses onto a foundation with a curved gap and lifts off elsewhere."""
     domain = box(comm, n, [-1.0, 0.0], [1.0, 1.0])
     problem = ElasticProblem("1 + x^2", nu, f=["0", "-0.1*(1 + x + y)"], g_N=["0.02", "-0.1"], gap="0.1*(x - 0.2)^2")
-    return solve(domain, (ElasticBoundary(["y0"], neumann=["y1", "x1"]), problem))
+    return solve(domain, replace(problem, boundary=ElasticBoundary(["y0"], neumann=["y1", "x1"])))
 
 
 def test_quadratic_programme_finds_the_same():
@@ -153,12 +155,12 @@ def test_second_algorithm_and_regions():
     parts = {"y0": lambda x: np.isclose(x[1], 0)}
     domain = domain_of(mesh, parts, regions=cells)
     data = {"f": ["0", "-1"], "gap": "0.1*(x - 0.2)^2"}
-    one = solve(domain, (ElasticBoundary(["y0"]), ElasticProblem({"left": 1.0, "right": 2.0}, 0.3, **data)))
+    one = solve(domain, ElasticProblem({"left": 1.0, "right": 2.0}, 0.3, **data, boundary=ElasticBoundary(["y0"])))
     other = ElasticProblem("1 if x < 0 else 2", 0.3, **data)
-    two = solve(domain, (ElasticBoundary(["y0"]), other), Options(algorithm="alg2"))
+    two = solve(domain, replace(other, boundary=ElasticBoundary(["y0"])), Options(algorithm="alg2"))
     np.testing.assert_allclose(one.stresses, two.stresses, atol=1e-11)
     options = Options(algorithm=SetRule(Condition.NO_FLUX, pressed_more))
-    own = solve(domain, (ElasticBoundary(["y0"]), other), options)
+    own = solve(domain, replace(other, boundary=ElasticBoundary(["y0"])), options)
     np.testing.assert_allclose(own.stresses, two.stresses, atol=1e-11)
     assert own.summary()["algorithm"] == "own"
 
@@ -175,7 +177,7 @@ def test_plane_stress_and_strain():
     for plane, flatter, wider in (("stress", 1.0, 0.3), ("strain", 1 - 0.3**2, 0.3 * 1.3)):
         g_N = ["0", "-0.1 if y > 1 - 1e-9 else 0"]
         exact = [f"{0.1 * wider}*x", f"{-0.1 * flatter}*y"]
-        solution = solve(domain, (boundary, ElasticProblem(1.0, 0.3, g_N=g_N, plane=plane, exact=exact)))
+        solution = solve(domain, ElasticProblem(1.0, 0.3, g_N=g_N, plane=plane, exact=exact, boundary=boundary))
         errors = solution.errors()
         assert errors is not None
         assert errors["u_L2"] < 1e-13
@@ -186,9 +188,9 @@ def test_plane_stress_and_strain():
 def test_a_body_at_rest(given: dict[str, object]):
     """Without loads σ is 0 up to rounding; that of a small compression is right, also behind a large motion."""
     domain, boundary = box(COMM, 2, *UNIT[2]), ElasticBoundary(["y0"], neumann=["x1", "y1"])
-    assert solve(domain, (boundary, ElasticProblem(2.0, 0.3, **given))).norms()["sigma_L2"] < 1e-13
+    assert solve(domain, ElasticProblem(2.0, 0.3, **given, boundary=boundary)).norms()["sigma_L2"] < 1e-13
     far, near = (
-        solve(domain, (boundary, ElasticProblem(2.0, 0.3, u_D=["0", top], gap=gap))).norms()["contact_force"]
+        solve(domain, ElasticProblem(2.0, 0.3, u_D=["0", top], gap=gap, boundary=boundary)).norms()["contact_force"]
         for top, gap in (("1 - 1e-9*y", -1), ("-1e-9*y", 0))
     )
     assert far == pytest.approx(near, rel=1e-5)
@@ -198,7 +200,7 @@ def complaint(boundary: ElasticBoundary, **data: object) -> str:
     """What is said of a problem on the unit square that cannot be."""
     given = {"young": 1.0, "poisson": 0.3} | data
     with pytest.raises(InputError) as error:
-        solve(box(COMM, 2, *UNIT[2]), (boundary, ElasticProblem(**given)))
+        solve(box(COMM, 2, *UNIT[2]), ElasticProblem(**given, boundary=boundary))
     return str(error.value)
 
 
@@ -233,13 +235,13 @@ def test_bad_input():
     ):
         for options in given:
             with pytest.raises(InputError, match=told):
-                solve(box(COMM, 2, *UNIT[2]), (held, ElasticProblem(1.0, 0.3)), options)
+                solve(box(COMM, 2, *UNIT[2]), ElasticProblem(1.0, 0.3, boundary=held), options)
     with pytest.raises(InputError, match="fixed: part 'x0' has 'xx'"):
         ElasticBoundary(["y0"], fixed={"x0": "xx"})
     with pytest.raises(InputError, match="unknown 'thin'"):
         ElasticProblem(1.0, 0.3, plane="thin")
     with pytest.raises(InputError, match="plane: a body in space is not in plane stress; leave it out"):
-        solve(box(COMM, 1, *UNIT[3]), (held, ElasticProblem(1.0, 0.3, plane="stress")))
+        solve(box(COMM, 1, *UNIT[3]), ElasticProblem(1.0, 0.3, plane="stress", boundary=held))
     with pytest.raises(InputError, match="laws: must be a list of laws, such as"):
         ElasticProblem(1.0, 0.3, laws=["wall"])  # type: ignore[list-item]
     with pytest.raises(InputError, match="laws: those of an elastic body hold on parts, not in regions"):
@@ -253,7 +255,7 @@ def test_what_is_given_must_not_pass_the_foundation():
         assert "u_D passes the foundation where parts meet" in told
         assert "at (0, 0): no displacement satisfies both" in told
     pressed = ElasticProblem(1.0, 0.3, gap=-0.1)
-    solution = solve(box(COMM, 2, *UNIT[2]), (ElasticBoundary(["y0"], neumann=["x0", "x1"]), pressed))
+    solution = solve(box(COMM, 2, *UNIT[2]), replace(pressed, boundary=ElasticBoundary(["y0"], neumann=["x0", "x1"])))
     assert solution.summary()["least_gap"] == pytest.approx(-0.1)
 
 
@@ -262,7 +264,7 @@ def test_nearly_incompressible():
     for nu in (0.4999, 0.4999999, 0.499999999):
         problem = ElasticProblem(1.0, nu, u_D=["0", "-0.05"])
         boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"])
-        solution = solve(box(COMM, 4, *UNIT[2]), (boundary, problem))
+        solution = solve(box(COMM, 4, *UNIT[2]), replace(problem, boundary=boundary))
         assert solution.norms()["contact_force"] == pytest.approx(0.0752, abs=0.003)
         assert certify(solution).relative < 0.2
 
@@ -272,6 +274,6 @@ def test_displacements_that_differ_where_parts_meet_have_no_bound():
     boundary = ElasticBoundary(["y0"], neumann=["x1"], fixed={"x0": "n"})
     for shift, told in (("0", ""), ("0.01", "at (0, 1) parts meet on which different displacements are given")):
         problem = ElasticProblem(1.0, 0.3, u_D={"x0": ["0", "0"], "": [f"0.1*x + {shift}", "-0.1"]}, gap=0.02)
-        certificate = certify(solve(box(COMM, 2, *UNIT[2]), (boundary, problem)))
+        certificate = certify(solve(box(COMM, 2, *UNIT[2]), replace(problem, boundary=boundary)))
         assert certificate.guaranteed == (not told)
         assert told in str(certificate)

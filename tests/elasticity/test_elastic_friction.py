@@ -43,7 +43,7 @@ def sliding(comm: MPI.Comm, n: int, law: Friction | CoulombLaw, algorithm: str =
     """A block that is pressed onto a rough plane, lifted at one end, and pushed."""
     u_D = ["0.01", "-0.05 + 0.05*x"]
     problem = ElasticProblem(1.0, 0.3, u_D=u_D, gap="0.01*x", laws=[law])
-    return solve(box(comm, n, [0.0, 0.0], [2.0, 1.0]), (BOTTOM, problem), Options(algorithm=algorithm))
+    return solve(box(comm, n, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=BOTTOM), Options(algorithm=algorithm))
 
 
 def test_exact_slip_and_stick():
@@ -61,7 +61,7 @@ def test_exact_slip_and_stick():
         u = ufl.as_vector([right**3 - left**3 + g * y * step * 2 * (1 + nu), -y])
         f = -ufl.div(stress(strain(u), 1 / (1 + nu), nu))
         problem = ElasticProblem(1.0, nu, f=f, u_D=u, exact=u, laws=[Friction(["y0"], g=g)])
-        solution = solve(domain, (ElasticBoundary([]), problem))
+        solution = solve(domain, problem)
         assert solution.contact[1] == pytest.approx(1.0)
         states = solution.friction_states()
         assert states["stick"]["measure"] == pytest.approx(0.6, abs=2.01 / n)
@@ -98,7 +98,7 @@ def test_coulomb_in_a_uniform_state(slips: bool):
     u = [f"{0.1 if slips else 0.0} + {wider}*x + {2 * (1 + nu) * shear}*y", f"{flatter}*y"]
     g_N = {"x0": [str(-sides), str(-shear)], "x1": [str(sides), str(shear)]}
     problem = ElasticProblem(1.0, nu, u_D=u, g_N=g_N, exact=u, laws=[CoulombLaw(["y0"], mu)])
-    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), (BOTTOM, problem))
+    solution = solve(box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=BOTTOM))
     errors = solution.errors()
     assert errors is not None
     assert max(errors["energy"], errors["u_L2"]) < 1e-10
@@ -124,7 +124,7 @@ def test_coulomb_with_a_large_number(mu: float, push: float, nu: float):
     """With any μ there is a solution with the whole law: g = μ × pressure, and the shear is −g where it slips."""
     problem = ElasticProblem(1.0, nu, u_D=[push, -0.05], laws=[CoulombLaw(["y0"], mu)])
     boundary = ElasticBoundary([], neumann=["x0", "x1"])
-    solution = solve(box(COMM, 8, [0.0, 0.0], [2.0, 1.0]), (boundary, problem))
+    solution = solve(box(COMM, 8, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=boundary))
     pressure, shear, slip = solution.pressure, solution.shear, solution.slip
     largest = COMM.allreduce(float(pressure.max(initial=0.0)), MPI.MAX)
     np.testing.assert_allclose(solution.data.friction.bound, mu * np.maximum(pressure, 0), atol=1e-8 * mu * largest)
@@ -137,7 +137,7 @@ def test_coulomb_with_a_large_number(mu: float, push: float, nu: float):
 def test_the_path_and_newton_find_the_same(monkeypatch: pytest.MonkeyPatch):
     """For small μ, where there is one solution, the path leads to that of Newton's method."""
     problem = ElasticProblem(1.0, 0.3, u_D=[0.3, -0.05], laws=[CoulombLaw(["y0"], "0.2 + 0.1*x")])
-    place = box(COMM, 4, [0.0, 0.0], [2.0, 1.0]), (ElasticBoundary([], neumann=["x0", "x1"]), problem)
+    place = box(COMM, 4, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=ElasticBoundary(neumann=["x0", "x1"]))
     newton = solve(*place)
     monkeypatch.setattr(coulomb, "MOST", 2)
     path = solve(*place)
@@ -155,7 +155,9 @@ def test_bounds_of_random_friction():
         f = [str(rng.uniform(-0.1, 0.1)), str(rng.uniform(-0.2, 0.0))]
         problem = ElasticProblem(1.0, nu, f=f, gap=gap, laws=laws)
         boundary = ElasticBoundary([], neumann=["x1"] if number % 2 else ["x0", "x1"])
-        coarse, fine = (solve(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), (boundary, problem)) for n in (3, 12))
+        coarse, fine = (
+            solve(box(COMM, n, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=boundary)) for n in (3, 12)
+        )
         certificate = certify(coarse)
         assert certificate.guaranteed
         one, other = (
@@ -230,7 +232,7 @@ def test_a_body_that_friction_alone_holds():
 
     def solved(push: float, law: Friction | CoulombLaw) -> ElasticSolution:
         problem = ElasticProblem(1.0, 0.3, f=[str(push), "-0.1"], laws=[law])
-        return solve(domain, (boundary, problem))
+        return solve(domain, replace(problem, boundary=boundary))
 
     for push, law in ((0.019, Friction(["y0"], g=0.02)), (0.02, CoulombLaw(["y0"], mu=0.3))):
         solution = solved(push, law)
@@ -249,7 +251,7 @@ def test_nothing_rubs_where_nothing_touches(gap: float):
     boundary = ElasticBoundary(["bottom"], ["top"], {"left": "x"})
     problem = ElasticProblem(2.0, 0.3, f=["0", "-x"], g_N={"top": ["0", "-x"]}, gap=gap)
     rough, smooth = (
-        solve(domain, (boundary, replace(problem, laws=laws))) for laws in ((CoulombLaw(["bottom"], 0.3),), ())
+        solve(domain, replace(problem, laws=laws, boundary=boundary)) for laws in ((CoulombLaw(["bottom"], 0.3),), ())
     )
     assert rough.norms() == pytest.approx(smooth.norms(), rel=1e-9, abs=1e-9)
     assert np.all(rough.data.friction.bound == 0)

@@ -43,7 +43,7 @@ def pressed(comm: MPI.Comm, dim: int, n: int, nu: float, tuning: Tuning = MULTIG
     boundary = ElasticBoundary([f"{last}0"], neumann=[f"{last}1", "x1"], fixed=fixed)
     load = {f"{last}1": ["0"] * (dim - 1) + ["-0.1"]}
     problem = ElasticProblem("1 + x^2", nu, g_N=load, gap="0.5*(x - 0.1)^2")
-    return solve(box(comm, n, low, high), (boundary, problem), Options(tuning=tuning))
+    return solve(box(comm, n, low, high), replace(problem, boundary=boundary), Options(tuning=tuning))
 
 
 def iterations(solution: ElasticSolution) -> int:
@@ -114,7 +114,7 @@ def test_sets_that_do_not_hold_the_body(tuning: Tuning):
     boundary = ElasticBoundary(["y0"], neumann=["x0", "x1"], fixed={"y1": "x"})
     load = {"y1": ["0", "-0.1*exp(-100*(x - 0.6)^2)"]}
     problem = ElasticProblem(1.0, 0.3, g_N=load, gap="abs(x - 0.5)")
-    solution = solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), (boundary, problem), Options(tuning=tuning))
+    solution = solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary), Options(tuning=tuning))
     assert [step.zero_trace for step in solution.outcome.history] == [2, 1, 4, 3, 2]
     assert solution.outcome.linear_solver == ("cg+mg" if tuning is MULTIGRID else "preonly+cholesky+mumps")
     assert np.abs(solution.resultants()["sum"]).max() < 1e-12
@@ -128,8 +128,8 @@ def test_the_copy_in_blocks_takes_new_conditions():
     parts["sides"] = lambda x: np.isclose(x[0] * (1 - x[0]), 0.0)
     domain = domain_of(mesh, parts, inner=["joint"])
     conditions = [Dirichlet("low", ["0", "0"]), Contact("joint"), Neumann("high", ["0", "-1"]), Neumann("sides")]
-    boundary, problem = Elasticity(1.0, 0.3, conditions=conditions).on(domain)
-    spaces = build_elastic_spaces(domain, boundary, problem.rough)
+    problem = Elasticity(1.0, 0.3, conditions=conditions).on(domain)
+    spaces = build_elastic_spaces(domain, problem.boundary, problem.rough)
     operator = ConstrainedMatrix(ElasticSystem(spaces, elastic_data(spaces, problem)).matrix, PETSc.Mat.Option.SPD)
     copy, sites = operator.in_blocks(), spaces.site_kinds["normal"].unknown
     assert copy.getBlockSizes() == (4, 4)

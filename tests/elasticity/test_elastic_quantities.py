@@ -1,5 +1,6 @@
 """What engineers read off: exact in a uniform state, the width of Hertz's contact, the same on all ranks."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ def block(comm: MPI.Comm) -> ElasticSolution:
     """A block 2 x 3 x 1 under a uniform pressure of 0.1 that may grow wider."""
     domain = box(comm, 1, [0.0, 0.0, 0.0], [2.0, 3.0, 1.0])
     boundary = ElasticBoundary(["z0"], ["z1", "x1", "y1"], {"x0": "x", "y0": "y"})
-    return solve(domain, (boundary, ElasticProblem(1.0, 0.3, g_N={"z1": ["0", "0", "-0.1"]})))
+    return solve(domain, ElasticProblem(1.0, 0.3, g_N={"z1": ["0", "0", "-0.1"]}, boundary=boundary))
 
 
 @pytest.mark.parallel([1, 3])
@@ -49,7 +50,7 @@ def cylinder(comm: MPI.Comm, n: int) -> ElasticSolution:
     """Half a cylinder of radius 1 on a plane, pressed by 0.0172615: half the width of contact is 0.2034."""
     boundary = ElasticBoundary(["y0"], ["y1", "x1"], {"x0": "x"})
     problem = ElasticProblem(1.0, 0.3, g_N={"y1": ["0", "-0.0172615"]}, gap="x^2/2")
-    return solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), (boundary, problem))
+    return solve(box(comm, n, [0.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
 
 
 def test_width_is_between_vertices():
@@ -62,7 +63,7 @@ def test_width_of_a_punch_and_of_all():
     """A part that is pressed everywhere is as wide as it is long; of two runs both count."""
     boundary = ElasticBoundary(["y0"], ["x0", "x1"])
     problem = ElasticProblem(1.0, 0.0, u_D=["0", "-0.1"], gap="0 if x < 0.5 else 0 if x > 1.5 else 1")
-    found = solve(box(MPI.COMM_SELF, 8, [0.0, 0.0], [2.0, 1.0]), (boundary, problem)).quantities()
+    found = solve(box(MPI.COMM_SELF, 8, [0.0, 0.0], [2.0, 1.0]), replace(problem, boundary=boundary)).quantities()
     assert found["contact"]["y0"]["width"] == pytest.approx(1.0)
 
 

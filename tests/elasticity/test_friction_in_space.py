@@ -49,9 +49,7 @@ def oblique(comm: MPI.Comm, law: ElasticLaw, shear: float, slip: float) -> Elast
     """A block under a pressure of 0.1 and a uniform shear along an oblique direction, ν = 0; it slips so far."""
     way = np.array([np.cos(0.7), np.sin(0.7)])
     u = [*(f"{w}*({slip} + {2 * shear}*z)" for w in way), "-0.1*z"]
-    return solve(
-        box(comm, 2, [0.0] * 3, [1.0] * 3), (ElasticBoundary([]), ElasticProblem(1.0, 0.0, u_D=u, exact=u, laws=[law]))
-    )
+    return solve(box(comm, 2, [0.0] * 3, [1.0] * 3), ElasticProblem(1.0, 0.0, u_D=u, exact=u, laws=[law]))
 
 
 @pytest.mark.parametrize("law", [Friction(["z0"], g=0.03), CoulombLaw(["z0"], 0.3)], ids=["tresca", "coulomb"])
@@ -91,7 +89,11 @@ def twisted(law: ElasticLaw, options: Options | None = None) -> ElasticSolution:
     """A block that is pressed, tilted, pushed and twisted on a plane."""
     u = ["-0.1*(y - 0.4)", "0.1*(x - 0.5) + 0.01", "-0.05 + 0.03*x"]
     problem = ElasticProblem(1.0, 0.3, u_D={"z1": u}, gap="0.01*x", laws=[law])
-    return solve(box(COMM, 2, [0.0] * 3, [1.0, 1.0, 0.5]), (ElasticBoundary([], SIDES), problem), options or Options())
+    return solve(
+        box(COMM, 2, [0.0] * 3, [1.0, 1.0, 0.5]),
+        replace(problem, boundary=ElasticBoundary([], SIDES)),
+        options or Options(),
+    )
 
 
 @cache
@@ -177,7 +179,7 @@ def test_few_steps(law: ElasticLaw):
     norms = []
     for direct_up_to in (None, 100):
         options = Options(tuning=Tuning(direct_up_to=direct_up_to))
-        solution = solve(bar(1), (boundary, problem), options, remesh=bar)
+        solution = solve(bar(1), replace(problem, boundary=boundary), options, remesh=bar)
         assert solution.outcome.linear_solver.startswith("cg") == (direct_up_to is not None)
         assert len(solution.outcome.history) <= 10
         check_law(solution)
@@ -195,7 +197,7 @@ def test_bound_where_slip_turns():
         u = 0.1 * d + 0.06 * z * d / ufl.sqrt(ufl.dot(d, d)) - 0.1 * z * ufl.as_vector([0, 0, 1])
         f = -ufl.div(stress(strain(u), 1.0, 0.0))
         problem = ElasticProblem(1.0, 0.0, f=f, u_D=u, exact=u, laws=[Friction(["z0"], g=0.03)])
-        solution = solve(domain, (ElasticBoundary([]), problem))
+        solution = solve(domain, problem)
         errors.append(solution.errors()["energy"])
         bounds.append(certify(solution).sigma_bound)
     assert errors[1] < errors[0] / 2
@@ -210,7 +212,7 @@ def test_two_bodies():
     u = ["0.08", "0.06", "-0.05"]
     problem = ElasticProblem(1.0, 0.3, u_D={"top": u, "bottom": ["0"] * 3}, laws=[CoulombLaw(["fault"], 0.3)])
     boundary = ElasticBoundary([], ["left", "right", "front", "back"], inner=["fault"])
-    solution = solve(two_boxes(COMM, 2, 3), (boundary, problem))
+    solution = solve(two_boxes(COMM, 2, 3), replace(problem, boundary=boundary))
     check_law(solution)
     assert COMM.allreduce(solution.slip.max(initial=0.0), MPI.MAX) > 1e-3
     assert solution.quantities()["balance"] < 1e-12
@@ -223,7 +225,9 @@ def test_pushed_away():
     def pushed(push: float) -> ElasticSolution:
         load = {"z1": [str(0.8 * push), str(0.6 * push), "-0.1"]}
         problem = ElasticProblem(1.0, 0.3, g_N=load, laws=[CoulombLaw(["z0"], 0.5)])
-        return solve(box(COMM, 1, [0.0] * 3, [1.0, 1.0, 0.25]), (ElasticBoundary([], ["z1", *SIDES]), problem))
+        return solve(
+            box(COMM, 1, [0.0] * 3, [1.0, 1.0, 0.25]), replace(problem, boundary=ElasticBoundary([], ["z1", *SIDES]))
+        )
 
     solution = pushed(0.03)
     force = solution.resultants()["z0"][:3]
@@ -259,7 +263,7 @@ def test_friction_beside_a_law_with_more_corners():
     """The bound takes the shear that the stress has; it took 0 where the law on another part has more corners."""
     laws = [CoulombLaw(["z0"], 0.3), Regulator(["x0"], k=1.0, g_low=-0.01, g_high=0.01)]
     problem = ElasticProblem(1.0, 0.3, u_D={"z1": ["0.05", "0.02", "-0.05"]}, gap={"z0": 0.0}, laws=laws)
-    solution = solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), (ElasticBoundary([], SIDES[1:]), problem))
+    solution = solve(box(COMM, 2, [0.0] * 3, [1.0] * 3), replace(problem, boundary=ElasticBoundary([], SIDES[1:])))
     shear = solution.spaces.shear(solution.stresses)
     assert np.abs(shear).max() > 0.01
     np.testing.assert_allclose(admissible_stress(solution).shear.ravel(), shear, atol=1e-10)
@@ -286,7 +290,7 @@ def test_much_friction(mu: float):
     a, b, c, d, e = BLOCKS[mu]
     u = [f"{a}*(y - 0.4) + {b}", f"{c}*(x - 0.5) + {d}", f"-0.05 + {e / 4}*x + {e / 6}*y"]
     problem = ElasticProblem(1.0, 0.3, u_D={"z1": u}, gap="0.01*x", laws=[CoulombLaw(["z0"], mu)])
-    solution = solve(box(COMM, 2, [0.0] * 3, [1.0, 1.0, 0.5]), (ElasticBoundary([], SIDES), problem))
+    solution = solve(box(COMM, 2, [0.0] * 3, [1.0, 1.0, 0.5]), replace(problem, boundary=ElasticBoundary([], SIDES)))
     assert solution.bound_changes[-1] < 1e-9
     assert len(solution.outcome.history) < 40
 

@@ -197,7 +197,7 @@ def test_case_file(tmp_path: Path):
 def test_refusals(given: dict[str, Any], message: str):
     """What is no stiffness, and springs that do not hold the body."""
     load = {"x1": [0.1, 0.0], "y1": [0.0, -0.1]}
-    posed = ElasticBoundary(["y0"], ["x0", "x1", "y1"]), ElasticProblem(1.0, 0.3, g_N=load, support=given)
+    posed = ElasticProblem(1.0, 0.3, g_N=load, support=given, boundary=ElasticBoundary(["y0"], ["x0", "x1", "y1"]))
     with pytest.raises(InputError, match=message):
         solve(box(COMM, 1, [0.0, 0.0], [1.0, 1.0]), posed)
 
@@ -206,7 +206,7 @@ def test_symmetric_up_to_rounding():
     """The stiffness and the strain of a body that was turned are symmetric up to rounding alone."""
     turned, load = float(np.nextafter(0.1, 1)), {"x1": [0.1, 0.0], "y1": [0.0, -0.1]}
     both: dict[str, Any] = {"support": {"x0": [[2, 0.1], [turned, 2]]}, "eigenstrain": [[0.2, turned], [0.1, 0]]}
-    posed = ElasticBoundary(["y0"], ["x0", "x1", "y1"]), ElasticProblem(1.0, 0.3, g_N=load, **both)
+    posed = ElasticProblem(1.0, 0.3, g_N=load, **both, boundary=ElasticBoundary(["y0"], ["x0", "x1", "y1"]))
     assert solve(box(COMM, 1, [0.0, 0.0], [1.0, 1.0]), posed).kkt.equilibrium < 1e-12
 
 

@@ -1,11 +1,14 @@
 """The factorisation of one set used for others, and for friction in space: the same solutions, few factorisations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete import hybrid_backend as elastic
 from signorini_fenicsx.linear import kept_factors
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.problem import (
@@ -20,7 +23,6 @@ from signorini_fenicsx.physics.elasticity.problem import (
     Tresca,
 )
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.physics.elasticity.solve import backend as elastic
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
@@ -32,7 +34,7 @@ def solved(comm: MPI.Comm, young: float, laws: list[CoulombLaw]) -> ElasticSolut
     boundary = ElasticBoundary(["y0"], neumann=["y1", "x1"], fixed={"x0": "n"})
     load = {"y1": ["0", f"{-0.1 * young}"]}
     problem = ElasticProblem(f"{young}*(1 + x^2)", 0.3, g_N=load, gap="0.5*(x - 0.1)^2", laws=laws)
-    return solve(box(comm, 8, [-1.0, 0.0], [1.0, 1.0]), (boundary, problem))
+    return solve(box(comm, 8, [-1.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
 
 
 @pytest.mark.parallel(3)

@@ -80,7 +80,7 @@ def test_patch_is_solved_and_nothing_else_changes():
     case = load_case("example2").with_values({"solve.h": 1 / 16})
     domain = mesh_case(case, COMM)
     spaces = build_spaces(domain, case.boundary.signorini, case.boundary.neumann)
-    system = FacetSystem(spaces, project_data(spaces, case.data(2)), Tuning())
+    system = FacetSystem(spaces, project_data(spaces, case.posed(2)), Tuning())
     last = COMM.allreduce(COMM.rank if len(spaces.facets) > 0 else -1, MPI.MAX)
     in_contact = np.zeros(len(spaces.facets), dtype=np.int8)
     if COMM.rank == last:

@@ -62,7 +62,7 @@ def test_a_uniform_state_of_a_body(folder: Path):
     """Under a uniform pressure all stresses, the contact and the points of the warped body are exact."""
     domain = box(COMM, 1, [0.0, 0.0, 0.0], [2.0, 3.0, 1.0])
     boundary = ElasticBoundary(["z0"], ["z1", "x1", "y1"], {"x0": "x", "y0": "y"})
-    solution = solve(domain, (boundary, ElasticProblem(1.0, 0.3, g_N={"z1": ["0", "0", "-0.1"]})))
+    solution = solve(domain, ElasticProblem(1.0, 0.3, g_N={"z1": ["0", "0", "-0.1"]}, boundary=boundary))
     write_solution(solution, folder)
     if COMM.rank > 0:
         return

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,7 @@ def pressed(comm: MPI.Comm, dim: int, n: int) -> ElasticSolution:
     u, f, g_N = PRESSED[dim]
     boundary = ElasticBoundary(["xyz"[dim - 1] + "0"], neumann=list(g_N))
     problem = ElasticProblem(1.0, 0.25, f=f, u_D=u, g_N=g_N, gap=0.0)
-    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), (boundary, problem))
+    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), replace(problem, boundary=boundary))
 
 
 def punched(comm: MPI.Comm, n: int, dim: int = 2, **changes: object) -> ElasticSolution:
@@ -73,7 +74,7 @@ def punched(comm: MPI.Comm, n: int, dim: int = 2, **changes: object) -> ElasticS
         "gap": "0.02*x^2",
     }
     problem = ElasticProblem(1.0, 0.3, **(data | changes))  # type: ignore[arg-type]
-    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), (boundary, problem))
+    return solve(box(comm, n, [0.0] * dim, [1.0] * dim), replace(problem, boundary=boundary))
 
 
 def rubbed(law: ElasticLaw, dim: int, n: int) -> ElasticSolution:
@@ -81,7 +82,10 @@ def rubbed(law: ElasticLaw, dim: int, n: int) -> ElasticSolution:
     bottom, sides = f"{'xyz'[dim - 1]}0", ["x0", "x1", *(["y0", "y1"] if dim == 3 else [])]
     u_D = ["0.05", *["0.02"] * (dim - 2), "-0.1"]
     problem = ElasticProblem(1.0, 0.3, u_D=u_D, gap="0.02*x^2", laws=(dataclasses.replace(law, parts=[bottom]),))
-    return solve(box(MPI.COMM_SELF, n, [0.0] * dim, [1.0] * dim), (ElasticBoundary([bottom], neumann=sides), problem))
+    return solve(
+        box(MPI.COMM_SELF, n, [0.0] * dim, [1.0] * dim),
+        replace(problem, boundary=ElasticBoundary([bottom], neumann=sides)),
+    )
 
 
 def held_by_contact(dim: int = 2) -> ElasticSolution:
@@ -91,7 +95,9 @@ def held_by_contact(dim: int = 2) -> ElasticSolution:
     others = ["x1"] if dim == 2 else ["x1", "y1"]
     problem = ElasticProblem(1.0, 0.3, g_N={top: [*["0"] * (dim - 1), "-0.1"]}, gap="0.02*x^2")
     boundary = ElasticBoundary([bottom], neumann=[top, *others], fixed=fixed)
-    return solve(box(MPI.COMM_SELF, 8 if dim == 2 else 2, [0.0] * dim, [1.0] * dim), (boundary, problem))
+    return solve(
+        box(MPI.COMM_SELF, 8 if dim == 2 else 2, [0.0] * dim, [1.0] * dim), replace(problem, boundary=boundary)
+    )
 
 
 def discrete_of(solution: ElasticSolution) -> tuple[ElasticDiscrete, Given]:
@@ -210,7 +216,7 @@ def test_loads_that_vary():
     problem = ElasticProblem(1.0, 0.25, u_D=["x^2/10", "x*y/10 - y/5"], exact=u, **loads)  # type: ignore[arg-type]
     boundary = ElasticBoundary([], neumann=["x1", "y0"])
     domain = box(MPI.COMM_SELF, 4, [0.0, 0.0], [1.0, 1.0])
-    solution = solve(domain, (boundary, problem))
+    solution = solve(domain, replace(problem, boundary=boundary))
     errors, certificate = solution.errors(), certify(solution)
     proof = proof_of(solution, certificate.v)
     assert errors is not None
@@ -220,7 +226,7 @@ def test_loads_that_vary():
 
     pulse = "1e4*exp(-1e5*((x - 0.313)^2 + (y - 0.417)^2))"
     pulsed = dataclasses.replace(problem, f=["-2*y/5", f"-2*x/5 - {pulse}"], exact=None)
-    solution = solve(domain, (boundary, pulsed))
+    solution = solve(domain, replace(pulsed, boundary=boundary))
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is not None, proof.reason
     assert proof.proven.bound > 0.01
@@ -285,7 +291,7 @@ def test_eigenstrain(dim: int, plane: str, monkeypatch: pytest.MonkeyPatch):
     gaps = []
     for own in ("(x - y)/10", [row[:dim] for row in matrix[:dim]], "exp(x*y)/10"):
         given = {"u_D": {top: [0.0] * (dim - 1) + [-0.02]}, "eigenstrain": own, "plane": plane}
-        solution = solve(domain, (boundary, ElasticProblem(1.0, 0.25, **given)))  # type: ignore[arg-type]
+        solution = solve(domain, ElasticProblem(1.0, 0.25, **given, boundary=boundary))  # type: ignore[arg-type]
         certificate = certify(solution)
         assert certificate.guaranteed
         proof = proof_of(solution, certificate.v)
@@ -326,7 +332,7 @@ def test_where_u_meets_the_gap(gap: object, u_D: list[object], free: list[str], 
     x = domain.mesh.geometry.x
     x[:, :2] += slope * x[:, 1::-1] * [-1, 1]
     problem = ElasticProblem(1.0, 0.3, f=down, u_D=u_D, gap=gap)  # type: ignore[arg-type]
-    solution = solve(domain, (ElasticBoundary(["xyz"[dim - 1] + "0"], neumann=free), problem))
+    solution = solve(domain, replace(problem, boundary=ElasticBoundary(["xyz"[dim - 1] + "0"], neumann=free)))
     certificate = certify(solution)
     proof = proof_of(solution, certificate.v)
     assert proof.proven is not None, proof.reason
@@ -377,7 +383,7 @@ def test_refusals(changes: dict[str, object], reason: str):
     solution = punched(MPI.COMM_SELF, 2 if "dim" in changes else 4, **changes)  # type: ignore[arg-type]
     if young is not None:
         problem = dataclasses.replace(solution.problem, young=young)
-        solution = solve(solution.spaces.domain, (solution.boundary, problem))
+        solution = solve(solution.spaces.domain, replace(problem, boundary=solution.boundary))
     proof = proof_of(solution, certify(solution).v)
     assert proof.proven is None
     with pytest.raises(InputError, match=reason):

@@ -30,7 +30,7 @@ def solved(f: str = "40*(x - 0.6)", n: int = 8, **data: object) -> Solution:
     """On a square with Γ_S below and Γ_N on the right."""
     square = mesh.create_unit_square(COMM, n, n)
     boundary = Boundary(["bottom"], ["right"])
-    return solve(domain_of(square, WALLS), (boundary, Problem(f=f, psi="0.1*x - 0.05", **data)))
+    return solve(domain_of(square, WALLS), Problem(f=f, psi="0.1*x - 0.05", **data, boundary=boundary))
 
 
 def test_examples():
@@ -80,7 +80,7 @@ def test_fluxes_balance_the_load():
     square = mesh.create_unit_square(COMM, 4, 4)
     middle = {"bottom": WALLS["bottom"], "middle": lambda x: np.isclose(x[0], 0.5)}
     facets = {name: mesh.locate_entities(square, 1, where) for name, where in middle.items()}
-    inner = solve(domain_of(square, facets), (Boundary(["bottom"]), Problem(f=1.0)))
+    inner = solve(domain_of(square, facets), Problem(f=1.0, boundary=Boundary(["bottom"])))
     with pytest.raises(InputError, match="part 'middle' has facets inside the domain"):
         inner.flux_through("middle")
 
@@ -161,10 +161,10 @@ def test_a_solve_is_safe_from_the_collector():
         enabled.append(gc.isenabled())
 
     gc.enable()
-    solve(domain, (boundary, Problem(f="40*(x - 0.6)")), on_step=on_step)
+    solve(domain, Problem(f="40*(x - 0.6)", boundary=boundary), on_step=on_step)
     assert gc.isenabled()
     assert enabled
     assert not any(enabled)
     with pytest.raises(InputError):
-        solve(domain, (boundary, Problem(f="0*")))
+        solve(domain, Problem(f="0*", boundary=boundary))
     assert gc.isenabled()

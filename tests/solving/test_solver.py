@@ -7,6 +7,7 @@ import itertools
 import resource
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +37,22 @@ from signorini_fenicsx.solving.solver import Solver, solve
 
 COMM = MPI.COMM_WORLD
 
+BOUNDARY = Boundary(["bottom", "left"], ["right"])
+posed = partial(Problem, boundary=BOUNDARY)
 PROBLEMS = [
-    Problem(f="20*(x - 0.6)"),
-    Problem(f="8*sin(5*x)", psi="0.02*sin(9*x) - 0.01", q_S="-0.3*cos(7*x)", g_N="x - y", u_D="x*y"),
-    Problem(f="-2", psi="-0.05", u_D="3 + x/10", q_S="-0.2"),
-    Problem(f="20*(x - 0.6)", kappa="1 + x*y"),
-    Problem(f="9*(x - 0.6)", kappa="1 + x*y", psi="-0.01*x"),
-    Problem(f="20*(x - 0.6)", kappa=[["2", "0.3"], ["0.3", "1 + x"]]),
-    Problem(f=lambda x: 20 * (x[0] - 0.6), kappa=2.5),
+    posed(f="20*(x - 0.6)"),
+    posed(f="8*sin(5*x)", psi="0.02*sin(9*x) - 0.01", q_S="-0.3*cos(7*x)", g_N="x - y", u_D="x*y"),
+    posed(f="-2", psi="-0.05", u_D="3 + x/10", q_S="-0.2"),
+    posed(f="20*(x - 0.6)", kappa="1 + x*y"),
+    posed(f="9*(x - 0.6)", kappa="1 + x*y", psi="-0.01*x"),
+    posed(f="20*(x - 0.6)", kappa=[["2", "0.3"], ["0.3", "1 + x"]]),
+    posed(f=lambda x: 20 * (x[0] - 0.6), kappa=2.5),
 ]
 
 
-def setting(folder: Path, h: float = 0.2) -> tuple[Domain, Boundary]:
+def setting(folder: Path, h: float = 0.2) -> Domain:
     case = make_case(folder, parts=["bottom", "left"], f="0", h=h).with_values({"boundary.neumann": ["right"]})
-    return mesh_case(case, COMM), case.posed(2)[0]
+    return mesh_case(case, COMM)
 
 
 def assert_same(one: Solution, other: Solution, tolerance: float) -> None:
@@ -65,19 +68,19 @@ def assert_same(one: Solution, other: Solution, tolerance: float) -> None:
 @pytest.mark.parallel([1, 2])
 @pytest.mark.parametrize("backend", ["hybrid", "mixed"])
 def test_an_obstacle_that_comes_and_goes(folder: Path, backend: str):
-    domain, boundary = setting(folder)
-    solver, options = Solver(domain, (boundary, None)), Options(backend=backend, predict=False)
+    domain = setting(folder)
+    solver, options = Solver(domain, posed(0)), Options(backend=backend, predict=False)
     for obstacle in (None, -0.02, -0.01, None):
-        problem = Problem(f="20*(x - 0.6)", obstacle=obstacle)
-        assert_same(solver.solve(problem, options), solve(domain, (boundary, problem), options), 1e-12)
+        problem = posed(f="20*(x - 0.6)", obstacle=obstacle)
+        assert_same(solver.solve(problem, options), solve(domain, problem, options), 1e-12)
 
 
 @pytest.mark.parallel([1, 2, 3])
 @pytest.mark.parametrize("backend", ["hybrid", "mixed"])
 def test_results_are_those_of_separate_solves(folder: Path, backend: str):
     """κ, the conditions and all data change from each problem to the next."""
-    domain, boundary = setting(folder)
-    solver = Solver(domain, (boundary, None))
+    domain = setting(folder)
+    solver = Solver(domain, posed(0))
     options = itertools.cycle(
         [
             Options(backend=backend, predict=False),
@@ -87,26 +90,26 @@ def test_results_are_those_of_separate_solves(folder: Path, backend: str):
     )
     problems = PROBLEMS + PROBLEMS[::-1] if COMM.size == 1 else PROBLEMS[:5]
     for problem, option in zip(problems, options, strict=False):
-        assert_same(solver.solve(problem, option), solve(domain, (boundary, problem), option), 1e-12)
+        assert_same(solver.solve(problem, option), solve(domain, problem, option), 1e-12)
 
 
 def test_other_methods_and_multigrid(folder: Path):
-    domain, boundary = setting(folder)
-    solver = Solver(domain, (boundary, None))
+    domain = setting(folder)
+    solver = Solver(domain, posed(0))
     for problem in PROBLEMS[1:5]:
         for name in ("snes1", "vi", "primal-pdas", "slimane"):
             option = Options(algorithm=name, eps=1e-3)
-            assert_same(solver.solve(problem, option), solve(domain, (boundary, problem), option), 1e-12)
+            assert_same(solver.solve(problem, option), solve(domain, problem, option), 1e-12)
         option = Options(tuning=Tuning(direct_up_to=0))
-        assert_same(solver.solve(problem, option), solve(domain, (boundary, problem), option), 1e-9)
+        assert_same(solver.solve(problem, option), solve(domain, problem, option), 1e-9)
 
 
 @pytest.mark.parallel([1, 2])
 def test_one_factorisation_for_all_sets(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """With the same κ as before, here one that jumps, no conditions are imposed on the matrix."""
-    domain, boundary = setting(folder)
-    solver = Solver(domain, (boundary, None))
-    problems = [Problem(f=f"{load}*(x - 0.5)", kappa="100 if x > 0.6 else 1/50", psi=-0.01) for load in range(9, 14)]
+    domain = setting(folder)
+    solver = Solver(domain, posed(0))
+    problems = [posed(f=f"{load}*(x - 0.5)", kappa="100 if x > 0.6 else 1/50", psi=-0.01) for load in range(9, 14)]
     for problem in problems[:2]:
         solver.solve(problem)
     imposed: list[int] = []
@@ -118,7 +121,7 @@ def test_one_factorisation_for_all_sets(folder: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(ConstrainedMatrix, "impose", counted)
     for problem in problems[2:]:
-        without = solve(domain, (boundary, problem))
+        without = solve(domain, problem)
         assert imposed
         imposed.clear()
         found = solver.solve(problem)
@@ -132,17 +135,17 @@ def test_one_factorisation_for_all_sets(folder: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parallel(2)
 def test_what_fails_does_not_spoil_what_follows(folder: Path):
-    domain, boundary = setting(folder)
-    solver = Solver(domain, (boundary, None))
-    expected = solve(domain, (boundary, PROBLEMS[1]))
+    domain = setting(folder)
+    solver = Solver(domain, posed(0))
+    expected = solve(domain, PROBLEMS[1])
     with pytest.raises(NumericalFailure):
         solver.solve(PROBLEMS[0], Options(max_iterations=1, predict=False))
     assert_same(solver.solve(PROBLEMS[1]), expected, 1e-12)
     with pytest.raises(InputError, match="kappa: must be positive"):
-        solver.solve(Problem(f=1, kappa=-1))
+        solver.solve(posed(f=1, kappa=-1))
     assert_same(solver.solve(PROBLEMS[1]), expected, 1e-12)
     with pytest.raises(InputError, match="unknown part 'roof'"):
-        Solver(domain, (Boundary(signorini=["roof"]), None))
+        Solver(domain, Problem(0, boundary=Boundary(signorini=["roof"])))
 
 
 def test_the_example():
@@ -152,8 +155,8 @@ def test_the_example():
 
 
 def test_earlier_solutions_stay(folder: Path):
-    domain, boundary = setting(folder)
-    solver = Solver(domain, (boundary, None))
+    domain = setting(folder)
+    solver = Solver(domain, posed(0))
     first = solver.solve(PROBLEMS[1])
     functions = (first.sigma, first.u, first.p, first.data.f_h, first.data.u_lift)
     fields = [function.x.array.copy() for function in functions]
@@ -165,8 +168,8 @@ def test_earlier_solutions_stay(folder: Path):
 
 
 def test_no_form_is_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    domain, boundary = setting(folder)
-    solver = Solver(domain, (boundary, None))
+    domain = setting(folder)
+    solver = Solver(domain, posed(0))
     for problem in (PROBLEMS[1], PROBLEMS[4], PROBLEMS[5]):
         solver.solve(problem, Options(algorithm="alg3", eps=1e-3))
     looked_for: list[Any] = []
@@ -240,8 +243,8 @@ def communicators() -> int:
 @pytest.mark.parallel(2)
 def test_nothing_grows(folder: Path):
     """Over 90 solves neither the memory nor the communicators, of which MPICH has some thousand: few are left here."""
-    domain, boundary = setting(folder, h=0.5)
-    solver = Solver(domain, (boundary, None))
+    domain = setting(folder, h=0.5)
+    solver = Solver(domain, posed(0))
     problems = PROBLEMS[:6]  # functions of points are interpolated, where DOLFINx makes cycles for Python's collector
     for problem in (*problems, *problems):
         solver.solve(problem)

@@ -10,7 +10,7 @@ from commands import read_rows
 from in_time import run, run_in_two
 from mpi4py import MPI
 from springs import Springs
-from springs.solving import Bed
+from springs.solving import Bed, Edges
 
 from signorini_fenicsx import certify, compare, load_solution, solve
 from signorini_fenicsx.base.errors import InputError
@@ -30,10 +30,10 @@ COMM = MPI.COMM_WORLD
 def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """It is solved, measured, written, drawn, read again, compared and reported; no bound is known, which is said."""
     domain = build_domain(COMM, "square", 0.3, mesh="structured")
-    with pytest.raises(InputError, match="must be a Diffusion or an Elasticity, not Edges"):
-        solve(domain, Bed(2.0, -1.0, ["bottom"]))
+    with pytest.raises(InputError, match="must be a Diffusion or an Elasticity, not Bed"):
+        solve(domain, Bed(2.0, -1.0, Edges(["bottom"])))
     monkeypatch.setitem(PHYSICS, "springs", Springs())
-    solution = solve(domain, Bed(2.0, -1.0, ["bottom"]), name="bed")
+    solution = solve(domain, Bed(2.0, -1.0, Edges(["bottom"])), name="bed")
     certificate = certify(solution)
     assert certificate.if_none == "none is known for springs"
     solution.write(folder / "bed", certificate=certificate, plot=True)

@@ -2,6 +2,7 @@
 
 import doctest
 import gc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def square(h: float) -> Domain:
 def moving(h: float, steps: int, scheme: str = "implicit-euler", **options: object) -> Solution:
     """The moving transition at t = 1."""
     evolution = Evolution(end=1.0, steps=steps, initial=START, scheme=scheme)
-    *_, last = evolve(square(h), (BOTTOM, MOVING), evolution, Options(**options))
+    *_, last = evolve(square(h), replace(MOVING, boundary=BOTTOM), evolution, Options(**options))
     return last.solution
 
 
@@ -78,8 +79,8 @@ def test_the_steady_state_is_the_solution(algorithm: str):
     problem = Problem(f="20*(x - 0.6)*(1 - exp(-9*t))", kappa="1 + y", c="x", psi="-0.01*x", laws=laws)
     evolution = Evolution(end=60.0, steps=16, initial="sin(9*x)", capacity="1/2 if x > 0.5 else 1/5")
     options, domain = Options(algorithm=algorithm, eps=1e-9), square(1 / 8)
-    *_, last = evolve(domain, (BOTTOM, problem), evolution, options)
-    steady = solve(domain, (BOTTOM, problem.in_time(2).at(60.0)), options)
+    *_, last = evolve(domain, replace(problem, boundary=BOTTOM), evolution, options)
+    steady = solve(domain, replace(problem.in_time(2).at(60.0), boundary=BOTTOM), options)
     assert 0 < steady.contact[0] < steady.spaces.Lambda.dofmap.index_map.size_global
     for one, other in ((last.solution.sigma, steady.sigma), (last.solution.u, steady.u), (last.solution.p, steady.p)):
         np.testing.assert_allclose(one.x.array, other.x.array, atol=1e-8)
@@ -101,11 +102,11 @@ def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.Monk
     monkeypatch.setattr(LinearSolver, "solve", count)
     monkeypatch.setattr(data_module, "cell_means", count_means)
     solver, problem = (
-        Solver(square(1 / 8), (BOTTOM, None)),
+        Solver(square(1 / 8), Problem(0, boundary=BOTTOM)),
         Problem(f="(20 + exp(-t))*(x - 0.6)", u_D="x*(1 - exp(-t))"),
     )
     numbers, means, data = [], [], []
-    for instant in evolve(solver, (BOTTOM, problem), Evolution(50.0, 25)):
+    for instant in evolve(solver, replace(problem, boundary=BOTTOM), Evolution(50.0, 25)):
         numbers.append(counted["solves"])
         means.append(counted["means"])
         data.append(instant.solution.data)
@@ -118,14 +119,15 @@ def test_a_step_with_sets_that_stand_still_is_one_solve(monkeypatch: pytest.Monk
 @pytest.mark.parallel([1, 2])
 def test_a_step_starts_from_earlier_solutions():
     """From their combination nearest in energy: after three steps a load that they span is solved at once."""
-    options, solver = Options(tuning=Tuning(direct_up_to=0)), Solver(square(1 / 8), (BOTTOM, None))
+    options = Options(tuning=Tuning(direct_up_to=0))
+    solver = Solver(square(1 / 8), Problem(0, boundary=BOTTOM))
     loads = ["x - 0.6", "x - 0.6 + y/9", "x - 0.6 + sin(9*x)/9", "x - 0.6 + y/7 - sin(9*x)/8"]
-    found = [solver.solve(Problem(f=loads[0], psi=-1), options)]
+    found = [solver.solve(Problem(f=loads[0], psi=-1, boundary=BOTTOM), options)]
     for f in loads[1:]:
-        found.append(solver.solve(Problem(f=f, psi=-1), options, start=found[-1]))
+        found.append(solver.solve(Problem(f=f, psi=-1, boundary=BOTTOM), options, start=found[-1]))
     taken = [sum(step.linear_iterations for step in each.outcome.history) for each in found]
     assert taken[3] <= 2 < taken[2]
-    anew = solve(square(1 / 8), (BOTTOM, Problem(f=loads[3], psi=-1)), options)
+    anew = solve(square(1 / 8), Problem(f=loads[3], psi=-1, boundary=BOTTOM), options)
     np.testing.assert_allclose(found[3].u.x.array, anew.u.x.array, atol=1e-11)
 
 
@@ -133,7 +135,7 @@ def test_nothing_grows():
     """With the collector off, as in programs, what is left after 100 steps is what is left after 50."""
     problem, left = Problem(f="20*(x - 0.6)*sin(t)", u_D="x*sin(t)/9", psi=-0.1), []
     gc.disable()
-    for instant in evolve(square(0.5), (BOTTOM, problem), Evolution(end=9.0, steps=110)):
+    for instant in evolve(square(0.5), replace(problem, boundary=BOTTOM), Evolution(end=9.0, steps=110)):
         if instant.step in (52, 102):
             left.append(len(gc.get_objects()))
     assert left[1] - left[0] < 100
@@ -142,7 +144,10 @@ def test_nothing_grows():
 def test_at_rest_u_is_rounding():
     """Until ψ rises above 0 at t = 1.5; nothing drives u before, and its rounding is no load of the next step."""
     problem = Problem(f=0, psi="t - 1.5", c="x")
-    found = [each.solution.norms()["u_L2"] for each in evolve(square(0.25), (BOTTOM, problem), Evolution(2.0, 8))]
+    found = [
+        each.solution.norms()["u_L2"]
+        for each in evolve(square(0.25), replace(problem, boundary=BOTTOM), Evolution(2.0, 8))
+    ]
     assert max(found[:6]) < 1e-15
     assert min(found[6:]) > 0.01
 
@@ -179,4 +184,4 @@ def test_bad_input():
         ({"end": 1.0, "steps": 2}, {"c": lambda x: x[0]}, r"\[time\]: c and capacity must be numbers, texts or UFL"),
     ]:
         with pytest.raises(InputError, match=message):
-            list(evolve(domain, (BOTTOM, Problem(**({"f": 1} | problem))), Evolution(**evolution)))
+            list(evolve(domain, Problem(**({"f": 1} | problem), boundary=BOTTOM), Evolution(**evolution)))

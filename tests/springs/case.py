@@ -40,8 +40,8 @@ class BedCase(CaseFile):
     def parts(self):
         return self.boundary
 
-    def posed(self, dim: int):
-        return Edges(self.boundary.rests), Bed(self.problem.k, self.problem.f, self.boundary.rests)
+    def posed(self, dim: int, step: int | None = None):
+        return Bed(self.problem.k, self.problem.f, Edges(self.boundary.rests))
 
     @classmethod
     def first_sections(cls, outer, inner, dim):

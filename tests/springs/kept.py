@@ -7,13 +7,12 @@ from signorini_fenicsx.solving.kept import Keeping
 from springs.solving import Bed, Edges, Rested, residuals, state
 
 
-def _read(boundary, problem, spaces, stored):
+def _read(problem, spaces, stored):
     u = fem.Function(spaces.Q, name="u")
     u.x.array[:] = stored.in_cells(spaces, "u")
     load = stored.in_cells(spaces, "load")
     outcome, kkt = stored.outcome(*state(spaces, u)), residuals(problem, u, load)
     return Rested(
-        boundary=boundary,
         problem=problem,
         options=stored.options,
         spaces=spaces,

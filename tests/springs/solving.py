@@ -44,10 +44,10 @@ class Bed:
 
     k: float
     f: float
-    parts: Sequence[str] = ()
+    boundary: Edges
 
     def on(self, domain: Domain):
-        return Edges(self.parts), self
+        return self
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,6 @@ class Distance:
 class Rested(Solution):
     """A bed at rest."""
 
-    boundary: Edges
     problem: Bed
     spaces: MeshSpaces
     data: Array
@@ -138,14 +137,13 @@ class Rested(Solution):
 class System:
     """The spaces of a bed."""
 
-    def __init__(self, domain: Domain, boundary: Edges, problem: Bed):
-        self.boundary = boundary
-        self.spaces = build_mesh_spaces(domain, boundary.rests)
+    def __init__(self, domain: Domain, problem: Bed):
+        self.boundary = problem.boundary
+        self.spaces = build_mesh_spaces(domain, problem.boundary.rests)
 
-    def prepared(self, given: Any, wish: Any):
-        boundary, problem = given
+    def prepared(self, problem: Bed, wish: Any):
         load = np.full(len(self.spaces.cell_measures), problem.f) + (0.0 if wish.memory is None else wish.memory)
-        return Run(self.spaces, boundary, problem, wish.options, load)
+        return Run(self.spaces, problem, wish.options, load)
 
     def steps(self, problem: Bed, evolution: Evolution, start: Any):
         return Settling(self.spaces, problem, evolution)
@@ -189,7 +187,6 @@ class Run:
     """A bed that is not at rest yet."""
 
     spaces: MeshSpaces
-    boundary: Edges
     problem: Bed
     options: Options
     load: Array
@@ -205,7 +202,6 @@ class Run:
 
     def solution(self, outcome: Outcome, kkt: Balance, **about: Any):
         return Rested(
-            boundary=self.boundary,
             problem=self.problem,
             options=self.options,
             spaces=self.spaces,

@@ -4,6 +4,7 @@ import doctest
 import gc
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import dolfinx.mesh
@@ -91,7 +92,7 @@ def test_kinds_of_data(folder: Path):
         ),
     ]
     domain, boundary = domain_of(mesh, parts, regions), Boundary(["bottom"], ["right"])
-    one, two, three = (solve(domain, (boundary, problem)) for problem in problems)
+    one, two, three = (solve(domain, replace(problem, boundary=boundary)) for problem in problems)
     assert 0 < one.contact[0] < 8
     for other in (two, three):
         np.testing.assert_allclose(other.sigma.x.array, one.sigma.x.array, atol=1e-11)
@@ -148,7 +149,7 @@ def test_own_backend():
     mesh, parts = square()
     x = ufl.SpatialCoordinate(mesh)
     options = Options(algorithm="alg4", eps=1e-3, backend=Counting)
-    solution = solve(domain_of(mesh, parts), (Boundary(["bottom"]), Problem(f=40 * (x[0] - 0.6))), options)
+    solution = solve(domain_of(mesh, parts), Problem(f=40 * (x[0] - 0.6), boundary=Boundary(["bottom"])), options)
     assert Counting.solves == len(solution.outcome.history) + 1  # the start, too
     assert solution.outcome.backend == "counting"
     kind = solution.outcome.conditions.kind
@@ -177,28 +178,32 @@ def test_own_method():
     mesh, parts = square()
     domain, boundary = domain_of(mesh, parts), Boundary(["bottom"])
     options = Options(algorithm=Method("contact everywhere", "", one_step))
-    solution, expected = (solve(domain, (boundary, Problem(f=-1.0)), given) for given in (options, Options()))
+    solution, expected = (solve(domain, Problem(f=-1.0, boundary=boundary), given) for given in (options, Options()))
     np.testing.assert_allclose(solution.sigma.x.array, expected.sigma.x.array, atol=1e-12)
     assert solution.summary()["algorithm"] == "own"
     with pytest.raises(NumericalFailure, match="KKT residuals above"):
-        solve(domain, (boundary, Problem(f="40*(x - 0.6)")), options)
+        solve(domain, Problem(f="40*(x - 0.6)", boundary=boundary), options)
 
 
 @pytest.mark.parallel(2)
 def test_what_is_given_in_python_is_written_and_read(folder: Path):
     """Numbers and texts are in the file; a sentence asks for UFL. Results on a user's mesh refine and compare."""
     mesh, parts = square()
-    domain, boundary = domain_of(mesh, parts), Boundary(["bottom"], ["right"])
+    domain, boundary = domain_of(mesh, parts), Boundary(["bottom"], ["right"], [])
     text, x = "40*(x - 0.6)", ufl.SpatialCoordinate(mesh)
-    solution = solve(domain, (boundary, Problem(f=text, kappa=[[2, 0], [0, 1]])), Options(algorithm="alg3", eps=1e-6))
+    solution = solve(
+        domain, Problem(f=text, kappa=[[2, 0], [0, 1]], boundary=boundary), Options(algorithm="alg3", eps=1e-6)
+    )
     write_solution(solution, folder, certificate=certify(solution))
     read = load_solution(folder, COMM)
     assert read.problem == solution.problem
     assert read.options == solution.options
     assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
-    again = solve(domain, (boundary, read.problem), start=read)
+    again = solve(domain, replace(read.problem, boundary=boundary), start=read)
     assert len(again.outcome.history) <= len(solution.outcome.history)
-    ufl_given = solve(domain, (boundary, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]])), Options(algorithm=OWN))
+    ufl_given = solve(
+        domain, Problem(f=40 * (x[0] - 0.6), kappa=[[2, 0], [0, 1]], boundary=boundary), Options(algorithm=OWN)
+    )
     write_solution(ufl_given, folder)
     with pytest.raises(InputError, match="f: given in Python, so not in the file; pass the problem to load_solution"):
         load_solution(folder, COMM)
@@ -209,7 +214,7 @@ def test_what_is_given_in_python_is_written_and_read(folder: Path):
 
     def solve_on(domain: Domain, start: Solution | None) -> Solution:
         f = 40 * (ufl.SpatialCoordinate(domain.mesh)[0] - 0.6)
-        return solve(domain, (boundary, Problem(f=f)), start=start)
+        return solve(domain, Problem(f=f, boundary=boundary), start=start)
 
     finest, certificate = adapt(domain, solve_on, max_cells=600)
     assert finest.spaces.Q.dofmap.index_map.size_global > 300
@@ -297,13 +302,13 @@ def test_refusals():
         (domain, bottom, Problem(f=ufl.TestFunction(fem.functionspace(mesh, ("P", 1)))), "f: is UFL with a test or"),
     ]:
         with pytest.raises(InputError, match=message):
-            solve(given, (boundary, problem))
+            solve(given, replace(problem, boundary=boundary))
     quads, parts = square(cell_type=CellType.quadrilateral)
     with pytest.raises(InputError, match="must consist of triangles or tetrahedra"):
         domain_of(quads, parts)
     other, _ = square()
     with pytest.raises(InputError, match=r"f: is UFL on another mesh; write it on `domain.mesh`"):
-        solve(domain, (bottom, Problem(f=ufl.SpatialCoordinate(other)[0])))
+        solve(domain, Problem(f=ufl.SpatialCoordinate(other)[0], boundary=bottom))
     for chosen, message in [
         ("bottom", r"parts\['low'\]: must be an array of facet numbers, integers, or a function of points"),
         ([0.5, 1.0], "must be an array of facet numbers"),
@@ -320,7 +325,7 @@ def test_refusals():
     with pytest.raises(InputError, match=r"signorini: must be a list of names, such as \['bottom'\]"):
         Boundary("bottom")
     with pytest.raises(InputError, match="start: must be a Solution or Segments, not str"):
-        solve(domain, (bottom, f), start="results")
+        solve(domain, replace(f, boundary=bottom), start="results")
     with pytest.raises(InputError, match=r"laws: must be a list of laws, such as \[Friction"):
         Problem(f=1.0, laws=Friction(["bottom"], g=1))
     with pytest.raises(InputError, match="algorithm: unknown name 'alg5'; use one of alg1"):
@@ -332,9 +337,9 @@ def test_refusals():
 def test_arguments_of_the_wrong_kind():
     """One sentence each, for scalar and elastic problems."""
     domain = domain_of(*square())
-    held, pressed = ElasticBoundary(["bottom"]), ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"], gap=0.1)
-    free, scalar = Boundary(["bottom"]), Problem(f=1.0)
-    body, membrane = solve(domain, (held, pressed)), solve(domain, (free, scalar))
+    pressed = ElasticProblem(1.0, 0.3, u_D=["0", "-0.1"], gap=0.1, boundary=ElasticBoundary(["bottom"]))
+    scalar = Problem(f=1.0, boundary=Boundary(["bottom"]))
+    body, membrane = solve(domain, pressed), solve(domain, scalar)
     for call, message in [
         (lambda: certify(domain), "solution: must be a Solution, not Domain"),
         (lambda: compare(body, None), "solution: must be a Solution, not None"),
@@ -342,16 +347,18 @@ def test_arguments_of_the_wrong_kind():
         (lambda: Options(backend=3), "backend: must be a string, not whole number; a function that makes"),
         (lambda: Options(eps=None), "eps: must be a number, not None"),
         (lambda: Options(max_iterations="3"), "max_iterations: must be a number, not string"),
-        (lambda: solve(None, (free, scalar)), "domain: must be a Domain, not None"),
-        (lambda: solve(domain, (free, pressed)), "problem: must be a Problem, not ElasticProblem"),
-        (lambda: solve(domain, (free, scalar), {"algorithm": "alg1"}), "options: must be an Options, not dict"),
-        (lambda: solve(domain.mesh, (held, pressed)), "domain: must be a Domain, not Mesh"),
+        (lambda: solve(None, scalar), "domain: must be a Domain, not None"),
+        (lambda: replace(pressed, boundary=scalar.boundary), "boundary: must be an ElasticBoundary, not Boundary"),
+        (lambda: replace(scalar, boundary=pressed.boundary), "boundary: must be a Boundary, not ElasticBoundary"),
+        (lambda: solve(domain, scalar, {"algorithm": "alg1"}), "options: must be an Options, not dict"),
+        (lambda: solve(domain.mesh, pressed), "domain: must be a Domain, not Mesh"),
         (lambda: solve(domain, Wall("bottom", beta=1)), "problem: must be a Diffusion or an Elasticity, not Wall"),
-        (lambda: Solver(domain, scalar), "problem: must be a Diffusion or an Elasticity, not Problem"),
-        (lambda: Solver(domain, (free, scalar)).solve(pressed), "problem: must be a Problem, not ElasticProblem"),
-        (lambda: solve(domain, (held, scalar)), "problem: must be an ElasticProblem, not Problem"),
-        (lambda: solve(domain, (held, pressed), "alg1"), "options: must be an Options, not string"),
-        (lambda: solve(domain, (held, pressed), start=membrane), "start: problem is of another physics"),
+        (lambda: Solver(domain, scalar).solve(pressed), "problem: is of another physics"),
+        (lambda: solve(domain, pressed, "alg1"), "options: must be an Options, not string"),
+        (
+            lambda: solve(domain, pressed, start=membrane),
+            "start: problem is of another physics",
+        ),
         (lambda: Boundary(None), r"signorini: must be a list of names, such as \['bottom'\], not None"),
         (lambda: ElasticBoundary(["bottom"], fixed=["right"]), "fixed: must be a dict, not list; an example is"),
         (lambda: ElasticBoundary(["bottom"], fixed={"right": 0}), "fixed: part 'right': must be a string, not whole"),
@@ -361,7 +368,7 @@ def test_arguments_of_the_wrong_kind():
         (lambda: write_solution(body, 3), "folder: must be a string or Path, not whole number"),
         (lambda: adapt(domain, lambda domain, start: None), "what `problem` returns: must be a Solution, not None"),
         (lambda: adapt(domain, lambda domain, start: body, theta=2), "theta: must be greater than 0 and at most 1"),
-        (lambda: next(evolve(domain, (free, scalar), None)), "evolution: must be an Evolution, not None"),
+        (lambda: next(evolve(domain, scalar, None)), "evolution: must be an Evolution, not None"),
     ]:
         with pytest.raises(InputError, match=message):
             call()
@@ -379,8 +386,9 @@ def test_the_collector_is_off_in_all_that_is_collective(folder: Path):
             frame = frame.f_back
         wrong.update(names[-1:])
 
-    body = ElasticProblem(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], gap=0.1)
-    held, boundary, problem = ElasticBoundary(["bottom"], ["right"]), Boundary(["bottom"], ["right"]), Problem(f="-t")
+    held = ElasticBoundary(["bottom"], ["right"])
+    body = ElasticProblem(young=1.0, poisson=0.3, u_D=["0", "-0.3*y^2"], gap=0.1, boundary=held)
+    problem = Problem(f="-t", boundary=Boundary(["bottom"], ["right"]))
     case, in_time = api.load_case("example1").with_values({"solve.h": 0.5}), Evolution(end=1.0, steps=2)
     mesh, parts = square(4)
     before, was_on = gc.get_threshold(), gc.isenabled()
@@ -389,9 +397,9 @@ def test_the_collector_is_off_in_all_that_is_collective(folder: Path):
     gc.callbacks.append(note)
     try:
         domain = domain_of(mesh, parts)
-        *_, instant = evolve(domain, (boundary, problem), in_time)
+        *_, instant = evolve(domain, problem, in_time)
         api.StepBounds().certify(instant)
-        elastic = solve(domain, (held, body))
+        elastic = solve(domain, body)
         certify(elastic)
         solution, _ = api.adapt_case(case, max_cells=40)
         certify(solution)

@@ -45,7 +45,10 @@ NOTHING = exactly(0)
 """The value on parts without one."""
 
 
-class ProblemTexts(data_section(Problem, exact=None, laws=None, **dict.fromkeys(OF_LIST, ExpressionOrByPart))):  # type: ignore[misc]
+ELSEWHERE: dict[str, Any] = dict.fromkeys(("exact", "laws", "boundary")) | dict.fromkeys(OF_LIST, ExpressionOrByPart)
+
+
+class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
     """`[problem]`: the data of a `Problem` as text in x, y, z.
 
     κ is a text, a matrix, or one of them per region; f and c are texts, or one per region; u_D, g_N, ψ and q_S are
@@ -218,30 +221,19 @@ class Case(CaseFile):
             laws["problem.u_D"] = [*self.problem.u_D]
         return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
 
-    def posed(self, dim: int) -> tuple[Posed, Problem]:
-        """Γ_S and Γ_N with the inner parts, and the data, see `CaseFile.posed`."""
-        parts, problem = self.boundary, self.data(dim)
-        with_laws = [part for law in problem.laws for part in law.parts]
-        neumann = [part for part in parts.neumann if part not in with_laws]
-        return Posed(list(dict.fromkeys([*parts.signorini, *with_laws])), neumann, self.inner), problem
-
-    def problem_at(self, dim: int, step: int | None) -> Problem:
-        """The problem of a step in time, see `CaseFile.problem_at`."""
-        problem = self.data(dim)
-        if step is None or self.time is None:
-            return problem
-        return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
-
-    def data(self, dim: int) -> Problem:
-        """The data as trees, in this dimension and in t if there is [time], with the exact u if it is given.
-
-        Raises:
-            InputError: If an expression cannot be read.
-        """
+    def posed(self, dim: int, step: int | None = None) -> Problem:
+        """The data as trees, with the exact u if it is given, and the parts, see `CaseFile.posed`."""
         names = "xyz"[:dim] + ("" if self.time is None else "t")
         exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
         problem = self.problem.read(names, self.boundary)
-        return replace(problem, exact=exact, laws=[*(law.made() for law in self.law), *problem.laws])
+        laws = [*(law.made() for law in self.law), *problem.laws]
+        with_laws = [part for law in laws for part in law.parts]
+        neumann = [part for part in self.boundary.neumann if part not in with_laws]
+        boundary = Posed(self.boundary.signorini, neumann, self.inner)
+        problem = replace(problem, exact=exact, laws=laws, boundary=boundary)
+        if step is None or self.time is None:
+            return problem
+        return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
 
     @classmethod
     def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:

@@ -62,7 +62,7 @@ def _at_vertices(solution: LinearSolution) -> Arrays:
     return {"u_at": solution.spaces.scalar_values(solution.u), "sigma_at": solution.sigma_values}
 
 
-def _read_linear(boundary: Boundary, problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:
+def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:
     spaces, options = linear_spaces(on_mesh), stored.options
     missing = [name for name in OF_LINEAR if name not in stored.arrays]
     if missing:
@@ -77,7 +77,6 @@ def _read_linear(boundary: Boundary, problem: Problem, on_mesh: Spaces, stored: 
     above = data.laws_at.own(data.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
     iterate = LinearIterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u, means=means)
     return LinearSolution(
-        boundary=boundary,
         problem=problem,
         options=options,
         spaces=spaces,
@@ -90,10 +89,10 @@ def _read_linear(boundary: Boundary, problem: Problem, on_mesh: Spaces, stored: 
     )
 
 
-def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
+def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     options, mesh = stored.options, spaces.mesh
     if options.element == "RT1":
-        return _read_linear(boundary, problem, spaces, stored)
+        return _read_linear(problem, spaces, stored)
     centroid, divergence, means = (stored.in_cells(spaces, key) for key in ("sigma", "divergence", "u"))
     u = function_of(spaces.Q, means, "u")
     sigma = CellFlux(spaces, centroid, divergence / mesh.geometry.dim).function()
@@ -110,7 +109,6 @@ def _read(boundary: Boundary, problem: Problem, spaces: Spaces, stored: Stored) 
     segment = law.nearest(condition.astype(np.int8), trace, flux)
     iterate, conditions = with_cells(spaces, data, iterate, segment, options.method.penalty, options.eps)
     return Solution(
-        boundary=boundary,
         problem=problem,
         options=options,
         spaces=spaces,

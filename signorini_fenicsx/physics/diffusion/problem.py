@@ -1,9 +1,10 @@
 """A diffusion problem as the user gives it, and sorted by the kinds of its boundary."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, Signorini
@@ -57,7 +58,7 @@ class Diffusion:
 
         return Solution
 
-    def on(self, domain: Domain) -> "tuple[Boundary, Problem]":
+    def on(self, domain: Domain) -> "Problem":
         """The problem on a domain, sorted by the kinds of its boundary (collective).
 
         A given u that is not u_D is a law with a vertical graph, and a flux that is not that of the first Neumann
@@ -82,11 +83,9 @@ class Diffusion:
         own = plain[0] if len(plain) == 1 else Signorini(())
         laws = [law for law in laws if law is not own]
         parts = [*own.parts, *(part for law in laws for part in law.parts)]
-        inner = [part for part in parts if other_side(part) in domain.parts]
-        problem = Problem(
-            self.f, self.kappa, u_D, flux, own.psi, own.q_S, self.c, self.obstacle, self.exact, tuple(laws)
-        )
-        return Boundary(parts, neumann, inner), problem
+        boundary = Boundary(parts, neumann, [part for part in parts if other_side(part) in domain.parts])
+        data = self.f, self.kappa, u_D, flux, own.psi, own.q_S, self.c, self.obstacle, self.exact
+        return Problem(*data, tuple(laws), boundary)
 
 
 @dataclass(frozen=True)
@@ -106,10 +105,11 @@ class Problem:
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no Γ_D is needed.
         obstacle: Lower bound of u in Ω, continuous, at most u_D on Γ_D; None for none.
         exact: The exact u, where it is known, or one for each region.
-        laws: Other laws on Γ_S, whose parts belong to Γ_S and need not be listed in `Boundary`, and laws in Ω.
+        laws: Other laws on Γ_S, and laws in Ω.
+        boundary: The parts of Γ_S and Γ_N; those of laws are added to Γ_S.
 
     Raises:
-        InputError: If `laws` is not a list of laws.
+        InputError: If `laws` is not a list of laws, or `boundary` is something else.
     """
 
     f: GivenByRegion
@@ -122,11 +122,15 @@ class Problem:
     obstacle: Given | None = None
     exact: GivenByRegion | None = None
     laws: Sequence[Law] = ()
+    boundary: Boundary = field(default_factory=Boundary)
 
     def __post_init__(self) -> None:
-        """Refuse a law that is not in a list."""
+        """Refuse a law that is not in a list, and add the parts of laws to Γ_S."""
         if not isinstance(self.laws, Sequence) or not all(isinstance(law, Law) for law in self.laws):
             raise InputError('laws: must be a list of laws, such as [Friction(["left"], g=1)]')
+        check_kind("boundary", self.boundary, Boundary)
+        parts = [*self.boundary.signorini, *(part for law in self.laws for part in law.parts)]
+        object.__setattr__(self, "boundary", replace(self.boundary, signorini=list(dict.fromkeys(parts))))
 
     @property
     def has_laws_inside(self) -> bool:
@@ -151,9 +155,9 @@ class Problem:
         Raises:
             InputError: If a text cannot be read.
         """
-        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim], key), but=("laws",))
+        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim], key), but=("laws", "boundary"))
 
     def _changed(self, change: Callable[[str, Any], Any]) -> "Problem":
         """The problem with changed data, also those of the laws, see `with_data`."""
         laws = tuple(law.with_data(change) for law in self.laws)
-        return replace(with_data(self, change, but=("laws",)), laws=laws)
+        return replace(with_data(self, change, but=("laws", "boundary")), laws=laws)

@@ -27,7 +27,6 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part,
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.discrete.potential import Potential
@@ -111,7 +110,6 @@ class Solution(AnySolution):
         peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
     """
 
-    boundary: Boundary
     problem: Problem
     spaces: Spaces
     data: Data

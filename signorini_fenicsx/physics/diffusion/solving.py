@@ -11,7 +11,6 @@ from weakref import ref
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch
@@ -63,13 +62,13 @@ class System:
         kept: Makes the backend, and keeps the last one.
     """
 
-    def __init__(self, domain: Domain, boundary: Boundary, problem: Problem | None):
+    def __init__(self, domain: Domain, problem: Problem):
         """Set up the spaces (collective).
 
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        self.boundary = boundary if problem is None else gamma_s(boundary, problem)
+        self.boundary = problem.boundary
         check_parts(domain, self.boundary.named)
         self.spaces = build_spaces(domain, self.boundary.signorini, self.boundary.neumann, self.boundary.inner)
         self._known = Known(domain.mesh.comm)
@@ -80,16 +79,17 @@ class System:
         """The spaces of RT1 (collective when first used)."""
         return linear_spaces(self.spaces)
 
-    def prepared(self, given: tuple[Boundary, Problem], wish: Wish) -> DiffusionRun:
+    def prepared(self, problem: Problem, wish: Wish) -> DiffusionRun:
         """Read the data and check them (collective).
 
         Raises:
             InputError: If the problem cannot be discretised as asked.
         """
         spaces: Any = self.spaces
-        options, (boundary, problem) = wish.options, given
+        options = wish.options
         linear = options.element == "RT1"
-        _check_same(self.boundary, gamma_s(boundary, problem))
+        _check_same(self.boundary, problem.boundary)
+        problem = replace(problem, boundary=self.boundary)
         data: Any = project_data(spaces, problem, self._known).after(wish.memory)
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
@@ -120,17 +120,17 @@ class System:
             watch=wish.watch,
         )
         if remesh is not None:
-            task = replace(task, coarser=partial(_coarser, task, remesh, self.boundary, problem))
+            task = replace(task, coarser=partial(_coarser, task, remesh, problem))
         kind = LinearRun if linear else DiffusionRun
-        return kind(task, options, self.boundary, problem, data, constant, self)
+        return kind(task, options, problem, data, constant, self)
 
-    def check(self, given: tuple[Boundary, Problem]) -> list[str]:
+    def check(self, problem: Problem) -> list[str]:
         """Read the data and check them, see `solving.system.System` (collective).
 
         Raises:
             InputError: If the problem cannot be discretised.
         """
-        data = project_data(self.spaces, given[1], self._known)
+        data = project_data(self.spaces, problem, self._known)
         check_solvability(self.spaces, data)
         return notes_of(self.spaces, data)
 
@@ -140,7 +140,6 @@ class System:
         Raises:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
-        check_kind("problem", problem, Problem)
         check_start(self.spaces.domain, start, Solution)
         return DiffusionSteps(self.spaces, problem, evolution, start)
 
@@ -156,7 +155,6 @@ class DiffusionRun:
     Attributes:
         task: What the method gets: the problem for u − constant.
         options: Algorithm, backend and their parameters.
-        boundary: The parts of each kind of boundary.
         problem: The data as given.
         data: The data on the mesh.
         constant: What is taken from u.
@@ -166,7 +164,6 @@ class DiffusionRun:
 
     task: DiffusionTask
     options: Options
-    boundary: Boundary
     problem: Problem
     data: Data
     constant: float
@@ -238,7 +235,6 @@ class DiffusionRun:
             trace = self.trace + (self.data.psi_h - self.task.data.psi_h)  # the difference is the constant
         self.system.kept.solved(outcome, self.task.data)
         return Solution(
-            boundary=self.boundary,
             problem=self.problem,
             options=self.options,
             spaces=spaces,
@@ -266,7 +262,6 @@ class LinearRun(DiffusionRun):
         assert isinstance(iterate, LinearIterate)
         self.system.kept.solved(outcome, self.task.data)
         return LinearSolution(
-            boundary=self.boundary,
             problem=self.problem,
             options=self.options,
             spaces=spaces,
@@ -316,8 +311,9 @@ def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
     )
 
 
-def _coarser(task: DiffusionTask, remesh: Remesh, boundary: Boundary, problem: Problem, factor: float) -> DiffusionTask:
+def _coarser(task: DiffusionTask, remesh: Remesh, problem: Problem, factor: float) -> DiffusionTask:
     """The task on a coarser mesh, whose sets are settled at any size (collective)."""
+    boundary = problem.boundary
     spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann, boundary.inner)
     data = project_data(spaces, replace(problem, exact=None))
     backend: Any = partial(HybridBackend, tuning=task.tuning, multigrid=not task.whole, prefix="coarse_")
@@ -331,22 +327,10 @@ def _coarser(task: DiffusionTask, remesh: Remesh, boundary: Boundary, problem: P
         on_step=lambda step: None,
         backend=backend,
         start=None,
-        coarser=lambda further: _coarser(task, remesh, boundary, problem, factor * further),
+        coarser=lambda further: _coarser(task, remesh, problem, factor * further),
         tuning=task.tuning if task.whole else replace(task.tuning, predict_from=0),
         watch=Stopwatch(),
     )
-
-
-def gamma_s(boundary: Boundary, problem: Problem) -> Boundary:
-    """The boundary with the parts of all laws in Γ_S.
-
-    Raises:
-        InputError: If they are something else.
-    """
-    check_kind("boundary", boundary, Boundary)
-    check_kind("problem", problem, Problem)
-    parts = [*boundary.signorini, *(part for law in problem.laws for part in law.parts)]
-    return replace(boundary, signorini=list(dict.fromkeys(parts)))
 
 
 def _check_same(boundary: Boundary, other: Boundary) -> None:

@@ -165,6 +165,7 @@ OF_PROBLEM = data_section(
     plane=Annotated[str, choice("plane", tuple(Plane))],
     exact=None,
     laws=None,
+    boundary=None,
 )
 
 
@@ -187,12 +188,6 @@ class ElasticCase(CaseFile):
     problem: ElasticTexts
     law: Annotated[list[ContactTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     exact: ElasticExact = ElasticExact()
-
-    def problem_at(self, dim: int, step: int | None) -> ElasticProblem:
-        """The problem of a step in time, see `CaseFile.problem_at`."""
-        if step is None or self.time is None:
-            return self.data()
-        return self.data().in_time(dim).at(self.time.evolution().time(step))
 
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
@@ -231,7 +226,7 @@ class ElasticCase(CaseFile):
     @property
     def unproved(self) -> str:
         """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
-        return outside(self.data())
+        return outside(self.posed(3))
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:
@@ -251,17 +246,17 @@ class ElasticCase(CaseFile):
                 raise ValueError(f"[solve] {key}: elastic contact has no such key")
         return self
 
-    def posed(self, dim: int) -> tuple[ElasticBoundary, ElasticProblem]:
+    def posed(self, dim: int, step: int | None = None) -> ElasticProblem:
         """The parts and the data, see `CaseFile.posed`."""
-        return self.parts.read(), self.data()
-
-    def data(self) -> ElasticProblem:
-        """The data as they are given."""
         values: dict[str, Any] = dict(self.problem)
         gaps = dict.fromkeys(self.boundary.contact, self.problem.gap)
         gaps |= {part: self.problem.gap if law.gap is None else law.gap for law in self.law for part in law.parts}
         values["gap"] = one_value(gaps, self.problem.gap)
-        return ElasticProblem(**values, **of_meeting([law.made() for law in self.law]), exact=self.exact.u)
+        meeting = of_meeting([law.made() for law in self.law])
+        problem = ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=self.parts.read())
+        if step is None or self.time is None:
+            return problem
+        return problem.in_time(dim).at(self.time.evolution().time(step))
 
     @classmethod
     def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:

@@ -65,7 +65,7 @@ def _slipping(sticks: Mask, shear: Array, slip: Array) -> Slipping:
     return Slipping(np.where(sticks[:, :, None], 0.0, direction), np.where(slips, moved, 1.0))
 
 
-def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored) -> ElasticSolution:
+def _read(problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored) -> ElasticSolution:
     stresses, u = (stored.in_cells(spaces, key) for key in ("sigma", "u"))
     p, condition, slip, state, bound = stored.on_facets(spaces.mesh.comm, "p", "condition", "slip", "state", "bound")
     rough, slipped = spaces.rough_rows, None
@@ -100,7 +100,6 @@ def _read(boundary: ElasticBoundary, problem: ElasticProblem, spaces: ElasticSpa
         u=spaces.displacement(u),
     )
     return ElasticSolution(
-        boundary=boundary,
         problem=problem,
         options=stored.options,
         spaces=spaces,

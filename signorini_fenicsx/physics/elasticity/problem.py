@@ -238,7 +238,7 @@ class Elasticity:
 
         return ElasticSolution
 
-    def on(self, domain: Domain) -> tuple[ElasticBoundary, ElasticProblem]:
+    def on(self, domain: Domain) -> ElasticProblem:
         """The problem on a domain, sorted by the kinds of its boundary (collective)."""
         dirichlet = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
         loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
@@ -257,8 +257,9 @@ class Elasticity:
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
         same = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("u_D", "conditions")}
-        problem = ElasticProblem(
+        return ElasticProblem(
             **same,
+            boundary=boundary,
             u_D=one_value(u_D, None),
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
@@ -266,7 +267,6 @@ class Elasticity:
             gap=one_value({part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}, 0.0),
             **of_meeting(meeting),
         )
-        return boundary, problem
 
 
 def of_meeting(meeting: Sequence[Contact | Law]) -> dict[str, Any]:
@@ -285,6 +285,45 @@ def _law_of(condition: Contact | Law) -> ElasticLaw | None:
     if not isinstance(condition, Contact):
         return condition
     return None if condition.friction is None else condition.friction.law(condition.parts)
+
+
+@dataclass(frozen=True)
+class ElasticBoundary:
+    """The parts of the boundary that are Γ_C, Γ_N, and fixed in some components; the rest is Γ_D.
+
+    Attributes:
+        contact: Names of the parts of Γ_C; those of laws are added.
+        neumann: Names of the parts of Γ_N.
+        fixed: For a part the components of u that are given there, letters of "xyz", or "n" for the normal one: a plane
+            of symmetry is fixed in "n". In the others σn is given.
+        inner: Names of the parts of Γ_C inside the domain, where two bodies touch: u_n is then the jump of u along n,
+            which is outward from the named side.
+    """
+
+    contact: Sequence[str] = ()
+    neumann: Sequence[str] = ()
+    fixed: Mapping[str, str] = field(default_factory=dict)
+    inner: Sequence[str] = ()
+    physics: ClassVar[str] = "elasticity"
+
+    def __post_init__(self) -> None:
+        """Refuse strings in the place of lists, and unknown components."""
+        for key in ("contact", "neumann", "inner"):
+            check_names(key, getattr(self, key))
+            object.__setattr__(self, key, list(getattr(self, key)))  # as they are read from files
+        check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
+        for part, components in self.fixed.items():
+            check_kind(f"fixed: part '{part}'", components, str)
+            is_known = components == NORMAL or (
+                set(components) <= set(AXES) and len(set(components)) == len(components)
+            )
+            if not is_known or not components:
+                raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")
+
+    @property
+    def named(self) -> dict[str, Sequence[str]]:
+        """The parts of each kind."""
+        return {"contact": self.contact, "neumann": self.neumann, "fixed": list(self.fixed), "inner": self.inner}
 
 
 @dataclass(frozen=True)
@@ -314,6 +353,7 @@ class ElasticProblem:
         force: For parts of Γ_C whose foundation is a tool that moves: what acts on it along each axis along which it
             can.
         moment: Likewise about each axis about which it turns.
+        boundary: The parts of Γ_C, of Γ_N, and fixed in some components; those of laws are added to Γ_C.
     """
 
     young: GivenModulus
@@ -334,9 +374,10 @@ class ElasticProblem:
     initial_stress: GivenMatrix | None = None
     force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
+    boundary: ElasticBoundary = field(default_factory=ElasticBoundary)
 
     def __post_init__(self) -> None:
-        """Refuse what is neither strain nor stress, other laws, and parts with two laws."""
+        """Refuse what is neither strain nor stress, other laws, and parts with two; add the parts of laws to Γ_C."""
         if self.plane not in list(Plane):
             raise InputError(f"plane: unknown '{self.plane}'; use strain or stress")
         if not isinstance(self.laws, Sequence) or not all(isinstance(law, CoulombLaw | Law) for law in self.laws):
@@ -346,6 +387,9 @@ class ElasticProblem:
         parts = [part for law in self.laws for part in law.parts]
         if twice := [part for part, times in Counter(parts).items() if times > 1]:
             raise InputError(f"laws: part '{twice[0]}' has two laws")
+        check_kind("boundary", self.boundary, ElasticBoundary)
+        contact = list(dict.fromkeys([*self.boundary.contact, *parts]))
+        object.__setattr__(self, "boundary", replace(self.boundary, contact=contact))
 
     def in_time(self, dim: int) -> ElasticProblem:
         """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
@@ -362,17 +406,12 @@ class ElasticProblem:
     def _changed(self, change: Callable[[str, Any], Any]) -> ElasticProblem:
         """The problem with changed data, also those of the laws, see `with_data`."""
         laws = [law.with_data(partial(_changed_in, index, change)) for index, law in enumerate(self.laws)]
-        return replace(with_data(self, change, but=("plane", "laws", "surface")), laws=laws)
+        return replace(with_data(self, change, but=("plane", "laws", "surface", "boundary")), laws=laws)
 
     @property
     def rough(self) -> list[str]:
         """The parts with friction."""
         return [part for law in self.laws if not is_normal(law) for part in law.parts]
-
-    @property
-    def touching(self) -> list[str]:
-        """The parts with a law, which are in Γ_C."""
-        return [part for law in self.laws for part in law.parts]
 
     @property
     def normal(self) -> list[tuple[int, Law]]:
@@ -393,46 +432,3 @@ def _changed_in(index: int, change: Callable[[str, Any], Any], key: str, given: 
 def nothing_for_0(value: Any) -> Any:
     """The value itself, and None for the number 0, which stands for a vector of zeros."""
     return None if isinstance(value, int | float) and value == 0 else value
-
-
-@dataclass(frozen=True)
-class ElasticBoundary:
-    """The parts of the boundary that are Γ_C, Γ_N, and fixed in some components; the rest is Γ_D.
-
-    Attributes:
-        contact: Names of the parts of Γ_C; those with friction need not be among them.
-        neumann: Names of the parts of Γ_N.
-        fixed: For a part the components of u that are given there, letters of "xyz", or "n" for the normal one: a plane
-            of symmetry is fixed in "n". In the others σn is given.
-        inner: Names of the parts of Γ_C inside the domain, where two bodies touch: u_n is then the jump of u along n,
-            which is outward from the named side.
-    """
-
-    contact: Sequence[str]
-    neumann: Sequence[str] = ()
-    fixed: Mapping[str, str] = field(default_factory=dict)
-    inner: Sequence[str] = ()
-    physics: ClassVar[str] = "elasticity"
-
-    def __post_init__(self) -> None:
-        """Refuse strings in the place of lists, and unknown components."""
-        check_names("contact", self.contact)
-        check_names("neumann", self.neumann)
-        check_names("inner", self.inner)
-        check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
-        for part, components in self.fixed.items():
-            check_kind(f"fixed: part '{part}'", components, str)
-            is_known = components == NORMAL or (
-                set(components) <= set(AXES) and len(set(components)) == len(components)
-            )
-            if not is_known or not components:
-                raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")
-
-    def touching_on(self, parts: Sequence[str]) -> ElasticBoundary:
-        """The boundary with these parts in Γ_C as well; they may be there already."""
-        return replace(self, contact=[*self.contact, *(part for part in parts if part not in self.contact)])
-
-    @property
-    def named(self) -> dict[str, Sequence[str]]:
-        """The parts of each kind."""
-        return {"contact": self.contact, "neumann": self.neumann, "fixed": list(self.fixed), "inner": self.inner}

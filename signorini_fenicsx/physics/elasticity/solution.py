@@ -23,7 +23,7 @@ from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, l
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, to_entries
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.show import shown
 from signorini_fenicsx.physics.elasticity.show.differences import differences
 from signorini_fenicsx.physics.elasticity.show.notes import large_deformation, notes_of
@@ -66,7 +66,6 @@ class ElasticSolution(Solution):
         peak_memory: Bytes that the processes have held at most so far, summed over ranks.
     """
 
-    boundary: ElasticBoundary
     problem: ElasticProblem
     spaces: ElasticSpaces
     data: ElasticData

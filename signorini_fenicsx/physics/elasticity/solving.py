@@ -9,7 +9,6 @@ from weakref import ref
 
 import numpy as np
 
-from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.history import Outcome
@@ -25,7 +24,7 @@ from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import check_a
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, build_elastic_spaces
 from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps
-from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.show.notes import direction_of_gap, notes_of
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
@@ -50,30 +49,30 @@ class System:
         kept: Has the backend of the last solve, which serves derivatives.
     """
 
-    def __init__(self, domain: Domain, boundary: ElasticBoundary, problem: ElasticProblem):
+    def __init__(self, domain: Domain, problem: ElasticProblem):
         """Set up the spaces (collective).
 
         Raises:
             InputError: If a part is unknown, empty or not on the boundary.
         """
-        self.boundary = _with_parts_of_laws(boundary, problem)
+        self.boundary = problem.boundary
         check_parts(domain, self.boundary.named)
         self.spaces = build_elastic_spaces(domain, self.boundary, problem.rough)
         self._rough = sorted(problem.rough)
         self.kept = KeptBackend()
 
-    def prepared(self, given: tuple[ElasticBoundary, ElasticProblem], wish: Wish) -> ElasticRun:
+    def prepared(self, problem: ElasticProblem, wish: Wish) -> ElasticRun:
         """Read the data and check them (collective).
 
         Raises:
             InputError: If the problem cannot be discretised as asked, or the body can move rigidly.
         """
-        spaces, options, (boundary, problem) = self.spaces, wish.options, given
+        spaces, options = self.spaces, wish.options
         rule_of(options)
         for key in ("backend", "element", "rho", "eps"):
             if getattr(options, key) != getattr(Options, key):
                 raise InputError(f"{key}: elastic contact has no such option")
-        if _with_parts_of_laws(boundary, problem) != self.boundary or sorted(problem.rough) != self._rough:
+        if problem.boundary != self.boundary or sorted(problem.rough) != self._rough:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
         check_start(spaces.domain, wish.start, ElasticSolution, Segments)
         data = elastic_data(spaces, problem, wish.memory)
@@ -90,21 +89,21 @@ class System:
             backend=partial(self.kept.take, options.tuning, partial(ElasticBackend, tuning=options.tuning)),
             start=wish.start,
             predict=options.predict and len(spaces.part_names) > 0,  # else the problem is linear
-            coarser=wish.remesh and partial(_coarser, wish.remesh, (self.boundary, problem), wish),
+            coarser=wish.remesh and partial(_coarser, wish.remesh, problem, wish),
             whole=True,
             tuning=options.tuning,
             watch=wish.watch,
             kept=self.kept,
         )
-        return ElasticRun(task, options, self.boundary, problem, self)
+        return ElasticRun(task, options, problem, self)
 
-    def check(self, given: tuple[ElasticBoundary, ElasticProblem]) -> list[str]:
+    def check(self, problem: ElasticProblem) -> list[str]:
         """Read the data and check them, see `solving.system.System` (collective).
 
         Raises:
             InputError: If the problem cannot be discretised.
         """
-        return self.prepared(given, Wish(Options())).remarks()
+        return self.prepared(problem, Wish(Options())).remarks()
 
     def steps(self, problem: ElasticProblem, evolution: Evolution, start: ElasticSolution | None) -> ElasticSteps:
         """The steps of loads, see `solving.evolution.Steps` (collective).
@@ -112,7 +111,6 @@ class System:
         Raises:
             InputError: If a text cannot be read, or the start is on another domain.
         """
-        check_kind("problem", problem, ElasticProblem)
         check_start(self.spaces.domain, start, ElasticSolution)
         plain = Evolution(evolution.end, evolution.steps)
         if evolution != plain:
@@ -138,14 +136,12 @@ class ElasticRun:
     Attributes:
         task: What the method gets.
         options: Algorithm and its parameters.
-        boundary: The parts of each kind of boundary.
         problem: The data as given.
         system: What it was prepared by.
     """
 
     task: ElasticTask
     options: Options
-    boundary: ElasticBoundary
     problem: ElasticProblem
     system: System
 
@@ -176,7 +172,6 @@ class ElasticRun:
         """The solution."""
         self.system.kept.solved(outcome, self.task.data)
         return ElasticSolution(
-            boundary=self.boundary,
             problem=self.problem,
             options=self.options,
             spaces=self.task.spaces,
@@ -202,21 +197,13 @@ def rule_of(options: Options) -> SetRule:
     return rule
 
 
-def _with_parts_of_laws(boundary: ElasticBoundary, problem: ElasticProblem) -> ElasticBoundary:
-    """The boundary with the parts with laws in Γ_C.
-
-    Raises:
-        InputError: If they are something else.
-    """
-    check_kind("boundary", boundary, ElasticBoundary)
-    check_kind("problem", problem, ElasticProblem)
-    return boundary.touching_on(problem.touching)
-
-
-def _coarser(remesh: Remesh, given: tuple[ElasticBoundary, ElasticProblem], wish: Wish, factor: float) -> ElasticTask:
+def _coarser(remesh: Remesh, problem: ElasticProblem, wish: Wish, factor: float) -> ElasticTask:
     """The task on a coarser mesh (collective)."""
-    system = System(remesh(factor), *given)
-    return system.prepared(given, Wish(wish.options, remesh=lambda further: remesh(factor * further))).task
+    return (
+        System(remesh(factor), problem)
+        .prepared(problem, Wish(wish.options, remesh=lambda further: remesh(factor * further)))
+        .task
+    )
 
 
 def _most_iterations(spaces: ElasticSpaces, data: ElasticData, method: Method) -> int:

@@ -35,7 +35,8 @@ from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
 from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
 from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC
 from signorini_fenicsx.physics.diffusion.bound.near_quadratic import NearQuadratic
-from signorini_fenicsx.physics.diffusion.quantities.shifts import Posed, with_flux, with_trace
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.quantities.shifts import with_flux, with_trace
 from signorini_fenicsx.physics.diffusion.show.water import share_above_table
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities import beside
@@ -55,7 +56,7 @@ def named_for(solution: Solution) -> str:
     return "" if solution.step is None else STEP
 
 
-def check(domain: Domain, posed: Posed, kind: Kind) -> None:
+def check(domain: Domain, problem: Problem, kind: Kind) -> None:
     """Refuse what is no quantity of a problem (collective).
 
     Raises:
@@ -67,22 +68,21 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
         raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
     if isinstance(kind, Integral) and kind.direction is not None:
         raise InputError("direction: is of displacements; u is a scalar here")
-    _moved(domain, posed, kind, 0.0)
+    _moved(domain, problem, kind, 0.0)
 
 
-def _moved(domain: Domain, posed: Posed, kind: Flux | Integral, tau: float) -> Posed:
+def _moved(domain: Domain, problem: Problem, kind: Flux | Integral, tau: float) -> Problem:
     """The problem with data that differ by τ (collective).
 
     Raises:
         InputError: As `check`.
     """
-    posed = posed[0], posed[1].parsed(domain.mesh.geometry.dim)
+    problem = problem.parsed(domain.mesh.geometry.dim)
     if isinstance(kind, Flux):
-        return with_trace(domain, posed, kind.parts, kind.weight, tau)
+        return with_trace(domain, problem, kind.parts, kind.weight, tau)
     if kind.parts:
-        return with_flux(domain, posed, kind.weight, kind.parts, tau)
-    boundary, problem = posed
-    return boundary, replace(problem, f=in_regions(domain, problem.f, kind.weight, kind.region, tau))
+        return with_flux(domain, problem, kind.weight, kind.parts, tau)
+    return replace(problem, f=in_regions(domain, problem.f, kind.weight, kind.region, tau))
 
 
 def _half(of_v: Admissible, of_y: Admissible, goal: Goal) -> Half:
@@ -108,20 +108,20 @@ class _Beside(Beside[Admissible]):
 
     def __init__(self, solution: Solution, kind: Flux | Integral):
         super().__init__(solution, kind)
-        self._posed: Posed = (solution.boundary, solution.problem.parsed(self.spaces.mesh.geometry.dim))
+        self._given: Problem = solution.problem.parsed(self.spaces.mesh.geometry.dim)
         self.kappa: float = solution.data.conductance * self.spaces.length
 
-    def posed(self, tau: float) -> Posed:
+    def posed(self, tau: float) -> Problem:
         """The problem with data that differ by τ (collective)."""
-        return _moved(self.domain, self._posed, self.kind, tau)
+        return _moved(self.domain, self._given, self.kind, tau)
 
     def memory(self, tau: float) -> fem.Function | None:
         """The load that a step takes from those before, which is that of the solution."""
         return self.solution.data.memory
 
-    def start(self, posed: Posed) -> Solution | None:
+    def start(self, posed: Problem) -> Solution | None:
         """The solution, if its parts are those of the problem."""
-        same = posed[0] == self.solution.boundary and self.solution.method.starts_from_sets
+        same = posed.boundary == self.solution.boundary and self.solution.method.starts_from_sets
         return self.solution if same else None
 
     def admissible(self, solution: Solution) -> Admissible:
@@ -160,8 +160,8 @@ class Fluxes(_Beside):
         names = "xyz"[: self.spaces.mesh.geometry.dim]
         self.weight = datum_of(self.spaces, "weight", parsed(kind.weight, names, "weight"))
         self.by_quadrature = "" if self.weight.polynomial is not None else WEIGHT
-        boundary, problem = self.posed(0.0)
-        self.moves_walls = boundary == self._posed[0] and problem.u_D is not self._posed[1].u_D
+        given, problem = self._given, self.posed(0.0)
+        self.moves_walls = problem.boundary == given.boundary and problem.u_D is not given.u_D
         facets = [self.domain.facets[part] for part in kind.parts]
         self._rows = np.flatnonzero(np.isin(self.spaces.facets, np.concatenate(facets)))
 

@@ -41,11 +41,8 @@ MOVED: Mapping[type[Law], tuple[Sequence[str], Sequence[str]]] = {
 }
 """The data of a law with which its graph moves in u, and those with which it moves in κ∇u·n."""
 
-type Posed = tuple[Boundary, Problem]
-"""A problem with the parts of each kind of its boundary."""
 
-
-def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str], factor: float) -> Posed:
+def with_flux(domain: Domain, problem: Problem, weight: Given, parts: Sequence[str], factor: float) -> Problem:
     """The problem whose flux on some parts of Γ_N and Γ_S is larger by a multiple of a weight (collective).
 
     On parts inside the domain the jump of u is integrated.
@@ -53,7 +50,7 @@ def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str],
     Raises:
         InputError: If a part is unknown, or u is given on it.
     """
-    boundary, problem = posed
+    boundary = problem.boundary
 
     def more(given: Given) -> Given:
         return added(domain, given, weight, factor)
@@ -67,16 +64,16 @@ def with_flux(domain: Domain, posed: Posed, weight: Given, parts: Sequence[str],
     for part in names:
         if part in boundary.neumann:
             others = [other for other in boundary.neumann if other != part]
-            boundary = replace(boundary, neumann=others, signorini=[*boundary.signorini, part])
-            problem = replace(problem, laws=[*problem.laws, Neumann(part, more(problem.g_N))])
+            boundary = replace(boundary, neumann=others)
+            problem = replace(problem, laws=[*problem.laws, Neumann(part, more(problem.g_N))], boundary=boundary)
         elif part in boundary.signorini:
             problem = _with_law(boundary, problem, part, lambda law: moved(domain, law, 0.0, weight, factor))
         else:
             raise InputError(f"u is given on the part '{part}'")
-    return boundary, problem
+    return problem
 
 
-def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], weight: Given, amount: float) -> Posed:
+def with_trace(domain: Domain, problem: Problem, parts: Sequence[str], weight: Given, amount: float) -> Problem:
     """The problem whose u_D on some parts is larger by a multiple of a weight, and laws on others so in u (collective).
 
     On parts inside the domain the jump of u takes the place of u.
@@ -84,7 +81,7 @@ def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], weight: Given
     Raises:
         InputError: If a part is unknown, one of Γ_N, or the other side of one inside the domain.
     """
-    boundary, problem = posed
+    boundary = problem.boundary
     fixed, even = [], isinstance(weight, int | float) and weight == 1
     for part in parts:
         check_part(domain, boundary, part)
@@ -97,10 +94,9 @@ def with_trace(domain: Domain, posed: Posed, parts: Sequence[str], weight: Given
     if fixed and even and _are_all(domain, boundary, fixed):
         problem = replace(problem, u_D=added(domain, problem.u_D, amount, 1.0))
     elif fixed:
-        boundary = replace(boundary, signorini=[*boundary.signorini, *fixed])
         held = [Dirichlet(part, _on_part(domain, part, added(domain, problem.u_D, weight, amount))) for part in fixed]
         problem = replace(problem, laws=[*problem.laws, *held])
-    return boundary, problem
+    return problem
 
 
 def _on_part(domain: Domain, part: str, given: Given) -> Given:

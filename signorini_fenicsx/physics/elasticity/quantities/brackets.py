@@ -37,10 +37,10 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleSt
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.quantities.energy import QUADRATIC, Along, energy
 from signorini_fenicsx.physics.elasticity.quantities.motions import (
     OPPOSITE,
-    Posed,
     check_parts,
     components,
     direction_of,
@@ -68,7 +68,7 @@ def named_for(solution: ElasticSolution) -> str:
     return with_surface(solution, " and ".join(of))
 
 
-def check(domain: Domain, posed: Posed, kind: Kind) -> None:
+def check(domain: Domain, problem: ElasticProblem, kind: Kind) -> None:
     """Refuse what is no quantity of a problem (collective).
 
     Raises:
@@ -77,35 +77,34 @@ def check(domain: Domain, posed: Posed, kind: Kind) -> None:
     if isinstance(kind, Energy):
         return
     if isinstance(kind, Force):
-        check_parts(domain, posed, kind)
-        moved(domain, posed, kind, 0.0)
+        check_parts(domain, problem.boundary, kind)
+        moved(domain, problem, kind, 0.0)
     elif isinstance(kind, Integral):
-        _loaded(domain, posed, kind, 0.0)
-        _pulls(domain, posed, kind, 0.0)
+        _loaded(domain, problem, kind, 0.0)
+        _pulls(domain, problem.boundary, kind, 0.0)
     else:
         raise InputError(f"{type(kind).__name__}: elastic contact has Integral, Mean, Force, Moment and Energy")
 
 
-def _loaded(domain: Domain, posed: Posed, kind: Integral, tau: float) -> Posed:
+def _loaded(domain: Domain, problem: ElasticProblem, kind: Integral, tau: float) -> ElasticProblem:
     """The problem whose force per volume is larger by τ weight·direction; for parts see `_pulls` (collective).
 
     Raises:
         InputError: If a name is unknown, or the weight no number or text.
     """
-    boundary, problem = posed
     dim = domain.mesh.geometry.dim
     if not isinstance(parsed(kind.weight, "xyz"[:dim], "weight"), TREES):
         raise InputError("weight: must be a number or a text")
     if kind.parts:
-        return posed
+        return problem
     own, along = components(problem.f, dim), direction_of(kind.direction, dim)
     f = [
         in_regions(domain, each, kind.weight, kind.region, tau * share) for each, share in zip(own, along, strict=True)
     ]
-    return boundary, replace(problem, f=f)
+    return replace(problem, f=f)
 
 
-def _pulls(domain: Domain, posed: Posed, kind: Integral, tau: float) -> dict[str, Any]:
+def _pulls(domain: Domain, boundary: ElasticBoundary, kind: Integral, tau: float) -> dict[str, Any]:
     """The tractions τ weight·direction on parts, or the pressures −τ weight for the normal direction.
 
     Where two bodies touch they act on both, against each other.
@@ -113,11 +112,10 @@ def _pulls(domain: Domain, posed: Posed, kind: Integral, tau: float) -> dict[str
     Raises:
         InputError: If a part is unknown, or u is given on it.
     """
-    boundary, problem = posed
-    contact, pulls = boundary.touching_on(problem.touching).contact, dict[str, Any]()
+    pulls: dict[str, Any] = {}
     for part in kind.parts:
         check_part(domain, boundary, part, OPPOSITE)
-        if part not in (*contact, *boundary.neumann, *boundary.fixed):
+        if part not in (*boundary.contact, *boundary.neumann, *boundary.fixed):
             raise InputError(f"integrals of displacements are over parts in contact or loaded; on '{part}' u is given")
         sides = [(part, tau), *([(other_side(part), -tau)] if part in boundary.inner else [])]
         if kind.direction is None:
@@ -155,18 +153,13 @@ class _Side:
 class _Beside(Beside[_Side]):
     """Elastic problems beside that of a solution."""
 
-    @property
-    def given(self) -> Posed:
-        """The problem of the solution."""
-        return self.solution.boundary, self.solution.problem
-
     def memory(self, tau: float) -> FromBefore:
         """The slip of the last step in time, and Coulomb's bounds of the shear."""
         friction = self.solution.data.friction
         fixed = friction.fixed() if friction.by_pressure else None
         return FromBefore(self.solution.data.slipped, fixed)
 
-    def start(self, posed: Posed) -> Segments | None:
+    def start(self, posed: ElasticProblem) -> Segments | None:
         """The segments of the solution; in space none with friction, as directions of slip are no segments."""
         in_space = self.spaces.dim == 3 and bool(self.solution.data.friction)
         return None if in_space else self.solution.segments()
@@ -226,13 +219,13 @@ class Fluxes(_Beside):
 
     of_flux = True
 
-    def posed(self, tau: float) -> Posed:
+    def posed(self, tau: float) -> ElasticProblem:
         """The problem with data that differ by τ (collective)."""
-        return moved(self.domain, self.given, self.kind, tau)
+        return moved(self.domain, self.solution.problem, self.kind, tau)
 
     def memory(self, tau: float) -> FromBefore:
         """The memory of the solution, with the motion of foundations on the parts."""
-        return replace(super().memory(tau), moved=foundations(self.domain, self.given, self.kind, tau))
+        return replace(super().memory(tau), moved=foundations(self.domain, self.solution.problem, self.kind, tau))
 
     def value(self, of_v: _Side, of_y: _Side, enough: float) -> Array:
         """⟨yn, w⟩ (collective)."""
@@ -292,13 +285,13 @@ class Integrals(beside.Integrals[_Side], _Beside):
             add(facet_quadrature(spaces.mesh, facets.facets, quadrature_degree(self.weight)), ways, float(named))
         return self.of_sums(sums)
 
-    def posed(self, tau: float) -> Posed:
+    def posed(self, tau: float) -> ElasticProblem:
         """The problem with data that differ by τ (collective)."""
-        return _loaded(self.domain, self.given, self.kind, tau)
+        return _loaded(self.domain, self.solution.problem, self.kind, tau)
 
     def memory(self, tau: float) -> FromBefore:
         """The memory of the solution, with more tractions on the parts."""
-        return replace(super().memory(tau), pulls=_pulls(self.domain, self.given, self.kind, tau))
+        return replace(super().memory(tau), pulls=_pulls(self.domain, self.solution.boundary, self.kind, tau))
 
     def integral(self, of: _Side, enough: float) -> Array:
         """The integral of v along the direction, and by how much it may be wrong, on this rank (collective).

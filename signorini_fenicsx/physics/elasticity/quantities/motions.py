@@ -36,9 +36,6 @@ from signorini_fenicsx.quantities.kinds import Force, Moment
 OPPOSITE = "on which all is opposite"
 """What is different on the named side of a part inside the domain."""
 
-type Posed = tuple[ElasticBoundary, ElasticProblem]
-"""A problem with the parts of each kind of its boundary."""
-
 
 def direction_of(given: Sequence[float] | None, dim: int) -> list[float]:
     """The direction as numbers.
@@ -78,45 +75,40 @@ def components(given: Any, dim: int) -> list[Given]:
     return [given[i] for i in range(dim)]
 
 
-def check_parts(domain: Domain, posed: Posed, kind: Force) -> None:
+def check_parts(domain: Domain, boundary: ElasticBoundary, kind: Force) -> None:
     """Refuse parts that hold no body.
 
     Raises:
         InputError: If a part is unknown, a traction is given on it, or it is the other side of one inside the domain.
     """
-    boundary, problem = posed
-    contact = boundary.touching_on(problem.touching).contact
     for part in kind.parts:
         check_part(domain, boundary, part, OPPOSITE)
-        if part in boundary.neumann and part not in contact:
+        if part in boundary.neumann and part not in boundary.contact:
             raise InputError(f"the traction on the part '{part}' is given")
 
 
-def moved(domain: Domain, posed: Posed, kind: Force, tau: float) -> Posed:
+def moved(domain: Domain, problem: ElasticProblem, kind: Force, tau: float) -> ElasticProblem:
     """The problem whose u_D on the parts of a force is moved by τw.
 
     Raises:
         InputError: If the direction has not a number for each coordinate, or u_D is a function of points.
     """
-    boundary, problem = posed
     dim = domain.mesh.geometry.dim
-    held = [part for part in kind.parts if part not in boundary.touching_on(problem.touching).contact]
+    held = [part for part in kind.parts if part not in problem.boundary.contact]
     motion = motion_of(kind, dim)
     given = dict(problem.u_D) if isinstance(problem.u_D, Mapping) else {"": problem.u_D}
     of_parts = {part: _moved_vector(domain, given.get(part, given.get("")), motion, tau) for part in held}
-    return boundary, replace(problem, u_D=given | of_parts) if held else problem
+    return replace(problem, u_D=given | of_parts) if held else problem
 
 
-def foundations(domain: Domain, posed: Posed, kind: Force, tau: float) -> tuple[Tool, ...]:
+def foundations(domain: Domain, problem: ElasticProblem, kind: Force, tau: float) -> tuple[Tool, ...]:
     """What is in contact on the parts of a force, moved by τw."""
-    boundary, problem = posed
     dim, turns = domain.mesh.geometry.dim, isinstance(kind, Moment)
     axes = tuple(AXES[:dim])
     along, about = ((), axes if dim == 3 else ("z",)) if turns else (axes, ())
     moves = tau * (np.ones(1) if turns and dim == 2 else np.array(direction_of(kind.direction, dim)))
-    touching = boundary.touching_on(problem.touching).contact
     motion = along, about, np.zeros(dim), 1.0, np.zeros(len(moves)), moves
-    return tuple(Tool(part, *motion) for part in kind.parts if part in touching)
+    return tuple(Tool(part, *motion) for part in kind.parts if part in problem.boundary.contact)
 
 
 def _moved_vector(domain: Domain, given: Any, motion: Array, amount: float) -> list[Given]:
