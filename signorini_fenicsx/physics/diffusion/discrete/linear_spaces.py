@@ -10,9 +10,10 @@ import numpy.typing as npt
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
 from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import nodes
@@ -49,8 +50,8 @@ class LinearSpaces(LinearTraces, Spaces):
         return fenicsx.function_space(self.mesh, ("DG", 2, (self.dim,)))
 
     @cached_property
-    def _node_dofs(self) -> npt.NDArray[np.int32]:
-        """Blocks of `_quadratic` at the vertices and the midpoints of the edges of the owned cells, in their order."""
+    def _places(self) -> Indices:
+        """Which node of `_quadratic` in DOLFINx's order each node of the owned cells is, see `raviart_thomas.nodes`."""
         points, dim = self._quadratic.element.basix_element.points, self.dim
         hats = np.column_stack([1 - points.sum(axis=1), points])
         digits = 3 ** np.arange(dim + 1)  # of twice the barycentric coordinates
@@ -59,14 +60,29 @@ class LinearSpaces(LinearTraces, Spaces):
         in_order = np.rint(2 * nodes(dim)).astype(np.int64)
         by_dolfinx = np.zeros((len(self.order), *in_order.shape), dtype=np.int64)
         np.put_along_axis(by_dolfinx, np.broadcast_to(self.order[:, None], by_dolfinx.shape), in_order[None], axis=2)
-        return np.take_along_axis(cell_dofs(self._quadratic), place[by_dolfinx @ digits], axis=1)
+        return np.asarray(place[by_dolfinx @ digits])
+
+    @cached_property
+    def _to_dofs(self) -> tuple[Array, Array, npt.NDArray[np.uint32]]:
+        """What DOLFINx's interpolation has: coefficients from values at nodes, |det J| J⁻¹ of cells, orientations."""
+        element, quadratic = self.flux_space.element.basix_element, self._quadratic.element.basix_element
+        at_points = quadratic.tabulate(0, element.points)[0, :, :, 0]
+        of_points = element.interpolation_matrix.reshape(-1, self.dim, len(at_points))
+        x = corners(self.mesh)
+        jacobian = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+        pull = np.linalg.det(jacobian)[:, None, None] * np.linalg.inv(jacobian)
+        self.mesh.topology.create_entity_permutations()
+        return np.einsum("biq,qa->aib", of_points, at_points), pull, self.mesh.topology.get_cell_permutation_info()
 
     def flux(self, values: Array) -> fem.Function:
         """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
-        quadratic, sigma = fem.Function(self._quadratic), fem.Function(self.flux_space, name="sigma")
-        quadratic.x.array.reshape(-1, self.dim)[self._node_dofs] = values
-        quadratic.x.scatter_forward()
-        sigma.interpolate(quadratic)
+        sigma, by_dolfinx = fem.Function(self.flux_space, name="sigma"), np.empty_like(values)
+        to_dofs, pull, orientations = self._to_dofs
+        np.put_along_axis(by_dolfinx, self._places[:, :, None], values, axis=1)
+        pulled = by_dolfinx @ pull.transpose(0, 2, 1)
+        dofs = np.ascontiguousarray(np.tensordot(pulled, to_dofs, ((1, 2), (0, 1)))).ravel()
+        self.flux_space.element.Tt_inv_apply(dofs, orientations[: len(values)], 1)
+        sigma.x.array[cell_dofs(self.flux_space)] = dofs.reshape(len(values), -1)
         sigma.x.scatter_forward()
         return sigma
 
@@ -74,7 +90,8 @@ class LinearSpaces(LinearTraces, Spaces):
         """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes` (collective)."""
         quadratic = fem.Function(self._quadratic)
         quadratic.interpolate(sigma)
-        return np.asarray(quadratic.x.array.reshape(-1, self.dim)[self._node_dofs], dtype=np.float64)
+        by_dolfinx = quadratic.x.array.reshape(-1, self.dim)[cell_dofs(self._quadratic)]
+        return np.asarray(np.take_along_axis(by_dolfinx, self._places[:, :, None], axis=1), dtype=np.float64)
 
     def scalar(self, values: Array) -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1) (collective)."""
