@@ -197,7 +197,7 @@ def _left(case: CaseFile, spaces: MeshSpaces) -> list[str]:
     return [name for name, count in zip([*others, ""], counts, strict=True) if count > 0]
 
 
-def _check_steps(system: System, posed: tuple[Any, Any], evolution: Evolution) -> list[str]:
+def _check_steps(system: System, problem: Any, evolution: Evolution) -> list[str]:
     """Read the data of all steps in time, as a run does (collective).
 
     Returns:
@@ -206,13 +206,12 @@ def _check_steps(system: System, posed: tuple[Any, Any], evolution: Evolution) -
     Raises:
         InputError: If a datum is not what it has to be, or there is not one solution.
     """
-    boundary, problem = posed
     steps, remarks = system.steps(problem, evolution, None), dict[str, str]()
     steps.start()
     for step in range(1, evolution.steps + 1):
         when = f"step {step}, t = {evolution.time(step):.5g}"
         try:
-            for remark in system.check((boundary, steps.problem(step))):
+            for remark in system.check(steps.problem(step)):
                 remarks.setdefault(remark.partition(":")[0], f"{when}: {remark}")
         except InputError as error:
             raise InputError(f"{when}: {error}") from None

@@ -38,7 +38,7 @@ def sphere(n: int, **values: object) -> Solution:
 
 def on_square(problem: Problem, boundary: Boundary | None = None, *, h: float = 0.1, **options: object) -> Solution:
     domain = build_domain(COMM, "square", h, mesh="unstructured")
-    return solve(domain, (boundary or Boundary([]), problem), Options(**options))  # type: ignore[arg-type]
+    return solve(domain, replace(problem, boundary=boundary or Boundary()), Options(**options))  # type: ignore[arg-type]
 
 
 def test_sphere():
