@@ -87,7 +87,7 @@ class System:
             max_iterations=options.max_iterations or _most_iterations(spaces, data, options.method),
             on_step=wish.on_step,
             backend=partial(self.kept.take, options.tuning, partial(ElasticBackend, tuning=options.tuning)),
-            start=wish.start,
+            start=wish.start.segments() if isinstance(wish.start, ElasticSolution) else wish.start,
             predict=options.predict and len(spaces.part_names) > 0,  # else the problem is linear
             coarser=wish.remesh and partial(_coarser, wish.remesh, problem, wish),
             whole=True,

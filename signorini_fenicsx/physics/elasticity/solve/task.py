@@ -19,7 +19,6 @@ from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Loop, Task
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.solve.coulomb import CHANGE, balanced, by_path
 from signorini_fenicsx.physics.elasticity.solve.residuals import ElasticKKT, elastic_kkt
@@ -61,10 +60,10 @@ class ElasticTask(Task):
         chains = backend.chains
         return None if self._near is None else chains.conditions(_sticking(chains, self._near))
 
-    def begin(self, backend: ElasticBackend, start: ElasticSolution | Segments) -> Indices:
+    def begin(self, backend: ElasticBackend, start: Segments) -> Indices:
         """Segments and bounds of the shear of a start, or what has to hold the body (collective)."""
         spaces, law, rough = self.spaces, backend.chains, self.spaces.rough_rows
-        start = (start.segments() if isinstance(start, ElasticSolution) else start).on(spaces)
+        start = start.on(spaces)
         segment = np.minimum(start.segment, law.count)
         holds = spaces.site_kinds["normal"].of(law.slope[np.arange(len(segment)), segment] > 0)
         if self._near is not None and not backend.comm.allreduce(bool(holds.any()), MPI.LOR):
