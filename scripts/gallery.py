@@ -21,9 +21,9 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.pictures import style
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.elasticity.case import ElasticCase
+from signorini_fenicsx.pictures import style
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}

@@ -48,6 +48,12 @@ class Diffusion(Physics):
         return QUANTITIES
 
     @cached_property
+    def pictures(self) -> Any:
+        from signorini_fenicsx.physics.diffusion.show.pictures import PICTURES
+
+        return PICTURES
+
+    @cached_property
     def proofs(self) -> Any:
         from signorini_fenicsx.rigorous.theorem import PROOFS
 
@@ -95,7 +101,7 @@ class Elasticity(Physics):
 
     @cached_property
     def pictures(self) -> Any:
-        from signorini_fenicsx.output.pictures.elastic import PICTURES
+        from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES
 
         return PICTURES
 

@@ -107,7 +107,7 @@ class Solution(Solved):
             folder: The folder; it is created if it does not exist.
             certificate: Its error bound, which is written as well.
             plot: Also draw PNGs.
-            html: Also write `solution.html`, pictures that the mouse can turn; elastic solutions have none.
+            html: Also write `solution.html`, pictures that the mouse can turn.
 
         Raises:
             InputError: If the folder cannot be written or contains other files.

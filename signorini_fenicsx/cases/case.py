@@ -97,8 +97,6 @@ class CaseFile(Section):
     exact: DataSection
     costs: ClassVar[Mapping[int, Cost]]
     """What it costs to solve it, by dimension."""
-    lacks: ClassVar[Sequence[str]] = ()
-    """Options of commands that there are not for it."""
     held: ClassVar[str] = "u = u_D"
     """What holds on Γ_D, in words."""
     is_vector: ClassVar[bool] = False

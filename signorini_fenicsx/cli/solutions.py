@@ -127,14 +127,13 @@ def _is_in_time(
 
 
 def _refuse_lacking(about: "CaseFile | Solved", options: Mapping[str, object]) -> None:
-    """Refuse options that there are not for a case or a solution, or in a small installation.
+    """Refuse options that there are not for a method, or in a small installation.
 
     Raises:
         InputError: If one is given.
     """
-    lacks = about.lacks if about.method.penalty else [*about.lacks, "--for-signorini"]
     for name in [name for name, value in options.items() if value]:
-        if name in lacks:
+        if name == "--for-signorini" and not about.method.penalty:
             raise InputError(f"{name}: there is no such option for {about.approach}")
         check_installed(name)
 

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 
 
@@ -48,25 +49,48 @@ class SiteTable:
 
 
 @dataclass(frozen=True)
-class FacetTable(SiteTable):
+class Facets(SiteTable):
     """One row per facet of Γ_S.
 
     Attributes:
         measure: |e|.
-        p: Trace p_h, or the jump p_h; of a body the mean gap.
-        flux: σ_h·n, or the mean pressure.
-        condition: Final condition.
-        segment: Final segment, an index into the names of the segments of all laws.
         vertices: Their numbers in the mesh, ascending, in a scene rows of `Fields.points`, shape (facets, dim).
     """
 
     measure: Array
+    vertices: Indices
+
+
+@dataclass(frozen=True)
+class FacetTable(Facets):
+    """One row per facet of Γ_S, with what is known there.
+
+    Attributes:
+        p: Trace p_h, or the jump p_h.
+        flux: σ_h·n.
+        condition: Final condition.
+        segment: Final segment, an index into the names of the segments of all laws.
+    """
+
     p: Array
     flux: Array
     condition: npt.NDArray[np.int64]
     segment: Indices
-    vertices: Indices
     name = "facets"
+
+    @property
+    def middles(self) -> Array:
+        """The middle of the facet of each site, shape (rows, 3)."""
+        return self.x
+
+    @property
+    def shown(self) -> Indices:
+        """What pictures tell apart, an index into `Drawn.segments`."""
+        return self.segment
+
+    def in_contact(self, contact: Condition) -> Mask:
+        """Mask of the sites in contact, which is this condition."""
+        return self.condition == contact
 
 
 def along_parts(spaces: MeshSpaces, part: Indices, x: Array) -> Array:

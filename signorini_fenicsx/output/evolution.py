@@ -17,12 +17,13 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
-from signorini_fenicsx.output.gather import sample_of
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.tables import write_columns
 from signorini_fenicsx.output.writing import with_quantities, write_summary
+from signorini_fenicsx.pictures.gather import sample_of
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.evolving import Instant
+from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 
 BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
@@ -156,32 +157,19 @@ def _draw(
     solution: Solved,
     kind: type[SiteTable],
 ) -> None:
-    """Draw the pictures over time, for diffusion in the plane also `animation.gif` (collective)."""
-    from signorini_fenicsx.output import pictures  # takes a second to import
-    from signorini_fenicsx.output.pictures.evolution import animate, chosen_for_fronts, draw_fronts, shown
+    """Draw the pictures over time, with what the physics wants of the fields that the steps kept (collective)."""
+    from signorini_fenicsx.pictures import drawing  # takes a second to import
+    from signorini_fenicsx.pictures.panels import Steps
+    from signorini_fenicsx.pictures.scene import gathered_scene
 
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
-    scene, sample = pictures.gathered_scene(solution), sample_of(solution.spaces)
-    frames = []
-    for step in shown(len(times)) if pictures.is_animated(solution) else []:
-        u = sample.in_cells(steps.kept(spaces, step, "u").ravel())
-        if u is not None:
-            frames.append((step, u))
-
-    states, in_plane = {}, spaces.mesh.topology.dim == 2 and solution.drawn().states is not None
-    for step in chosen_for_fronts(len(times)) if in_plane else []:
-        of_cells = sample.in_cells(steps.kept(spaces, step, "own").ravel())
-        if of_cells is not None:
-            states[times[step - 1]] = of_cells
+    scene, sample = gathered_scene(solution), sample_of(spaces)
+    wanted = PHYSICS[solution.physics].pictures.kept(solution, len(times))
+    kept = {key: {step: sample.in_cells(steps.kept(spaces, step, key)) for step in of} for key, of in wanted.items()}
 
     def write() -> None:
         if scene is not None:
-            if states:
-                draw_fronts(folder / "fronts.png", scene, states)
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
-            pictures.draw_steps(folder, scene, tables, times, rows)
-            if frames:
-                with_sites = [(times[step - 1], u, steps.table(step, kind)) for step, u in frames]
-                animate(folder / "animation.gif", scene, with_sites)
+            drawing.draw_steps(folder, scene, Steps(times, tables, rows, kept))
 
     on_root(comm, write)

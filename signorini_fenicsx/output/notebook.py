@@ -5,16 +5,17 @@ import html as text
 
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.certificate.certificate import Certificate
-from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.pictures.sheet import Sheet
 from signorini_fenicsx.solving.solved import Solved
 
 
 def figure(solution: Solved, certificate: Certificate | None = None) -> Sheet | None:
     """The overview of a solution (collective; None on all ranks but 0)."""
-    from signorini_fenicsx.output import pictures  # takes a second to import
+    from signorini_fenicsx.pictures import drawing  # takes a second to import
+    from signorini_fenicsx.pictures.scene import gathered_scene
 
-    scene = pictures.gathered_scene(solution, certificate)
-    return None if scene is None else pictures.overview(scene)
+    scene = gathered_scene(solution, certificate)
+    return None if scene is None else drawing.overview(scene)
 
 
 def html(solution: Solved) -> str | None:

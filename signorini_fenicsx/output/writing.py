@@ -29,7 +29,6 @@ from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slope
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
-from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
@@ -111,7 +110,7 @@ class SolutionFiles:
             results: The folder, in which the solution is published.
             found: What is known.
             plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
-            html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
+            html: Also write `solution.html`, pictures that the mouse can turn; likewise.
             fields: Also write the fields for ParaView.
         """
         self.found = found
@@ -143,13 +142,13 @@ class SolutionFiles:
 
     def pictures(self, folder: Path) -> None:
         """Draw PNGs."""
-        self._draw(lambda pictures, scene: pictures.draw_all(folder, scene))
+        self._draw(lambda drawing, scene: drawing.draw_all(folder, scene))
         if self.found.of_field is not None:
             _draw_field(folder / "field.png", self.found.of_field)
 
     def page(self, folder: Path) -> None:
         """Write `solution.html`."""
-        self._draw(lambda pictures, scene: pictures.write_page(folder / "solution.html", scene))
+        self._draw(lambda drawing, scene: drawing.write_page(folder / "solution.html", scene))
 
     def fields(self, folder: Path) -> None:
         """Write the fields for ParaView."""
@@ -162,18 +161,18 @@ class SolutionFiles:
 
     def _draw(self, drawn: Callable[[Any, Any], None]) -> None:
         """Draw the scene of the solution on rank 0."""
-        from signorini_fenicsx.output import pictures  # takes a second to import
+        from signorini_fenicsx.pictures import drawing  # takes a second to import
 
         with self._watch.phase("output"), doing("drawing"):
             scene = self._scene
-            on_root(self._comm, lambda: None if scene is None else drawn(pictures, scene))
+            on_root(self._comm, lambda: None if scene is None else drawn(drawing, scene))
 
     @cached_property
     def _scene(self) -> Any:
         """The scene of the solution on rank 0; None elsewhere."""
-        from signorini_fenicsx.output import pictures
+        from signorini_fenicsx.pictures.scene import gathered_scene
 
-        return pictures.gathered_scene(self._solution, self.found.certificate)
+        return gathered_scene(self._solution, self.found.certificate)
 
     @cached_property
     def _about(self) -> dict[str, Any]:
@@ -216,7 +215,7 @@ def write_solution(
         quantities: Intervals of quantities by their names, or None.
         of_field: How wrong a function of the user is, or None.
         plot: Also draw PNGs, of a large mesh by a sample of its cells, see `Sample`.
-        html: Also write `solution.html`, pictures that the mouse can turn; likewise. Elastic solutions have none.
+        html: Also write `solution.html`, pictures that the mouse can turn; likewise.
         fields: Also write the fields for ParaView.
 
     Raises:
@@ -271,16 +270,12 @@ def write_sites(folder: Path, solution: Solved) -> None:
 
 def _draw_field(path: Path, of_field: FieldBound) -> None:
     """Draw how wrong a function is in each cell, on rank 0 (collective)."""
-    from signorini_fenicsx.output import pictures  # takes a second to import
+    from signorini_fenicsx.pictures import drawing  # takes a second to import
+    from signorini_fenicsx.pictures.scene import gathered_scene
 
     solution = of_field.solution
-    gathered = gather(solution, of_field.indicator)
-
-    def write() -> None:
-        if gathered is not None:
-            pictures.draw_field(path, pictures.scene_of(solution, gathered))
-
-    on_root(solution.spaces.mesh.comm, write)
+    scene = gathered_scene(solution, indicator=of_field.indicator)
+    on_root(solution.spaces.mesh.comm, lambda: None if scene is None else drawing.draw_field(path, scene))
 
 
 def publish_convergence(
@@ -306,7 +301,7 @@ def publish_convergence(
         write_summary(results.path, summary)
 
     def draw() -> None:
-        from signorini_fenicsx.output.pictures.curves import draw_errors  # takes a second to import
+        from signorini_fenicsx.output.curves import draw_errors  # takes a second to import
 
         title = f"{case.name}, {case.solve.algorithm}, against {against}"
         draw_errors(results.path / "convergence.png", rows, vary, title)
@@ -326,15 +321,16 @@ def draw_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:
     """Draw `adapt.png` and `mesh.png` of an adaptive run with rows that ended with this solution (collective)."""
     if not rows:
         return
-    from signorini_fenicsx.output import pictures  # takes a second to import
-    from signorini_fenicsx.output.pictures.curves import draw_bounds
+    from signorini_fenicsx.output.curves import draw_bounds
+    from signorini_fenicsx.pictures import drawing  # takes a second to import
+    from signorini_fenicsx.pictures.scene import gathered_scene
 
-    scene = pictures.gathered_scene(solution)
+    scene = gathered_scene(solution)
 
     def draw() -> None:
         draw_bounds(folder / "adapt.png", rows, solution.best_rate, solution.name)
         if scene is not None:
-            pictures.draw_mesh(folder / "mesh.png", scene)
+            drawing.draw_mesh(folder / "mesh.png", scene)
 
     on_root(solution.spaces.mesh.comm, draw)
 

@@ -22,7 +22,7 @@ from signorini_fenicsx.base.rows import first_row
 from signorini_fenicsx.base.shipped import data_folder
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.domain import Domain, membership
-from signorini_fenicsx.output.sample import MeansAround
+from signorini_fenicsx.pictures.sample import MeansAround
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"

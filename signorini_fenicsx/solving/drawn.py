@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN, SIGNORINI, MeshSpaces
-from signorini_fenicsx.discrete.site_table import FacetTable
+from signorini_fenicsx.discrete.site_table import Facets
 
 PARTLY_FIXED = 4
 """A part of the boundary that is fixed in some components only."""
@@ -24,37 +24,27 @@ class Drawn:
     """A solution for pictures, on each rank its own share.
 
     Attributes:
-        u: u at the corners of each cell, in the order of the geometry, see `Solved.potential`, shape
-            (cells, dim + 1, 1); a displacement has shape (cells, dim + 1, dim).
-        sigma: σ_h at the centroids, or what stands for it, shape (cells, components).
+        corners: Values at the corners of each cell by their names, in the order of the geometry, shape
+            (cells, dim + 1, k). "u" is among them, of a scalar as in `Solved.potential`.
         facets: Γ_S.
         boundary: The facets of each kind of boundary, which is `SIGNORINI`, `DIRICHLET`, `NEUMANN` or `PARTLY_FIXED`.
-        divergence: ∇·σ_h of each cell; None for 0.
-        contact: Whether laws in Ω hold u in a cell, as an obstacle does in contact; None without such laws.
-        states: The segment of its laws that each cell is on; None without laws in Ω.
-        edges: What the facets between cells in different states are called.
-        columns: What pictures call the columns of `steps.csv` that have measures of cells under laws in Ω.
-        segments: Names of the segments of all laws, if there are others than the Signorini law.
+        cells: Values of each cell by their names. Of "states" pictures show the facets between different ones.
+        edges: What these facets are called.
+        segments: Names of what `SiteTable.shown` counts, if that is more than contact or not.
         inside: The parts of Γ_S inside the domain.
-        strength: What |σ_h| is called.
-        gamma: What Γ_S is called.
-        phreatic_line: Points of the phreatic line of a dam, on all ranks, shape (points, 2); None if there is none.
+        lines: Lines of maps by their names, on all ranks, each of shape (points, 2).
+        words: What captions add.
     """
 
-    u: Array
-    sigma: Array
-    facets: FacetTable
+    corners: Mapping[str, Array]
+    facets: Facets
     boundary: dict[int, Kind]
-    divergence: Array | None = None
-    contact: Mask | None = None
-    states: Indices | None = None
+    cells: Mapping[str, npt.NDArray] = field(default_factory=dict)
     edges: str = ""
-    columns: Mapping[str, str] = field(default_factory=dict)
     segments: Sequence[str] = ()
     inside: Sequence[str] = ()
-    strength: str = r"$|\sigma_h|$"
-    gamma: str = r"$\Gamma_S$"
-    phreatic_line: Array | None = None
+    lines: Mapping[str, Array] = field(default_factory=dict)
+    words: Sequence[str] = ()
 
 
 def whole_boundary(spaces: MeshSpaces, **values: Array) -> dict[int, Kind]:

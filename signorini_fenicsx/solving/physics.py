@@ -20,7 +20,7 @@ class Physics:
         case: The class of its case files, a `CaseFile`; None if there are none.
         bound: What bounds errors, `Bounds`; None if nothing does.
         quantities: Its quantities from both sides, `Quantities`; None if there are none.
-        pictures: How its solutions are drawn, `Pictures`; None for pictures of a scalar u.
+        pictures: What is drawn of its solutions, `Pictures`; None if nothing is.
         proofs: Its bounds as theorems, `Proofs`; None if there are none.
     """
 

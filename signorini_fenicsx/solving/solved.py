@@ -96,8 +96,6 @@ class Solved(ABC):
     peak_memory: int = 0
 
     WORD: ClassVar[str] = "Solution"
-    lacks: ClassVar[Sequence[str]] = ()
-    """Options of commands that there are not for it."""
     offers: ClassVar[Sequence[str]] = (
         *("approach", "at", "boundary", "certify", "contact", "converged", "derivative", "errors", "gradient"),
         *("kkt", "name", "norms", "options", "outcome", "plot", "potential", "problem", "quantity"),

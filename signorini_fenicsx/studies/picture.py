@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from signorini_fenicsx.output.pictures import style
-from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.sheet import Sheet
 from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
 from signorini_fenicsx.studies.varied import SOLVE, follows, short, value_in_words
 

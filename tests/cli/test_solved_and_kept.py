@@ -19,9 +19,9 @@ from signorini_fenicsx.certificate import adaptive, of_field
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.extend import LaterFailure
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.output import evolution, pictures, writing
-from signorini_fenicsx.output.pictures import curves
+from signorini_fenicsx.output import curves, evolution, writing
 from signorini_fenicsx.physics.diffusion.bound import certify as bound
+from signorini_fenicsx.pictures import drawing
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.studies import picture
 
@@ -72,7 +72,7 @@ def test_everything_fails(breaking: Breaking, tmp_path: Path):
     (tmp_path / "x" / "files.json").write_text(json.dumps(earlier))
     (tmp_path / "x" / "old.csv").touch()
     of = {"gap_parts": bound, "quantities_of": solving, "write_sites": writing, "write_fields": writing}
-    done = breaking(of | {"draw_all": pictures, "write_page": pictures}, "solve", *SOLVE, "--plot", "--html")
+    done = breaking(of | {"draw_all": drawing, "write_page": drawing}, "solve", *SOLVE, "--plot", "--html")
     failed = ("tables", "error bound", "quantities", "pictures", "solution.html", "fields")
     assert told(done) == "; ".join(f"{what}: {BROKEN}" for what in failed)
     assert names(tmp_path / "x") == {"checkpoint", "files.json", "summary.json"}
@@ -83,7 +83,7 @@ def test_everything_fails(breaking: Breaking, tmp_path: Path):
 
 
 def test_the_others_are_written(breaking: Breaking, tmp_path: Path):
-    done = breaking({"gap_parts": bound, "draw_all": pictures}, "solve", *SOLVE, "--plot", "--html")
+    done = breaking({"gap_parts": bound, "draw_all": drawing}, "solve", *SOLVE, "--plot", "--html")
     assert told(done) == f"error bound: {BROKEN}; pictures: {BROKEN}"
     assert names(tmp_path / "x") == FIELDS | TABLES | {"solution.html", "summary.json"}
 
@@ -218,7 +218,7 @@ def test_study(breaking: Breaking, tmp_path: Path):
 
 def test_failed_runs_keep_their_state_without_pictures(breaking: Breaking, tmp_path: Path):
     few = ("--set", "solve.max_iterations=1", "--no-predict", "--plot")
-    done = breaking({"draw_all": pictures}, "solve", *SOLVE, *few)
+    done = breaking({"draw_all": drawing}, "solve", *SOLVE, *few)
     assert done.returncode == 1
     assert f"the last state is in {tmp_path}/x.failed; pictures: {BROKEN}" in done.stderr
     assert names(tmp_path / "x.failed") >= FIELDS | TABLES

@@ -18,11 +18,6 @@ from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Regulat
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.output.pictures import gathered_scene, load_steps, space
-from signorini_fenicsx.output.pictures.load_steps import _of_facets
-from signorini_fenicsx.output.pictures.sheet import Sheet
-from signorini_fenicsx.output.pictures.space import Space
-from signorini_fenicsx.output.pictures.space_files import draw_files_of_body
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.discrete import friction
 from signorini_fenicsx.physics.elasticity.discrete.friction import Slipping
@@ -36,8 +31,14 @@ from signorini_fenicsx.physics.elasticity.problem import (
     ElasticProblem,
     InputError,
 )
-from signorini_fenicsx.physics.elasticity.show.shown import STATES, BodyFacets, ContactTable
+from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES
+from signorini_fenicsx.physics.elasticity.show.shown import STATES, ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
+from signorini_fenicsx.pictures import space
+from signorini_fenicsx.pictures.panels import Panel, Steps, Where
+from signorini_fenicsx.pictures.scene import gathered_scene
+from signorini_fenicsx.pictures.sheet import Sheet
+from signorini_fenicsx.pictures.space import Space
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
@@ -343,25 +344,21 @@ def test_pictures_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append((path.name, sheet)))
     body = gathered_scene(turned_cube())
     assert body is not None
-    whole, facets = body.sites, body.facets
+    whole = body.sites
     assert isinstance(whole, ContactTable)
-    assert isinstance(facets, BodyFacets)
-    found = _of_facets(facets, whole)
-    for name in ("flux", "shear", "condition"):
-        np.testing.assert_allclose(getattr(found, name), getattr(facets, name), atol=1e-14, err_msg=name)
-    touching = facets.condition == 1
-    np.testing.assert_allclose(found.slip[touching], facets.slip[touching], atol=1e-14)
-    assert np.isnan(found.slip[~touching]).all()
+    sliding = body.on_facets("sliding_vector")
+    np.testing.assert_allclose(sliding[body.touching], body.on_facets("slip_vector")[body.touching], atol=1e-14)
+    assert np.isnan(sliding[~body.touching]).all()
     shares = (0.1, 0.25, 0.5, 1.0)
     scaled = ("pressure", "shear", "slip", "shear_vector", "slip_vector")
     tables = [replace(whole, **{key: share * getattr(whole, key) for key in scaled}) for share in shares]
     rows = [{"t": share, "contact_force": share} for share in shares]
-    load_steps.draw_steps(tmp_path, body, tables, shares, rows)
+    PICTURES.in_time(tmp_path, body, Steps(shares, tables, rows, {}))
     assert [name for name, _ in drawn] == ["forces.png", "contact.png"]
     sheet = drawn[1][1]
     views = [axes for axes in sheet.axes if axes.get_title()]
     assert [axes.get_title().split(",")[1] for axes in views[:3]] == [" $t = 0.1$", " $t = 2^{-2}$", " $t = 1$"]
-    assert [axes.get_title().split()[0] for axes in views[::3]] == ["pressure", "shear", "slip"]
+    assert [axes.get_title().split()[0].strip(",") for axes in views[::3]] == ["pressure", "shear", "slip"]
     bars = [axes for axes in sheet.axes if axes not in views]
     limits = [axes.get_ylim() for axes in bars]
     assert len(bars) == 9
@@ -371,22 +368,20 @@ def test_pictures_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parallel([1])
-def test_picture_of_shear_and_slip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_picture_of_shear_and_slip():
     """Shear and slip have panels with arrows, though there is another part without friction."""
-    drawn = []
-    monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
     body = gathered_scene(turned_cube())
     assert body is not None
-    draw_files_of_body(tmp_path, body, rubs=True)
-    (sheet,) = drawn
+    views_of = Space(body)
+    sheet = views_of.sheet(PICTURES.files(body)["pressure"][1])
     views = {axes.get_title()[4:]: axes.images[0].get_array() for axes in sheet.axes if axes.get_title()}
     assert [title.split()[0] for title in views] == ["pressure", "gap", "contact", "shear", "slip"]
-    assert isinstance(body.facets, BodyFacets)
-    lengths = replace(body.facets, p=np.linalg.norm(body.facets.shear, axis=1))
+    lengths = replace(body, sites=replace(body.sites, gap=np.linalg.norm(body.sites.shear_vector, axis=1)))
     axes = sheet.view(0, 0)
-    Space(replace(body, facets=lengths)).draw_trace(sheet, axes, "p", "", Space(body).views[0])
+    Space(lengths).draw(Panel("gap", Where.GAMMA), sheet, axes, "", views_of.views[0])
     white = [
-        np.mean(np.min(image, axis=2) == 255) for image in (axes.images[-1].get_array(), views[r"shear $|\sigma_t|$"])
+        np.mean(np.min(image, axis=2) == 255)
+        for image in (axes.images[-1].get_array(), views[r"shear $|\sigma_t|$ on $\Gamma_C$"])
     ]
     assert 0.001 < white[1] - white[0] < 0.1  # arrows
 
@@ -396,13 +391,15 @@ def test_small_part_is_enlarged(monkeypatch: pytest.MonkeyPatch):
     """What is called small fills its panel, and the title tells."""
     body = gathered_scene(turned_cube())
     assert body is not None
-    few = replace(body, facets=replace(body.facets, **{name: rows[:1] for name, rows in vars(body.facets).items()}))
+    first = {name: rows[body.rows[0]] for name, rows in vars(body.sites).items()}
+    facets = replace(body.facets, **{name: rows[:1] for name, rows in vars(body.facets).items()})
+    few = replace(body, facets=facets, sites=replace(body.sites, **first))
     shares = []
     for near in (0.25, 2.0):
         monkeypatch.setattr(space, "NEAR", near)
         sheet = Sheet([2.5], [2.5])
         axes = sheet.view(0, 0)
-        Space(few).draw_trace(sheet, axes, "flux", "pressure", Space(few).views[0])
-        assert axes.get_title() == ("pressure" if near < 1 else "pressure, enlarged")
+        Space(few).draw(Panel("pressure", Where.GAMMA), sheet, axes, "pressure", Space(few).views[0])
+        assert axes.get_title() == r"pressure on $\Gamma_C$" + ("" if near < 1 else ", enlarged")
         shares.append(np.mean(np.ptp(np.asarray(axes.images[0].get_array(), dtype=int), axis=2) > 50))
     assert shares[1] > 3 * shares[0] > 0

@@ -21,8 +21,9 @@ from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain, expected_size
 from signorini_fenicsx.meshes.refinement import refine
-from signorini_fenicsx.output.pictures import gathered_scene, write_page
-from signorini_fenicsx.output.pictures.space import Space
+from signorini_fenicsx.pictures.drawing import write_page
+from signorini_fenicsx.pictures.scene import gathered_scene
+from signorini_fenicsx.pictures.space import Space
 
 COMM = MPI.COMM_WORLD
 PLACE = (5e7 / 3, 4e8 / 3, 1e8 / 3)

@@ -13,10 +13,10 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import shared_domain, solve_case
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.gather import gather
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.pictures.scene import Scene, gathered_scene
 
 COMM = MPI.COMM_WORLD
 
@@ -51,12 +51,17 @@ def test_read_on_any_number_of_ranks(folder: Path):
             assert read.norms() == pytest.approx(original.norms(), rel=1e-12)
             assert read.contact == pytest.approx(original.contact, rel=1e-12)
             assert max(vars(read.kkt).values()) < 1e-11
-            mine, theirs = gather(read), gather(original)
-            for kind in ("fields", "facets") if mine is not None and theirs is not None else ():
-                for key, values in vars(getattr(theirs, kind)).items():
-                    if values is not None:  # no indicator without a certificate
-                        np.testing.assert_allclose(getattr(getattr(mine, kind), key), values, atol=1e-12)
+            mine, theirs = gathered_scene(read), gathered_scene(original)
+            if mine is not None and theirs is not None:
+                for one, other in zip(_arrays(mine), _arrays(theirs), strict=True):
+                    np.testing.assert_allclose(one, other, atol=1e-12)
             COMM.Barrier()
+
+
+def _arrays(scene: Scene) -> list[np.ndarray]:
+    """All arrays of a scene."""
+    fields = [scene.fields.points, *scene.fields.at_points.values(), *scene.fields.in_cells.values()]
+    return [*fields, *vars(scene.facets).values(), *vars(scene.sites).values()]
 
 
 @pytest.mark.parallel([1, 2])

@@ -14,13 +14,14 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.output import checkpoint_writing, sample
+from signorini_fenicsx.output import checkpoint_writing
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
-from signorini_fenicsx.output.pictures import gathered_scene
-from signorini_fenicsx.output.pictures.cuts import outward
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.pictures import sample
+from signorini_fenicsx.pictures.cuts import outward
+from signorini_fenicsx.pictures.scene import gathered_scene
 
 COMM = MPI.COMM_WORLD
 

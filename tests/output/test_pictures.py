@@ -18,26 +18,30 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.meshes.domain import facet_vertices
-from signorini_fenicsx.output import sample
-from signorini_fenicsx.output.gather import Boundary, Fields, gather
-from signorini_fenicsx.output.pictures import caption, draw_all, gathered_scene, overview, scene_of, style, traces
-from signorini_fenicsx.output.pictures.curves import draw_bounds, draw_steps, moves
-from signorini_fenicsx.output.pictures.cuts import SLANTED, Cut, outward
-from signorini_fenicsx.output.pictures.elastic import _near, _pressure, foundation_of, without_rounding
-from signorini_fenicsx.output.pictures.evolution import draw_sets
-from signorini_fenicsx.output.pictures.page import plain
-from signorini_fenicsx.output.pictures.plane import Plane, levels_between, on_levels
-from signorini_fenicsx.output.pictures.scene import Scene, chains, thinned
-from signorini_fenicsx.output.pictures.sheet import Sheet, _wrapped
-from signorini_fenicsx.output.pictures.space import Space
-from signorini_fenicsx.output.pictures.streams import on_grid
-from signorini_fenicsx.output.pictures.water import Water
+from signorini_fenicsx.output.curves import draw_bounds
 from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.physics.diffusion.show.pictures import SETS, columns_of_cells
+from signorini_fenicsx.physics.diffusion.show.pools import Pools
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.elasticity.show.pictures import _near, foundation_of
+from signorini_fenicsx.pictures import sample, style, traces
+from signorini_fenicsx.pictures.curves import draw_steps, moves
+from signorini_fenicsx.pictures.cuts import SLANTED, Cut, outward
+from signorini_fenicsx.pictures.drawing import draw_all, overview
+from signorini_fenicsx.pictures.evolution import draw_over_time
+from signorini_fenicsx.pictures.gather import Boundary, Fields
+from signorini_fenicsx.pictures.geometry import chains, thinned
+from signorini_fenicsx.pictures.page import plain
+from signorini_fenicsx.pictures.panels import Panel, Steps
+from signorini_fenicsx.pictures.plane import Plane, levels_between, on_levels
+from signorini_fenicsx.pictures.scene import Scene, caption, gathered_scene
+from signorini_fenicsx.pictures.sheet import Sheet, _wrapped
+from signorini_fenicsx.pictures.space import Space
+from signorini_fenicsx.pictures.streams import on_grid
+from signorini_fenicsx.pictures.traces import without_rounding
 
 COMM = MPI.COMM_WORLD
 PICTURES = ("overview", "u", "sigma", "signorini", "iterations", "certificate")
@@ -57,10 +61,14 @@ except SystemExit as end:
 def scene(name: str, *, certified: bool = False, **values: object) -> Scene:
     """The scene of a solved case on one rank."""
     solution = solve_case(load_case(name).with_values({f"solve.{key}": value for key, value in values.items()}))
-    indicator = certify(solution).indicator if certified else None
-    found = gather(solution, indicator)
+    found = gathered_scene(solution, certify(solution) if certified else None)
     assert found is not None
-    return scene_of(solution, found)
+    return found
+
+
+def panels(scene: Scene, name: str) -> list[Panel]:
+    """The panels of a file."""
+    return list(scene.pictures.files(scene)[name][1])
 
 
 def draw(folder: Path, *arguments: str) -> tuple[Path, list[str]]:
@@ -129,11 +137,10 @@ def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     drawn = []
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append(sheet))
     cube = scene("cube", h=0.5)
-    tables = [replace(cube.facets, condition=np.roll(cube.facets.condition, 20 * step)) for step in range(5)]
-    draw_sets(tmp_path, cube, tables, [1.0, 2.0, 3.0, 4.0, 5.0], [{}])
-    (sheet,) = drawn
-    assert_apart(sheet)
-    assert [axes.get_title() for axes in sheet.axes] == ["$t = 1$", "$t = 3$", "$t = 5$", "sets"]
+    tables = [replace(cube.sites, condition=np.roll(cube.sites.condition, 20 * step)) for step in range(5)]
+    draw_over_time(tmp_path / "contact.png", cube, Steps([1.0, 2.0, 3.0, 4.0, 5.0], tables, [{}], {}), [SETS])
+    assert_apart(sheet := drawn[0])
+    assert [axes.get_title() for axes in sheet.axes] == [*(f"contact set, $t = {t}$" for t in "135"), "sets"]
     images = [axes.images[0].get_array() for axes in sheet.axes[:3]]
     assert all(np.any(images[0] != other) for other in images[1:] if other.shape == images[0].shape)
 
@@ -142,8 +149,8 @@ def test_sets_in_space_over_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_segments_keep_their_colours():
     """Also in a step in which others have no facets."""
     whole = scene("friction", h=1 / 4)
-    others = whole.segments.index("slip+") != whole.facets.segment
-    some = replace(whole, facets=replace(whole.facets, segment=np.where(others, whole.facets.segment, 1)))
+    others = whole.segments.index("slip+") != whole.sites.segment
+    some = replace(whole, sites=replace(whole.sites, segment=np.where(others, whole.sites.segment, 1)))
     colours, later = ({group.name: group.colour for group in each.groups} for each in (whole, some))
     assert len(set(colours.values())) == 3
     assert later == {name: colours[name] for name in ("slip-", "stick")}
@@ -153,12 +160,12 @@ def test_segments_keep_their_colours():
 
 def test_dam_has_its_water():
     dam = scene("dam")
-    water = Water.of(dam)
+    water = Pools.of(dam)
     assert water is not None
     assert [pool[:, 1].max() for pool in water.pools] == pytest.approx([2, 8])
     interfaces = dam.fields.points[dam.interfaces()]
     assert np.linalg.norm(interfaces[:, 1] - interfaces[:, 0], axis=1).sum() == pytest.approx(2 * np.hypot(1, 10))
-    assert Water.of(scene("example1", h=0.25)) is None
+    assert Pools.of(scene("example1", h=0.25)) is None
 
 
 @pytest.mark.parallel([1])
@@ -175,7 +182,7 @@ def test_field_of_the_plane():
     (line,), label = traces.pieces(ring, 0)
     assert label == "angle"
     assert line.ends[[0, -1]] == pytest.approx([-np.pi, np.pi], abs=0.2)
-    folded = replace(ring, facets=_by_x(ring.facets))
+    folded = replace(ring, facets=_by_x(ring.facets), sites=_by_x(ring.sites))
     (line,), label = traces.pieces(folded, 0)
     assert label == "arc length"
     assert line.ends[-1] == pytest.approx(ring.facets.measure.sum())
@@ -203,13 +210,14 @@ def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeyp
     assert few is not None
     if together is None:
         return
-    for each in ("points", "cells", "u", "sigma"):
-        np.testing.assert_allclose(vars(together)[each], vars(few)[each], atol=1e-9)
+    for name, key in (("at_points", "u"), ("in_cells", "sigma")):
+        np.testing.assert_allclose(vars(together)[name][key], vars(few)[name][key], atol=1e-9)
+    np.testing.assert_allclose(together.points[together.cells], few.points[few.cells], atol=1e-9)
     assert most / 3 < len(few.cells) < 1.5 * most < few.of / 2
     assert few.count == f"{few.of} cells, a sample of {len(few.cells)} drawn"
     rows = np.searchsorted(whole.ids, few.ids)
     np.testing.assert_array_equal(few.points, whole.points[rows])
-    np.testing.assert_allclose(few.u, whole.u[rows], atol=1e-12)
+    np.testing.assert_allclose(few.at_points["u"], whole.at_points["u"][rows], atol=1e-12)
     mesh = alone.spaces.mesh
     assert np.isin(facet_vertices(mesh, exterior_facet_indices(mesh.topology)), few.ids).all()
     assert _volume(few) == pytest.approx(_volume(whole), rel=0.05 if few.points.shape[1] == 2 else 0.25)
@@ -217,7 +225,7 @@ def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeyp
 
 def fields_of(solution: Solution) -> Fields | None:
     """Mesh and values on rank 0."""
-    found = gather(solution)
+    found = gathered_scene(solution)
     return None if found is None else found.fields
 
 
@@ -229,7 +237,7 @@ def _volume(fields: Fields) -> float:
 @pytest.mark.parallel(3)
 def test_boundary_is_the_same_on_all_ranks():
     case = load_case("example2").with_values({"solve.h": 0.5})
-    both, one = gather(solve_case(case, COMM)), gather(solve_case(case, MPI.COMM_SELF))
+    both, one = (gathered_scene(solve_case(case, comm)) for comm in (COMM, MPI.COMM_SELF))
     assert (both is None) == (COMM.rank > 0)
     if both is None or one is None:
         return
@@ -247,12 +255,11 @@ def test_foundation_of_a_body():
     h = 1 / 8
     body = gathered_scene(solve_case(load_case("hertz").with_values({"solve.h": h})))
     assert body is not None
-    assert body.fields.displacement is not None
-    moved = body.fields.points + body.fields.displacement
+    moved = body.fields.points + body.fields.at_points["u"]
     surface = foundation_of(body, moved, 1.0, 10.0)[:, :2]
     before, after = body.fields.points[body.facets.vertices], moved[body.facets.vertices]
     np.testing.assert_allclose(surface[..., 1], -(before[..., 0] ** 2) / 2, atol=h**2 / 4)
-    assert body.facets.condition[0] == Condition.ZERO_TRACE  # at the plane of symmetry
+    assert body.touching[0]  # at the plane of symmetry
     np.testing.assert_allclose(surface[0], after[0], atol=1e-12)
     assert len(foundation_of(body, moved, 1.0, 0.1)) < len(surface)
 
@@ -280,7 +287,7 @@ def test_rounding_is_not_drawn():
 
 def test_rough_steps_are_hollow():
     """Rough steps are points of the curves, with hollow markers; if nothing changed there is nothing to draw."""
-    axes = Figure().add_subplot()
+    axes, alone = Figure().add_subplot(), Figure().add_subplot()
     steps = [Step(n, 3, 2, 0, 0, 0, 10.0**-n, 0.0, 5, 0.1, rough=n < 3) for n in range(1, 5)]
     draw_steps(axes, steps, "steps")
     sigma, hollow = axes.lines[:2]
@@ -290,26 +297,21 @@ def test_rough_steps_are_hollow():
     assert "rough" in axes.get_xlabel()
     assert moves(steps)
     assert not moves([Step(1, 3, 2, 0, 0, 0, 0.0, 0.0, 5, 0.1)])
-
-
-def test_an_axis_of_one_step_has_whole_numbers():
-    axes = Figure().add_subplot()
-    draw_steps(axes, [Step(1, 3, 2, 0, 0, 0, 0.1, 0.2, 5, 0.1)], "one step")
-    np.testing.assert_array_equal(axes.get_xticks() % 1, 0)
+    draw_steps(alone, [Step(1, 3, 2, 0, 0, 0, 0.1, 0.2, 5, 0.1)], "one step")
+    np.testing.assert_array_equal(alone.get_xticks() % 1, 0)
 
 
 def test_only_a_guaranteed_bound_is_called_certified():
     """Captions of pictures, those of `solution.html` among them, say "not guaranteed" where the certificate does."""
     solution = solve_case(load_case("example1").with_values({"solve.h": 1 / 4}))
-    certificate, fields = certify(solution), fields_of(solution)
-    assert fields is not None
+    certificate = certify(solution)
     assert certificate.guaranteed
-    assert "certified energy error $" in caption(solution, fields, certificate)
-    words = caption(solution, fields, replace(certificate, proved=False, relative=1.3))
+    assert "certified energy error $" in caption(solution, [], certificate)
+    words = caption(solution, [], replace(certificate, proved=False, relative=1.3))
     assert "certified" not in words
     assert words.endswith("not guaranteed")
     assert "%" not in words  # of a norm that is not above the bound
-    of_penalty = caption(solution, fields, replace(certificate, of="the exact solution of the penalty problem"))
+    of_penalty = caption(solution, [], replace(certificate, of="the exact solution of the penalty problem"))
     assert "penalty problem" in of_penalty
 
 
@@ -317,9 +319,10 @@ def test_only_a_guaranteed_bound_is_called_certified():
 def test_entries_of_the_legend(name: str, bounds: bool):
     """ψ and q_S are there where the law has them; shades, whose colours the lines of Γ_S have too, on their own."""
     shown = scene(name, **({"h": 0.4} if bounds else {}))
-    found = [str(entry.get_label()) for entry in traces.handles(shown, shades=False)]
+    on_gamma = panels(shown, "signorini")
+    found = [str(entry.get_label()) for entry in traces.handles(shown, on_gamma, shades=False)]
     assert any("q_S" in label for label in found) == bounds
-    shades = [str(entry.get_label()) for entry in traces.handles(shown)][len(found) :]
+    shades = [str(entry.get_label()) for entry in traces.handles(shown, on_gamma)][len(found) :]
     assert sorted(shades) == (["contact"] if bounds else ["slip+", "slip-", "stick"])
 
 
@@ -335,7 +338,8 @@ def test_no_panel_without_iteration_errors(name: str):
     """An overview has one panel less where no step changed the first sets, in the plane and in space."""
     drawn = scene(name, h=1 / 4)
     assert moves(drawn.history)
-    without = replace(drawn, history=[replace(drawn.history[0], sigma_change=0.0, u_change=0.0)])
+    outcome = replace(drawn.solution.outcome, history=[replace(drawn.history[0], sigma_change=0.0, u_change=0.0)])
+    without = replace(drawn, solution=replace(drawn.solution, outcome=outcome))
     assert len(overview(without).axes) == len(overview(drawn).axes) - 1
 
 
@@ -373,15 +377,13 @@ def test_facets_that_would_hide_a_cut_are_left_out():
 
 @pytest.mark.parallel([1])
 def test_pressures_are_labelled():
-    """The title of a part has its largest pressure, and the two axes have 0 at one height, also without any gap."""
+    """The title of a part has its largest pressure; there is a panel for the gap."""
     body = gathered_scene(solve_case(load_case("hertz").with_values({"solve.h": 0.25})))
     assert body is not None
-    for each in (body, replace(body, sites=replace(body.sites, gap=np.zeros_like(body.sites.gap)))):
-        pressure, gap = _pressure(each).axes
-        assert pressure.get_title() == f"bottom, pressure at most {body.sites.pressure.max():.4g}"
-        (low, high), (least, most) = pressure.get_ylim(), gap.get_ylim()
-        assert low / high == pytest.approx(least / most)
-        assert most >= each.sites.gap.max()
+    pressure, gap = Plane(body).sheet(panels(body, "pressure")).axes
+    assert pressure.get_title() == f"(a) pressure on bottom, at most {body.sites.pressure.max():.4g}"
+    assert gap.get_title() == "(b) gap on bottom"
+    assert max(gap.lines[0].get_ydata()) == pytest.approx(body.sites.gap.max())
 
 
 def test_chains():
@@ -418,9 +420,9 @@ def test_a_level_that_is_a_bound_is_drawn_where_contact_ends():
     """On cells in contact u is its bound but for rounding, which a line of this level must not follow."""
     plateau = np.array([-1, 0, 0, 1.0]) + 1e-15 * np.array([1, -1, 1, 0])
     assert on_levels(plateau, [-1.0, 0.0]).tolist() == [-1, 0, 0, 1]
-    plane = Plane(scene("two_obstacles", h="1/8"))
-    x = plane.scene.fields.points[:, 0]
-    settled = on_levels(plane.scene.u, [-0.1, 0.1])
+    plane = scene("two_obstacles", h="1/8")
+    x = plane.fields.points[:, 0]
+    settled = on_levels(plane.u, [-0.1, 0.1])
     assert (settled[x < 0.2] == -0.1).all()
     assert (settled[x > 0.8] == 0.1).all()
     assert np.allclose(levels_between(-0.1 - 1e-9, 0.1), np.arange(-0.08, 0.09, 0.02))
@@ -430,19 +432,18 @@ def test_a_level_that_is_a_bound_is_drawn_where_contact_ends():
 def test_small_parts_inside_have_a_panel():
     """Beside the whole rock there is the crack, moved by u less its mean there; a stack of blocks has no such panel."""
     rock = scene("rock")
-    near = _near(rock)
-    own = np.unique(rock.facets.vertices)
-    assert np.allclose((near.moved - rock.fields.points)[own].mean(axis=0), 0, atol=1e-12)
-    assert 0 < len(near.scene.fields.cells) < len(rock.fields.cells)
-    assert np.ptp(near.frame, axis=0) == pytest.approx(1.5 * np.ptp(rock.fields.points[own], axis=0).max())
-    assert [axes.get_title() for axes in overview(rock).axes if axes.get_title()] == [
-        rf"less the mean displacement, $\times$ {near.factor:g}"
-    ]
+    near, cells, factor = _near(rock)
+    crack, moved = np.unique(rock.facets.vertices), near.fields.points
+    assert np.allclose((moved - rock.fields.points)[crack].mean(axis=0), 0, atol=1e-12)
+    assert 0 < len(near.fields.cells) == cells.sum() < len(rock.fields.cells)
+    assert np.ptp(near.frame, axis=0) == pytest.approx(1.5 * np.ptp(rock.fields.points[crack], axis=0).max())
+    titles = [axes.get_title() for axes in overview(rock).axes if axes.get_title()]
+    assert titles == ["(a) von Mises stress", rf"(b) less the mean displacement, $\times$ {factor:g}"]
     assert _near(scene("stack")) is None
 
 
 def test_states_of_cells_are_in_words():
     """The segments of a graph in Ω are named by their u, with the region if there are several laws."""
     *_, last = evolve_case(load_case("melting").with_values({"time.steps": 2, "solve.h": "1/8"}))
-    assert set(last.solution.of_step()) == set(last.solution.drawn().columns)
-    assert list(last.solution.drawn().columns.values()) == ["up to $u = 0$", "jump at $u = 0$", "from $u = 0$"]
+    assert set(last.solution.of_step()) == set(columns_of_cells(last.solution))
+    assert list(columns_of_cells(last.solution).values()) == ["up to $u = 0$", "jump at $u = 0$", "from $u = 0$"]

@@ -12,12 +12,12 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.output.pictures import gathered_scene, overview
-from signorini_fenicsx.output.pictures.plane import Plane
-from signorini_fenicsx.output.pictures.scene import Scene
-from signorini_fenicsx.output.pictures.water import WATER_LINES, water_lines, wet
 from signorini_fenicsx.physics.diffusion.case import Case
+from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, water_lines, wet
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
+from signorini_fenicsx.pictures.drawing import overview
+from signorini_fenicsx.pictures.panels import Panel
+from signorini_fenicsx.pictures.scene import Scene, gathered_scene
 from signorini_fenicsx.studies.study import make_run
 
 HEAT = {
@@ -36,6 +36,11 @@ def scene(case: Case) -> Scene:
     return found
 
 
+def streams(scene: Scene) -> Panel:
+    """The only panel of `sigma.png` in the plane."""
+    return list(scene.pictures.files(scene)["sigma"][1])[1]
+
+
 def test_names_and_levels():
     """They are on the maps, a dollar is no mathematics; a flux that is −σ turns the arrows round."""
     case = load_case("example2").with_values({"solve.h": 0.25})
@@ -43,7 +48,7 @@ def test_names_and_levels():
     texts = [axes.get_ylabel() for axes in overview(named).axes]
     assert {"temperature (°C)", r"heat flux \$x (W/m²)"} <= set(texts)
     assert {"$u_h$", r"$|\sigma_h|$"} <= {axes.get_ylabel() for axes in overview(plain).axes}
-    there, back = (Plane(each).streams[1] for each in (plain, named))
+    there, back = (streams(each).lines[1] for each in (plain, named))
     middle = there.mean(axis=1)
     nearest = np.linalg.norm(back.mean(axis=1)[:, None] - middle, axis=2).argmin(axis=0)
     along = [each[:, 0] - each[:, 1:].mean(axis=1) for each in (there, back[nearest])]
@@ -83,20 +88,20 @@ def test_the_water_of_a_dam():
     found, known = gathered_scene(solution), seepage(solution)
     assert found is not None
     assert known is not None
-    fields, triangles = found.fields, wet(found.fields)
-    points, below = fields.points, np.unique(triangles.triangles)
-    head = points[:, 1] - fields.sigma_at_points[:, 1]
+    fields, sigma = found.fields, found.fields.at_points["sigma"]
+    points, below = fields.points, np.unique(fields.cells[wet(fields)])
+    head = points[:, 1] - sigma[:, 1]
     left = below[points[below, 0] == 0]
     right = below[(points[below, 0] == 16) & (points[below, 1] < 4)]
     np.testing.assert_allclose(head[left], 24, atol=1.0)
     np.testing.assert_allclose(head[right], 4, atol=1.0)
-    stream = fields.sigma_at_points[below, 0]
+    stream = sigma[below, 0]
     assert np.ptp(stream) == pytest.approx(known.discharge, rel=0.08)
     lines, heads = water_lines(fields)
     assert len(lines) >= WATER_LINES
     assert all(line[0, 0] < line[-1, 0] for line in lines)
     assert np.all(heads[:, 0, 0] > heads[:, 1:, 0].mean(axis=1))
-    plane = Plane(replace(found, phreatic_line=known.phreatic_line))
-    assert "head" in plane.flux_title
-    assert len(plane.streams[0]) == len(lines)
+    panel = streams(replace(found, lines={"phreatic line": known.phreatic_line}))
+    assert "head" in panel.title
+    assert len(panel.lines[0]) == len(lines)
     assert Plot().flux_name == r"$\sigma_h$"

@@ -11,8 +11,8 @@ from dolfinx.mesh import CellType, create_rectangle
 from mpi4py import MPI
 
 from signorini_fenicsx import Contact, Coulomb, Diffusion, Elasticity, Neumann, Signorini, domain_of, solve
-from signorini_fenicsx.output.pictures.sheet import LINES, Sheet
-from signorini_fenicsx.output.pictures.style import readable
+from signorini_fenicsx.pictures.sheet import LINES, Sheet
+from signorini_fenicsx.pictures.style import readable
 from signorini_fenicsx.studies.picture import draw_study
 
 UNREADABLE = (r"$\bm{\sigma}$", "in_$flow_$", "$$", "$x_$ of 接触", "\x1b[31m", "a\ud800b", "$" + 300 * "{" + "$")

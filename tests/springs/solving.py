@@ -131,7 +131,7 @@ class Rested(Solution):
     def drawn(self):
         u, dim = self.u.x.array, self.spaces.mesh.geometry.dim
         corners = np.broadcast_to(u[:, None, None], (len(u), dim + 1, 1))
-        return Drawn(corners, np.zeros((len(u), dim)), self.table(), whole_boundary(self.spaces))
+        return Drawn({"u": corners}, self.table(), whole_boundary(self.spaces))
 
 
 class System:

@@ -20,8 +20,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.shipped import data_folder, study_names
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.output.pictures.sheet import Sheet
 from signorini_fenicsx.physics.diffusion.case import Case
+from signorini_fenicsx.pictures.sheet import Sheet
 from signorini_fenicsx.studies.folder import StudyFolder
 from signorini_fenicsx.studies.picture import draw_study, numbers, plan
 from signorini_fenicsx.studies.study import Convergence, load_study, make_run

@@ -52,7 +52,6 @@ from signorini_fenicsx.physics.elasticity.problem import (
     of_meeting,
 )
 from signorini_fenicsx.physics.elasticity.scope import outside
-from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solving import rule_of
 from signorini_fenicsx.solving.options import Options
 
@@ -196,7 +195,6 @@ class ElasticCase(CaseFile):
 
     costs = COSTS
     first_words = (SYMMETRIC, *WITH_CONTACT, *NORMAL)
-    lacks = ElasticSolution.lacks
     held = "clamped, u = u_D"
     is_vector = True
 

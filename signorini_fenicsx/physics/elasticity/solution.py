@@ -71,7 +71,6 @@ class ElasticSolution(Solution):
     data: ElasticData
     kkt: ElasticKKT
     bound_changes: tuple[float, ...] = ()
-    lacks = ("--html",)
     order = 2
     _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
     offers = (*Solution.offers, *_own)

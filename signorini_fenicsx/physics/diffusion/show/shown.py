@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import basix
 import dolfinx.mesh
 import numpy as np
+import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cells_behind, owned_values
@@ -150,36 +151,23 @@ def drawn(solution: Solution) -> Drawn:
         given.number is not None for part in laws_inside.of_regions for given in part.data.values()
     ):  # u is constant where it is held, and a line of this level is to end there
         u = np.where(solution.held_cells[:, None], owned_values(solution.u)[:, None], u)
+    sigma = solution.cell_flux.centroid
+    cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.cell_flux.divergence}
+    if laws_inside is not None:
+        cells |= {"contact": solution.held_cells, "states": solution.segments().of("cell")}
     is_obstacle = laws_inside is not None and laws_inside.bounds_alone
+    above = max((about["above_table"] for about in solution.water.values()), default=0.0)
     return Drawn(
-        u=u[:, :, None],
-        sigma=solution.cell_flux.centroid,
+        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)},
         facets=table(solution),
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
-        divergence=solution.cell_flux.divergence,
-        contact=None if laws_inside is None else solution.held_cells,
-        states=None if laws_inside is None else solution.segments().of("cell"),
+        cells=cells,
         edges="edge of the contact" if is_obstacle else "fronts",
-        columns=_columns_of_cells(solution),
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
-        phreatic_line=None if solution.seepage is None else solution.seepage.phreatic_line,
+        lines={} if solution.seepage is None else {"phreatic line": solution.seepage.phreatic_line},
+        words=[f"{100 * above:.3g} % of the discharge at negative pressure"] if above else [],
     )
-
-
-def _columns_of_cells(solution: Solution) -> dict[str, str]:
-    """What pictures call the measures of cells that `Solution.of_step` gives."""
-    laws = solution.data.inside
-    if laws is None:
-        return {}
-    if laws.is_obstacle:
-        return {"cells_measure": "contact with the obstacle"}
-    several = len(laws.of_regions) > 1
-    return {
-        f"{part.name} {segment}": f"{title} by the law in {' and '.join(part.law.region)}" if several else title
-        for part in laws.of_regions
-        for segment, title in zip(part.law.segments, part.titles(), strict=True)
-    }
 
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}

@@ -16,7 +16,7 @@ from signorini_fenicsx.contact.laws import Friction, Signorini
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, opposite
-from signorini_fenicsx.discrete.site_table import FacetTable, SiteTable, along_parts
+from signorini_fenicsx.discrete.site_table import Facets, SiteTable, along_parts
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import to_entries
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -118,6 +118,35 @@ class ContactTable(SiteTable):
     places = ("along", "x", "middle", "facet")
 
     @property
+    def middles(self) -> Array:
+        """The middle of the facet of each vertex, shape (rows, 3)."""
+        return self.facet
+
+    @property
+    def shown(self) -> Indices:
+        """What pictures tell apart, in `Drawn.segments`: the state of friction in contact, else the segment."""
+        return np.where(self.touching & (self.state >= 0), self.state - len(STATES), self.segment)
+
+    def in_contact(self, contact: object) -> Mask:
+        """Mask of the vertices in contact."""
+        return self.touching
+
+    @property
+    def _rubs(self) -> Mask:
+        """Mask of the vertices that are in contact, or have a bound of the shear though they are not."""
+        return self.touching | ((self.state >= 0) & (self.state != STATES.index("open")))
+
+    @property
+    def sliding(self) -> Array:
+        """The slip of vertices that are not apart, else NaN."""
+        return np.where(self._rubs, self.slip, np.nan)
+
+    @property
+    def sliding_vector(self) -> Array:
+        """The slip as a vector likewise."""
+        return np.where(self._rubs[:, None], self.slip_vector, np.nan)
+
+    @property
     def number(self) -> Indices:
         """The number of the facet of each row; facets are counted as they come."""
         places = np.column_stack([self.part, self.facet])
@@ -216,22 +245,18 @@ def _forward(contact: BoundaryFacets, along: Array) -> npt.NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class BodyFacets(FacetTable):
+class BodyFacets(Facets):
     """One row per facet of Γ_C.
 
     Attributes:
         normals: The outer unit normals, shape (facets, d).
         gaps: The gap at the vertices of each facet, linear on it, shape (facets, d).
         apart: The gap before any displacement there, 0 but for parts inside the domain.
-        shear: The mean of σ_t as a vector, shape (facets, 3); NaN without friction.
-        slip: That of u_t.
     """
 
     normals: Array
     gaps: Array
     apart: Array
-    shear: Array
-    slip: Array
 
 
 def drawn(solution: ElasticSolution) -> Drawn:
@@ -241,15 +266,16 @@ def drawn(solution: ElasticSolution) -> Drawn:
     fixed = np.concatenate([nothing, *(spaces.domain.facets[part] for part in solution.boundary.fixed)])
     free = np.setdiff1d(spaces.neumann_facets, fixed)
     kinds = {NEUMANN: free, PARTLY_FIXED: fixed}
+    u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)
+    stress = von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None]
+    named = solution.data.laws.of_parts or solution.data.friction
     return Drawn(
-        u=np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1),
-        sigma=von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None],
+        corners={"u": u, "stress": np.repeat(stress[:, None], spaces.dim + 1, axis=1)},
         facets=_facets(solution),
         boundary=whole_boundary(spaces)
         | {kind: (facets, np.full(len(facets), np.nan)) for kind, facets in kinds.items()},
-        strength="von Mises stress",
-        segments=_segment_names(solution) if solution.data.laws.of_parts else (),
-        gamma=r"$\Gamma_C$",
+        cells={"u": u.mean(axis=1), "stress": stress},
+        segments=[*_segment_names(solution), *STATES] if named else (),
         inside=solution.boundary.inner,
     )
 
@@ -265,22 +291,15 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
     numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)
     ascending = np.argsort(numbers, axis=1)
-    shear, slip = _friction_vectors(solution).mean(axis=2)
     return BodyFacets(
         part=part,
         along=along_parts(spaces, part, middle),
         x=middle,
         measure=contact.measure,
-        p=solution.gap.mean(axis=1),
-        flux=solution.pressure.mean(axis=1),
-        condition=solution.contact_set().inside.astype(np.int64),
-        segment=_labels(solution).reshape(-1, spaces.dim).min(axis=1),
         vertices=np.take_along_axis(numbers, ascending, axis=1),
         normals=contact.normals,
         gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
         apart=np.take_along_axis(apart, ascending, axis=1),
-        shear=shear,
-        slip=slip,
     )
 
 

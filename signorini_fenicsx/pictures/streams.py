@@ -1,11 +1,13 @@
 """Streamlines of σ_h in the plane."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.output.gather import Fields
-from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.gather import Fields
 
 GRID = 110
 """Points of the grid along the longer side of the domain."""
@@ -16,8 +18,8 @@ STILL = 1e-3
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
-def streamlines(fields: Fields) -> tuple[list[Array], Array]:
-    """Streamlines of σ_h, and arrow heads in their middle.
+def streamlines(fields: Fields, sign: int = 1) -> tuple[list[Array], Array]:
+    """Streamlines of σ_h, or of −σ_h, and arrow heads in their middle.
 
     Returns:
         The points of each line, shape (n, 2), and the corners of the heads, shape (lines, 3, 2).
@@ -25,14 +27,14 @@ def streamlines(fields: Fields) -> tuple[list[Array], Array]:
     low, high = fields.points.min(axis=0), fields.points.max(axis=0)
     size = float((high - low).max())
     x, y = (np.linspace(a, b, max(round(GRID * (b - a) / size), 8)) for a, b in zip(low, high, strict=True))
-    sigma = _spread(on_grid(fields, x, y))
+    sigma = sign * _spread(on_grid(fields, x, y))
     norm = np.linalg.norm(sigma, axis=0)
     if not np.nanmax(norm, initial=0.0) > 0:
         return [], np.empty((0, 3, 2))
     sigma[:, norm < STILL * np.nanquantile(norm, style.QUANTILE)] = np.nan
     plot = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
     lines = [line for line in plot.lines.get_segments() if len(line) > 2]
-    return lines, np.array([head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
+    return lines, heads(lines, size)
 
 
 def on_grid(fields: Fields, x: Array, y: Array) -> Array:
@@ -53,7 +55,7 @@ def on_grid(fields: Fields, x: Array, y: Array) -> Array:
     centroids = fields.points[fields.cells[cell]].mean(axis=1)
     offset = origin + spacing * node[inside] - centroids
     sigma = np.full((2, len(y), len(x)), np.nan)
-    sigma[:, j, i] = (fields.sigma[cell] + fields.divergence[cell, None] / 2 * offset).T
+    sigma[:, j, i] = (fields.in_cells["sigma"][cell] + fields.in_cells["divergence"][cell, None] / 2 * offset).T
     return sigma
 
 
@@ -67,8 +69,12 @@ def _spread(sigma: Array) -> Array:
     return np.where(np.isfinite(sigma), sigma, np.where(finite.any(axis=0), mean, np.nan))
 
 
-def head(line: Array, length: float) -> Array:
-    """A triangle in the middle of a line, pointing along it."""
+def heads(lines: Sequence[Array], size: float) -> Array:
+    """A triangle in the middle of each line, pointing along it, shape (lines, 3, 2)."""
+    return np.array([_head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
+
+
+def _head(line: Array, length: float) -> Array:
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     at = int(np.searchsorted(np.cumsum(steps), steps.sum() / 2))
     along = line[at + 1] - line[at]

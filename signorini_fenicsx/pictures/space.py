@@ -1,6 +1,9 @@
-"""Views of a solution in space: VTK renders surfaces without any text, Matplotlib adds titles, axes and colour bars."""
+"""Sheets of views of a solution in space: VTK renders surfaces, Matplotlib adds titles, axes and colour bars."""
 
-from collections.abc import Callable, Sequence
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,18 +13,20 @@ import numpy.typing as npt
 import pyvista
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LogNorm, Normalize, to_rgb
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
-from signorini_fenicsx.discrete.site_table import FacetTable
-from signorini_fenicsx.output.pictures import style
-from signorini_fenicsx.output.pictures.cuts import VIEWS, Cut, best_cuts, best_view, outward, seen_from
-from signorini_fenicsx.output.pictures.plane import log_norm
-from signorini_fenicsx.output.pictures.rendering import cropped, go_near, offscreen, triad
-from signorini_fenicsx.output.pictures.scene import Scene, creases
-from signorini_fenicsx.output.pictures.sheet import Sheet
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.curves import draw_steps, moves
+from signorini_fenicsx.pictures.cuts import VIEWS, Cut, best_cuts, best_view, outward, seen_from
+from signorini_fenicsx.pictures.geometry import creases
+from signorini_fenicsx.pictures.panels import Panel, Where
+from signorini_fenicsx.pictures.plane import log_norm
+from signorini_fenicsx.pictures.rendering import cropped, go_near, offscreen, triad
+from signorini_fenicsx.pictures.scene import Scene
+from signorini_fenicsx.pictures.sheet import Sheet
 
 PIXELS = 700
 STREAMLINES = 70
@@ -37,6 +42,9 @@ NEAR = 0.25
 """Γ_S is shown from near if it is less long than this share of the domain."""
 SAME = 0.92
 """One view is enough if it shows this share of what all views show."""
+SIDE, WIDE_SIDE = 2.5, 3.4
+"""Inches of a view in a sheet of three columns and of fewer."""
+SHOWN, CUTS = set(Where) - {Where.SURFACE}, (Where.MAP, Where.CUT, Where.ACROSS)
 
 
 @dataclass(frozen=True)
@@ -46,20 +54,22 @@ class Space:
     Attributes:
         scene: The solution.
         rendered: Images by content and direction of view.
+        others: Views of other scenes that are on the same sheets.
     """
 
     scene: Scene
-    rendered: dict[tuple[str, tuple[float, ...]], npt.NDArray[np.uint8]] = field(default_factory=dict)
+    rendered: dict[tuple[object, tuple[float, ...]], npt.NDArray[np.uint8]] = field(default_factory=dict)
+    others: dict[int, Space] = field(default_factory=dict)
 
     @cached_property
     def grid(self) -> pyvista.UnstructuredGrid:
-        """The mesh with u_h and σ_h at its vertices."""
+        """The mesh with the flux at its vertices."""
         scene = self.scene
         grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: scene.fields.cells}, scene.fields.points)
         grid.cell_data["cell"] = np.arange(len(scene.fields.cells))
-        grid.point_data["u"] = scene.u
-        grid.point_data["sigma"] = scene.fields.sigma_at_points
-        grid.point_data["sigma_norm"] = np.linalg.norm(scene.fields.sigma_at_points, axis=1)
+        if "sigma" in scene.fields.at_points:
+            grid.point_data["sigma"] = scene.fields.at_points["sigma"]
+            grid.point_data["sigma_norm"] = np.linalg.norm(grid.point_data["sigma"], axis=1)
         return grid
 
     @cached_property
@@ -136,123 +146,121 @@ class Space:
         lines.points = np.asarray(lines.points, dtype=np.float64) + points[0]
         return lines
 
-    def draw_u(self, sheet: Sheet, axes: Axes, title: str, number: int = 0) -> None:
-        """u_h on one of the cuts, with contour lines."""
-        low, high = float(self.scene.u.min()), float(self.scene.u.max())
-        section = self._section(self.cuts[number])
-        lines = section.contour(self.scene.plot.levels or np.linspace(low, high, 12)[1:-1].tolist(), scalars="u")
+    def sheet(self, panels: Iterable[Panel], title: str = "") -> Sheet:
+        """Views in rows; those of Γ_S alone from all sides that show it."""
+        steps, on_gamma = moves(self.scene.history), (Where.GAMMA, Where.SETS)
+        shown = [each for each in panels if each.where in SHOWN and (steps or each.where is not Where.STEPS)]
+        views = self.views if all(each.where in on_gamma for each in shown) else [self.view_of_contact]
+        columns = min(3, len(shown))
+        rows, size, handles = -(-len(shown) // columns), SIDE if columns == 3 else WIDE_SIDE, self.handles()
+        sheet = Sheet([size] * columns, [size] * rows * len(views), title=title)
+        for side, (number, panel) in itertools.product(range(len(views)), enumerate(shown)):
+            place = rows * side + number // columns, number % columns
+            name = panel.title if len(shown) == 1 else f"{style.letter(len(shown) * side + number)} {panel.title}"
+            if panel.where is Where.STEPS:
+                axes = sheet.panel(*place)
+                draw_steps(axes, self.scene.history, name)
+                handles += axes.get_legend_handles_labels()[0]
+            else:
+                space = self.of(panel.scene) if panel.scene else self
+                space.draw(panel, sheet, sheet.view(*place), name, views[side])
+        sheet.legend_below(handles)
+        return sheet
 
-        def build(plotter: pyvista.Plotter) -> None:
-            _add_colours(plotter, section, "u", style.U_MAP, (low, high))
-            if lines.n_points:
-                self._add_lines(plotter, lines, self.cuts[number].view, "white", 1.5)
+    def of(self, scene: Scene) -> Space:
+        """The views of another scene, which keep their images too."""
+        return self.others.setdefault(id(scene), Space(scene))
 
-        self._show_cut(axes, title, f"u{number}", build, self.cuts[number])
-        _bar(sheet, axes, Normalize(low, high), style.U_MAP, self.scene.plot.u_label)
-
-    def draw_sigma(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """|σ_h| on the better one of the cuts."""
-        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
-        section = self._section(self.cuts[0])
-
-        def build(plotter: pyvista.Plotter) -> None:
-            _add_colours(plotter, section, "sigma_norm", style.FLUX_MAP, (low, high))
-
-        self._show_cut(axes, title, "sigma", build, self.cuts[0])
-        _bar(sheet, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
-
-    def draw_outside(self, sheet: Sheet, axes: Axes, title: str, foundation: Array) -> None:
-        """|σ_h| on the surface of the domain, and triangles of the foundation, shape (triangles, 3, 3)."""
-        surface = self.grid.extract_surface(algorithm=None)
-        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
-
-        def build(plotter: pyvista.Plotter) -> None:
-            _add_colours(plotter, surface, "sigma_norm", style.FLUX_MAP, (low, high))
-            if len(foundation) > 0:
-                triangles = np.arange(3 * len(foundation)).reshape(-1, 3)
-                under = pyvista.PolyData.from_regular_faces(foundation.reshape(-1, 3), triangles)
-                plotter.add_mesh(under, color="grey", opacity=0.35, lighting=False)
-
-        self._show(axes, title, "outside", build, self.views[0])
-        _bar(sheet, axes, Normalize(low, high), style.FLUX_MAP, self.scene.strength, extend)
-
-    def draw_streamlines(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """Streamlines of σ_h, coloured by |σ_h|, and the contact set."""
-        low, high, extend = style.limits(self.scene.sigma_norm, self.scene.measure)
-        lines = self.streamlines
-
-        def build(plotter: pyvista.Plotter) -> None:
-            self._add_contact(plotter, opacity=0.3)
-            tubes = lines.tube(radius=0.005 * self.extent, n_sides=8) if lines.n_points else lines
-            if tubes.n_points:  # without flux each line is a point, which has no tube
-                _add_colours(plotter, tubes, "sigma_norm", style.STREAM_MAP, (low, high), lighting=True, ambient=0.4)
-
-        self._show(axes, title, "streamlines", build, self.views[0])
-        _bar(sheet, axes, Normalize(low, high), style.STREAM_MAP, self.scene.plot.flux_label, extend)
-
-    def draw_certificate(self, sheet: Sheet, axes: Axes, title: str) -> None:
-        """η_T on the cells behind the better one of the cuts, on a logarithmic scale."""
-        indicator = self.scene.fields.indicator
-        assert indicator is not None
-        norm = log_norm(indicator)
-        cut = self.cuts[0]
-        half = self.grid.clip(cut.normal, origin=cut.origin, crinkle=True).extract_surface(algorithm=None)
-        half.cell_data["log"] = np.log10(np.maximum(indicator, norm.vmin))[half.cell_data["cell"]]
-
-        def build(plotter: pyvista.Plotter) -> None:
-            _add_colours(plotter, half, "log", style.ERROR_MAP, np.log10([norm.vmin, norm.vmax]).tolist())
-
-            rim = self.rim.clip(cut.normal, origin=cut.origin) if self.rim.n_cells else self.rim
-            if rim.n_cells:
-                self._add_lines(plotter, rim, cut.view, style.CONTACT, 4)
-
-        self._show(axes, title, "certificate", build, cut.view, rim=False)
-        _bar(sheet, axes, norm, style.ERROR_MAP, r"$\eta_T$")
-
-    def draw_trace(
-        self, sheet: Sheet, axes: Axes, column: str, label: str, view: Array, tables: Sequence[FacetTable] = ()
+    def draw(
+        self, panel: Panel, sheet: Sheet, axes: Axes, title: str, view: Array, scenes: Sequence[Scene] = ()
     ) -> None:
-        """A column of the table of facets, as colours on Γ_S; of vectors their lengths, with arrows along them.
-
-        A small Γ_S is enlarged, and its title tells.
+        """A panel. A small Γ_S is enlarged, and its title tells.
 
         Args:
+            panel: What is shown.
             sheet: The sheet.
             axes: Where it is drawn.
-            column: Of the table of facets.
-            label: The title.
+            title: The title, without what the view adds.
             view: Direction from which Γ_S is seen.
-            tables: The tables that share the scale of the colours, if not that of the scene alone.
+            scenes: The scenes that share the scale of the colours on Γ_S, if not this one alone.
         """
-        low, high, extend = _scale(column, tables or [self.scene.facets])
+        where, cut, near = panel.where, None, panel.where is Where.GAMMA and self.is_small
+        ends = 0.0, 1.0, "neither"
+        if where is Where.GAMMA:
+            ends = _scale(panel.what, scenes or [self.scene])
+            title = f"{title}{'' if scenes else f' on {self.scene.gamma}'}{', enlarged' * near}"
+        elif where is not Where.SETS:
+            view, ends = self.views[0], panel.ends or (float(panel.what.min()), float(panel.what.max()), "neither")
+        norm = log_norm(panel.what) if panel.log else Normalize(*ends[:2])
+        if where in CUTS:
+            cut = self.cuts[where is Where.ACROSS]
+            view, across = cut.view, " across (a)" * (where is Where.ACROSS)
+            title += ", behind a cut" if panel.in_cells else f" on a cut{across}"
+        self._show(axes, title, panel, lambda plotter: self._fill(plotter, panel, norm, view, cut), view, near=near)
+        if where is not Where.SETS:
+            sheet.bar(axes, ScalarMappable(norm, panel.colours), panel.label, ends[2])
 
-        def build(plotter: pyvista.Plotter) -> None:
-            values = _sizes(self.scene.facets, column)
-            _add_colours(plotter, self.gamma, values, style.U_MAP, (low, high), nan_color=HULL, **self._edges())
-            self._add_arrows(plotter, getattr(self.scene.facets, column), STILL * high, view)
-            self._add_hull(plotter)
-
-        title = f"{label}, enlarged" if self.is_small else label
-        self._show(axes, title, column, build, view, near=self.is_small)
-        _bar(sheet, axes, Normalize(low, high), style.U_MAP, "", extend)
-
-    def draw_contact(self, axes: Axes, title: str, view: Array) -> None:
-        """The contact set on Γ_S."""
-
-        def build(plotter: pyvista.Plotter) -> None:
+    def _fill(self, plotter: pyvista.Plotter, panel: Panel, norm: Normalize, view: Array, cut: Cut | None) -> None:
+        """What a panel shows."""
+        look: dict[str, Any] = {"cmap": panel.colours, "clim": (norm.vmin, norm.vmax), "lighting": False}
+        look |= {"show_scalar_bar": False}
+        if panel.where is Where.SETS:
             self._add_contact(plotter)
             self._add_hull(plotter)
+        elif panel.where is Where.GAMMA:
+            values = self.scene.on_facets(panel.what)
+            plotter.add_mesh(self.gamma, scalars=_sizes(values), nan_color=HULL, **look, **self._edges())
+            self._add_arrows(plotter, values, STILL * look["clim"][1], view)
+            self._add_hull(plotter)
+        elif panel.where is Where.STREAMS:
+            self._add_contact(plotter, opacity=0.3)
+            lines = self.streamlines
+            tubes = lines.tube(radius=0.005 * self.extent, n_sides=8) if lines.n_points else lines
+            if tubes.n_points:  # without flux each line is a point, which has no tube
+                plotter.add_mesh(tubes, scalars="sigma_norm", **look | {"lighting": True, "ambient": 0.4})
+        elif panel.where is Where.OUTSIDE:
+            surface = self.with_values(panel).extract_surface(algorithm=None)
+            plotter.add_mesh(surface, scalars="values", **look)
+            for each in (each for each in self.scene.over if each.filled and len(each.points)):
+                corners = np.concatenate(each.points)
+                triangles = pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))
+                plotter.add_mesh(triangles, color=each.look["color"], opacity=0.35, lighting=False)
+        elif cut is not None and panel.in_cells:
+            self._add_half(plotter, panel, cut, look)
+        elif cut is not None:
+            section = self.with_values(panel).slice(cut.normal, origin=cut.origin)
+            plotter.add_mesh(section, scalars="values", **look)
+            if len(panel.levels) and (lines := section.contour(list(panel.levels), scalars="values")).n_points:
+                self._add_lines(plotter, lines, view, "white", 1.5)
+            self._add_shell_of(plotter, cut)
 
-        self._show(axes, title, "contact", build, view)
+    def _add_half(self, plotter: pyvista.Plotter, panel: Panel, cut: Cut, look: dict[str, Any]) -> None:
+        """Values of the cells behind a cut, on a logarithmic scale."""
+        half = self.grid.clip(cut.normal, origin=cut.origin, crinkle=True).extract_surface(algorithm=None)
+        half.cell_data["log"] = np.log10(np.maximum(panel.what, look["clim"][0]))[half.cell_data["cell"]]
+        plotter.add_mesh(half, scalars="log", **look | {"clim": np.log10(look["clim"]).tolist()})
+        rim = self.rim.clip(cut.normal, origin=cut.origin) if self.rim.n_cells else self.rim
+        if rim.n_cells:
+            self._add_lines(plotter, rim, cut.view, style.CONTACT, 4)
 
-    def draw_mesh(self, axes: Axes, view: Array) -> None:
+    def with_values(self, panel: Panel) -> pyvista.UnstructuredGrid:
+        """The mesh with the values of a panel at its points."""
+        grid = self.grid.copy(deep=False)
+        grid.point_data["values"] = panel.what
+        return grid
+
+    def mesh(self) -> Sheet:
         """The mesh on the boundary, with the contact set."""
+        sheet = Sheet([WIDE_SIDE] * len(self.views), [WIDE_SIDE])
 
         def build(plotter: pyvista.Plotter) -> None:
             plotter.add_mesh(self.hull, color="white", lighting=False, show_edges=True, line_width=0.5)
             self._add_contact(plotter)
 
-        self._show(axes, self.scene.fields.count, "mesh", build, view)
+        for number, view in enumerate(self.views):
+            self._show(sheet.view(0, number), self.scene.fields.count, Where.MAP, build, view)
+        sheet.legend_below(self.handles())
+        return sheet
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S and of the states of laws in Ω."""
@@ -260,26 +268,17 @@ class Space:
         groups = self.scene.groups
         return [*(Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups), *edge]
 
-    def _section(self, cut: Cut) -> pyvista.PolyData:
-        """The values on a cut."""
-        return self.grid.slice(cut.normal, origin=cut.origin)
-
-    def _show_cut(self, axes: Axes, title: str, key: str, build: Callable[[pyvista.Plotter], None], cut: Cut) -> None:
-        """A cut in the shell of the domain, whose inner side is pale where it is before the cut."""
-
-        def with_shell(plotter: pyvista.Plotter) -> None:
-            build(plotter)
-            boundary, facets = self.scene.boundary, self.scene.facets
-            groups = [(group.colour, facets.vertices[group.facets]) for group in self.scene.groups]
-            for colour, vertices in [*groups, (HULL, boundary.vertices[boundary.kind != SIGNORINI])]:
-                self._add_shell(plotter, cut, colour, vertices)
-            sets = [*groups, (style.CONTACT, self.scene.free_boundary())]
-            for colour, vertices in (each for each in sets if len(each[1])):
-                edge = self._triangles(vertices).slice(cut.normal, origin=cut.origin)
-                if edge.n_cells:
-                    self._add_lines(plotter, edge, cut.view, colour, 5)
-
-        self._show(axes, title, key, with_shell, cut.view, rim=False)
+    def _add_shell_of(self, plotter: pyvista.Plotter, cut: Cut) -> None:
+        """The shell of the domain, whose inner side is pale where it is before the cut."""
+        boundary, facets = self.scene.boundary, self.scene.facets
+        groups = [(group.colour, facets.vertices[group.facets]) for group in self.scene.groups]
+        for colour, vertices in [*groups, (HULL, boundary.vertices[boundary.kind != SIGNORINI])]:
+            self._add_shell(plotter, cut, colour, vertices)
+        sets = [*groups, (style.CONTACT, self.scene.free_boundary())]
+        for colour, vertices in (each for each in sets if len(each[1])):
+            edge = self._triangles(vertices).slice(cut.normal, origin=cut.origin)
+            if edge.n_cells:
+                self._add_lines(plotter, edge, cut.view, colour, 5)
 
     def _add_shell(self, plotter: pyvista.Plotter, cut: Cut, colour: str, vertices: Indices) -> None:
         """Triangles of the boundary behind a cut, and those before it that turn their inner side to the eye."""
@@ -345,18 +344,11 @@ class Space:
         plotter.add_mesh(moved, color=color, line_width=width, lighting=False, render_lines_as_tubes=width > 2)
 
     def _show(
-        self,
-        axes: Axes,
-        title: str,
-        key: str,
-        build: Callable[[pyvista.Plotter], None],
-        view: Array,
-        *,
-        rim: bool = True,
-        near: bool = False,
+        self, axes: Axes, title: str, key: object, build: Callable[[Any], None], view: Array, *, near: bool = False
     ) -> None:
         """Render into axes, with the edges of the domain and the coordinate directions; each image is rendered once."""
         if (key, tuple(view)) not in self.rendered:
+            rim = not (isinstance(key, Panel) and key.where in CUTS)
             self.rendered[key, tuple(view)] = self._render(build, view, rim=rim, near=near)
         image = self.rendered[key, tuple(view)]
         height, width = image.shape[:2]
@@ -367,9 +359,7 @@ class Space:
         axes.set_title(title)
         triad(axes, view, (2.2 * room / (width + room), 2.2 * room / (height + room)))
 
-    def _render(
-        self, build: Callable[[pyvista.Plotter], None], view: Array, *, rim: bool, near: bool
-    ) -> npt.NDArray[np.uint8]:
+    def _render(self, build: Callable[[Any], None], view: Array, *, rim: bool, near: bool) -> npt.NDArray[np.uint8]:
         with offscreen():
             plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
             plotter.suppress_rendering = True  # otherwise each of the following calls renders
@@ -396,47 +386,20 @@ def _lines(points: Array, edges: Indices) -> pyvista.PolyData:
     return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
 
 
-def _sizes(table: FacetTable, column: str) -> Array:
-    """The numbers of a column, of vectors their lengths."""
-    values: Array = getattr(table, column)
+def _sizes(values: Array) -> Array:
+    """Numbers, of vectors their lengths."""
     return values if values.ndim == 1 else np.linalg.norm(values, axis=1)
 
 
-def _scale(column: str, tables: Sequence[FacetTable]) -> tuple[float, float, str]:
+def _scale(column: str, scenes: Sequence[Scene]) -> tuple[float, float, str]:
     """Colour limits for a column of tables, and the ends of the colour bar to extend; facets with NaN do not count."""
-    values = np.concatenate([_sizes(table, column) for table in tables])
-    there = np.isfinite(values)
-    measure, least = np.concatenate([table.measure for table in tables]), values[there].min()
-    low, high, extend = style.limits(values[there] - least, measure[there])
+    values = np.concatenate([_sizes(scene.on_facets(column)) for scene in scenes])
+    finite = np.isfinite(values)
+    measure, least = np.concatenate([scene.facets.measure for scene in scenes]), values[finite].min()
+    low, high, extend = style.limits(values[finite] - least, measure[finite])
     return low + least, high + least, extend
 
 
 def _pale(colour: str) -> tuple[float, ...]:
     """A colour, mixed with white."""
     return tuple((1 + part) / 2 for part in to_rgb(colour))
-
-
-def _add_colours(
-    plotter: pyvista.Plotter,
-    surface: pyvista.PolyData,
-    scalars: str | Array,
-    cmap: str,
-    ends: tuple[float, float] | list[float],
-    *,
-    lighting: bool = False,
-    **options: Any,
-) -> None:
-    plotter.add_mesh(
-        surface, scalars=scalars, cmap=cmap, clim=ends, lighting=lighting, show_scalar_bar=False, **options
-    )
-
-
-def _bar(
-    sheet: Sheet,
-    axes: Axes,
-    norm: Normalize | LogNorm,
-    cmap: str,
-    label: str,
-    extend: str = "neither",
-) -> None:
-    sheet.bar(axes, ScalarMappable(norm, cmap), label, extend)

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from signorini_fenicsx.output.pictures import style
+from signorini_fenicsx.pictures import style
 
 LEFT, RIGHT, ABOVE, BELOW = 0.75, 0.2, 0.36, 0.54
 """Room around a panel: for its numbers and label on the left, for its title, for its numbers and label below."""
@@ -60,7 +60,7 @@ class Sheet(Figure):
         dpi: float | None = None,
     ) -> None:
         super().__init__(dpi=dpi)
-        self._widths, self._heights, self._bar = widths, heights, BAR if bars else RIGHT
+        self.widths, self._heights, self._bar = widths, heights, BAR if bars else RIGHT
         self._across = EDGE + sum(LEFT + width + self._bar for width in widths)
         self._lines = _wrapped(title, self._across - 1)[:LINES] if title else []
         self._places: dict[Axes, tuple[float, float, float, float]] = {}
@@ -79,9 +79,9 @@ class Sheet(Figure):
             aspect: Width over height of a map, beside which there is room for a colour bar. Other panels fill the cell.
             options: Those of `add_axes`.
         """
-        left = EDGE + LEFT + sum(LEFT + width + self._bar for width in self._widths[:column])
+        left = EDGE + LEFT + sum(LEFT + width + self._bar for width in self.widths[:column])
         top = self._top + ABOVE + sum(ABOVE + height + BELOW for height in self._heights[:row])
-        width = sum(self._widths[column : column + columns]) + (columns - 1) * (LEFT + self._bar)
+        width = sum(self.widths[column : column + columns]) + (columns - 1) * (LEFT + self._bar)
         height = sum(self._heights[row : row + rows]) + (rows - 1) * (ABOVE + BELOW)
         axes = self.add_axes((0, 0, 1, 1), **options)
         if aspect is None:
@@ -94,7 +94,7 @@ class Sheet(Figure):
 
     def view(self, row: int, column: int) -> Axes:
         """Axes for an image without labels, which also takes their room in its cell."""
-        axes = self.panel(row, column, aspect=self._widths[column] / self._heights[row])
+        axes = self.panel(row, column, aspect=self.widths[column] / self._heights[row])
         left, top, width, height = self._places[axes]
         self._places[axes] = left - LEFT + EDGE, top, width + LEFT - EDGE, height + BELOW - EDGE
         return axes

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.output.pictures.rendering import screen
-from signorini_fenicsx.output.pictures.scene import Scene, creases
+from signorini_fenicsx.pictures.geometry import creases
+from signorini_fenicsx.pictures.rendering import screen
+from signorini_fenicsx.pictures.scene import Scene
 
 USUAL_VIEW = np.array([1.0, -1.6, 0.9]) / np.linalg.norm([1.0, -1.6, 0.9])
 VIEWS = [

@@ -34,7 +34,7 @@ SEGMENTS = ("#e69f00", "#009e73", "#cc79a7", "#0072b2", "#f0e442", "#7f7f7f")
 OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "#0072b2", "open": FREE}
 """Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn, which are
 those of Okabe and Ito: colour-blind readers tell them apart."""
-U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP = "viridis", "cividis", "plasma", "magma"
+U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP, SIGNED_MAP = "viridis", "cividis", "plasma", "magma", "RdBu_r"
 
 DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
 """Mathematics in a line."""
@@ -101,7 +101,11 @@ def shape_axes(axes: Axes, title: str, frame: Array) -> None:
         axes.spines[side].set_visible(False)
 
 
-def bound_in_words(certificate: Certificate, value: str) -> list[str]:
+def bound_in_words(certificate: Certificate | None) -> list[str]:
     """A bound for a caption: certified only if it is proved, and to which solution the error is."""
+    if certificate is None or not math.isfinite(certificate.bound):
+        return []
     words = f"certified {certificate.error}" if certificate.proved else certificate.error
-    return [rf"{words} $\leq$ {value}", *([] if certificate.proved else ["not guaranteed"])]
+    share = rf" ({100 * certificate.relative:.3g} % of $\|\sigma_h\|$)" if certificate.smaller_than_flux else ""
+    bound = rf"{words} $\leq$ ${power(certificate.bound)}${share}"
+    return [bound, *([] if certificate.proved else ["not guaranteed"])]

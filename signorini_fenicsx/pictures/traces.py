@@ -1,7 +1,7 @@
-"""Traces along the parts of Γ_S in the plane: p_h, u_h and ψ, σ_h·n and q_S, contact shaded."""
+"""Traces along the parts of Γ_S in the plane, contact shaded."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,26 +9,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.output.pictures import style
-from signorini_fenicsx.output.pictures.scene import Group, Scene, chains
+from signorini_fenicsx.base.tolerances import TIE
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.geometry import chains
+from signorini_fenicsx.pictures.panels import Panel
+from signorini_fenicsx.pictures.scene import Group, Scene
 
-PANELS: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
-    "u": {
-        "p": ("$p_h$", {"color": "C0", "linewidth": 1.6}),
-        "u": ("$u_h$ in the cell behind", {"color": "C1", "linestyle": "", "marker": "o", "markersize": 2.8}),
-        "psi": (r"$\psi$", {"color": "black", "linewidth": 1.0, "linestyle": "--"}),
-    },
-    "flux": {
-        "flux": (r"$\sigma_h\cdot n$", {"color": "C2", "linewidth": 1.6}),
-        "q_S": ("$q_S$", {"color": "black", "linewidth": 1.0, "linestyle": "--"}),
-    },
-}
-"""For each panel the columns of the table, with their labels and styles."""
-BOUNDS = ("psi", "q_S")
 MARKERS = 40
 """Largest number of markers on a line."""
 SHADE = 0.13
-TITLES = {"u": "trace of $u$", "flux": "flux"}
 
 
 @dataclass(frozen=True)
@@ -77,9 +66,11 @@ def _ends(along: Array, measure: Array) -> Array:
     return np.concatenate([[2 * along[0] - middle[0]], middle, [2 * along[-1] - middle[-1]]])
 
 
-def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> None:
-    """One panel: the traces of `PANELS` along a part."""
+def draw_trace(scene: Scene, axes: Axes, part: int, panel: Panel, named: Callable[[str], str]) -> None:
+    """The curves of a panel along a part, constant on each facet, or linear if its vertices are sites."""
+    name, table, rows = list(scene.labels)[part], scene.sites, scene.rows
     lines, label = pieces(scene, part)
+    title = f"{panel.of_jump if panel.of_jump and name in scene.inside else panel.title} on {name}"
     for line in lines:
         for group in shaded(scene):
             inside = group.facets[line.rows]
@@ -87,17 +78,31 @@ def draw_trace(scene: Scene, axes: Axes, part: int, panel: str, title: str) -> N
                 if inside[run[0]]:
                     ends = line.ends[run[0]], line.ends[run[-1] + 1]
                     axes.axvspan(*ends, color=group.colour, alpha=SHADE, linewidth=0)
-        for column, (_, look) in columns_of(scene, panel).items():
-            values = getattr(scene.facets, column)[line.rows]
+    for column, (_, look) in panel.curves.items():
+        values, here = getattr(table, column), table.part == part
+        if rows.shape[1] > 1:
+            values = without_rounding(values)
+            axes.plot(table.along[here], values[here], **look)
+        for line in lines if rows.shape[1] == 1 else ():
+            of_line = values[rows[line.rows, 0]]
             if "marker" in look:
-                some = slice(None, None, 1 + len(values) // MARKERS)
-                axes.plot(((line.ends[1:] + line.ends[:-1]) / 2)[some], values[some], **look)
+                some = slice(None, None, 1 + len(of_line) // MARKERS)
+                axes.plot(((line.ends[1:] + line.ends[:-1]) / 2)[some], of_line[some], **look)
             else:
-                axes.stairs(values, line.ends, baseline=None, **look)
-    axes.set(title=title, xlabel="angle" if label == "angle" else f"${label}$" if len(label) == 1 else label)
+                axes.stairs(of_line, line.ends, baseline=None, **look)
+        if panel.peak:
+            largest = float(values[here].max(initial=0.0))
+            title += f", at most {largest:.4g}" if largest > 0 else ", none"
+    axes.set(title=named(title), xlabel="angle" if label == "angle" else f"${label}$" if len(label) == 1 else label)
     axes.margins(x=0)
     if label == "angle":
         axes.set_xticks(*_pi_ticks(np.concatenate([line.ends for line in lines])))
+
+
+def without_rounding(values: Array) -> Array:
+    """The values with 0 for what is rounding beside the largest; else it fills the panel of a part without contact."""
+    largest = np.abs(np.nan_to_num(values)).max(initial=0.0)
+    return np.where(np.abs(values) <= TIE * largest, 0.0, values)
 
 
 def shaded(scene: Scene) -> list[Group]:
@@ -105,20 +110,14 @@ def shaded(scene: Scene) -> list[Group]:
     return scene.groups if scene.segments else [Group("contact", style.CONTACT, scene.touching)]
 
 
-def columns_of(scene: Scene, panel: str) -> dict[str, tuple[str, dict[str, Any]]]:
-    """The columns of a panel that the table has; under laws with segments of their own there are no ψ and q_S."""
-    known = vars(scene.facets).keys() - (BOUNDS if scene.segments else ())
-    return {name: column for name, column in PANELS[panel].items() if name in known}
-
-
-def handles(scene: Scene, *, shades: bool = True) -> list:
+def handles(scene: Scene, panels: Sequence[Panel], *, shades: bool = True) -> list:
     """The entries of the legend of these panels; without shades beside lines of the same colours."""
-    columns = {name: column for panel in PANELS for name, column in columns_of(scene, panel).items()}
-    if "psi" in columns:
-        columns["psi"] = (r"$\psi$, $q_S$", columns.pop("q_S")[1])  # they look alike, each in its panel
-    lines = [Line2D([], [], label=label, **look) for label, look in columns.values()]
-    groups = shaded(scene) if shades else []
-    return [*lines, *(Patch(color=group.colour, alpha=SHADE, label=group.name) for group in groups)]
+    looks = {label: look for panel in panels for label, look in panel.curves.values()}
+    groups = shaded(scene) if shades and panels else []
+    return [
+        *(Line2D([], [], label=label, **look) for label, look in looks.items()),
+        *(Patch(color=group.colour, alpha=SHADE, label=group.name) for group in groups),
+    ]
 
 
 def _pi_ticks(angles: Array) -> tuple[list[float], list[str]]:

@@ -1,0 +1,246 @@
+"""What is drawn of an elastic solution: the deformed body, pressure and friction, and both over time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.rows import joined
+from signorini_fenicsx.meshes.domain import AXES, other_side
+from signorini_fenicsx.physics.elasticity.show.shown import BodyFacets
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.evolution import draw_over_time
+from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel
+from signorini_fenicsx.pictures.scene import Scene
+from signorini_fenicsx.pictures.sheet import Sheet
+
+SHARE = 0.1
+"""Of the body's size that the largest displacement is drawn as."""
+APART = 0.08
+"""Of the body's size: the distance of bodies that are drawn apart."""
+SMALL = 0.25
+"""Of the body's size: parts inside it that are smaller have a panel of their own."""
+AROUND = 0.75
+"""Of the size of these parts: how far the panel reaches from their middle."""
+NEAR = 0.12
+"""Of the body's size: where the gap is drawn larger than this, the foundation is not drawn."""
+
+
+MOVES = 0.01
+"""A part moves if the mean of its displacement changes by more than this share of the largest of all parts."""
+LOADED = 1e-6
+"""A part is loaded if the force on it is larger than this share of the largest of all parts."""
+
+
+def files(scene: Scene) -> dict[str, File]:
+    """The pictures of a solution."""
+    fields, u = scene.fields, scene.fields.at_points["u"]
+    size, largest = float(np.ptp(fields.points, axis=0).max()), float(np.linalg.norm(u, axis=1).max(initial=0.0))
+    factor, apart = _rounded(SHARE * size / largest) if largest > 0 else 1.0, _apart(scene, APART * size)
+    moved = fields.points + factor * u + apart
+    what = "displacement and gap" if scene.labels else "displacement"
+    told = f"{what} × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
+    body = scene.at(moved, _beside(scene, moved, factor, NEAR * size))
+    foundation = " on its foundation" if scene.dim == 3 and any(each.filled for each in body.over) else ""
+    title, near = f"{scene.title}\n{scene.caption}\n{told}", _near(scene)
+    named = {"deformed": ("stress", "von Mises stress"), "displacement": ("u", "$|u_h|$")}
+    found: dict[str, File] = {}
+    for name, (field, label) in named.items():
+        in_cells = np.linalg.norm(fields.in_cells[field], axis=1)
+        look: dict[str, Any] = {"label": label, "colours": style.FLUX_MAP, "ends": scene.usual(in_cells)}
+        at_points, plane = np.linalg.norm(fields.at_points[field], axis=1), scene.dim == 2
+        panels = [
+            Panel(at_points, Where.OUTSIDE, f"{label}, deformed body{foundation}", scene=body, **look),
+            Panel(in_cells if plane else at_points, Where.MAP, label, scene=body, in_cells=plane, **look),
+        ]
+        if near is not None:
+            few, cells, by = near
+            look |= {"ends": style.limits(in_cells[cells], scene.measure[cells]), "in_cells": True}
+            panels.append(
+                Panel(in_cells[cells], Where.MAP, rf"less the mean displacement, $\times$ {by:g}", scene=few, **look)
+            )
+        found[name] = title, panels
+    return found | {"pressure": (scene.caption, _on_gamma(scene)), "certificate": ("", error_panel(scene))}
+
+
+def _on_gamma(scene: Scene) -> list[Panel]:
+    """Pressure, gap, the contact set and, where it rubs, shear and slip."""
+    if not scene.labels:
+        return []
+    line, in_space = {"linewidth": 1.6}, scene.dim == 3
+    panels = [
+        Panel(
+            "pressure",
+            Where.GAMMA,
+            "pressure",
+            curves={"pressure": (r"$-\sigma_{nn}$", line | {"color": "C3"})},
+            peak=True,
+        ),
+        Panel("gap", Where.GAMMA, "gap", curves={"gap": ("$g - u_n$", line | {"color": "C0"})}),
+        Panel("", Where.SETS, "contact set"),
+    ]
+    if (scene.sites.state >= 0).any():
+        look: dict[str, Any] = {"colours": style.U_MAP if in_space else style.SIGNED_MAP}
+        names = (r"shear $|\sigma_t|$", "slip $|u_t|$") if in_space else ("shear", "slip")
+        shear, slip = {"shear": (r"$\sigma_t$", line | {"color": "C2"})}, {"sliding": ("$u_t$", line | {"color": "C1"})}
+        panels += [
+            Panel("shear_vector", Where.GAMMA, names[0], curves=shear, **look),
+            Panel("sliding_vector", Where.GAMMA, names[1], curves=slip, **look),
+        ]
+    return panels
+
+
+def _beside(scene: Scene, moved: Array, factor: float, most: float) -> list[Overlay]:
+    """Over the deformed body: the mesh before, the foundation, in the plane parts inside."""
+    facets = foundation_of(scene, moved, factor, most)
+    look = {"facecolor": "0.75", "edgecolor": "0.75", "linewidth": 0.3, "zorder": 0.5}
+    if scene.dim == 3:
+        return [Overlay("foundation", list(facets[:, :3]), {"color": "grey"}, filled=True)]
+    touching = moved[scene.facets.vertices[_inside(scene)]]
+    return [
+        Overlay("before", *_mesh(scene)),
+        Overlay("foundation", list(facets), look, filled=True),
+        Overlay("", list(facets[:, :2]), {"color": "black", "linewidth": 1.2}),
+        Overlay("", list(touching), {"color": "black", "linewidth": 0.8}),
+    ]
+
+
+def _mesh(scene: Scene) -> tuple[list[Array], dict[str, Any]]:
+    """The mesh as it was."""
+    around = scene.fields.points[scene.fields.cells]
+    return list(np.concatenate([around, around[:, :1]], axis=1)), {"color": "0.85", "linewidth": 0.3, "zorder": 0.4}
+
+
+def _apart(scene: Scene, distance: float) -> Array:
+    """How far the points of each body are moved so that bodies with a gap between them are this far from each other.
+
+    Their meshes fit together, so that they would cover each other where they are pressed over the gap.
+    """
+    facets, points, inside = scene.facets, scene.fields.points, _inside(scene)
+    assert isinstance(facets, BodyFacets)
+    if not facets.apart.any():
+        return np.zeros_like(points)
+    size = len(points)
+    body = joined(size, scene.fields.cells)
+    _, place = np.unique(points, axis=0, return_inverse=True)
+    other = np.full(size, -1)
+    for point in np.setdiff1d(np.arange(size), facets.vertices[inside]):
+        other[place[point]] = body[point]
+    named_body, other_body = body[facets.vertices[inside, 0]], other[place[facets.vertices[inside]]].max(axis=1)
+    two = (named_body != other_body) & (other_body >= 0)
+    rows, each = np.zeros((int(two.sum()), int(body.max()) + 1)), np.arange(int(two.sum()))
+    rows[each, named_body[two]], rows[each, other_body[two]] = 1.0, -1.0
+    moved = np.linalg.lstsq(rows, -distance * facets.normals[inside][two], rcond=None)[0]
+    return np.asarray(moved[body])
+
+
+def _inside(scene: Scene) -> Mask:
+    """Mask of the facets of Γ_C inside the domain, where two bodies touch."""
+    return np.isin(scene.facets.part, [index for index, name in enumerate(scene.labels) if name in scene.inside])
+
+
+def _at_points(vertices: Indices, values: Array, size: int) -> Array:
+    """The means of vectors at the vertices of facets, shape (facets, d, d), over the facets around each point."""
+    points, columns = vertices.ravel(), np.moveaxis(values, 2, 0).reshape(values.shape[2], -1)
+    count = np.maximum(np.bincount(points, minlength=size), 1)
+    return np.column_stack([np.bincount(points, column, minlength=size) / count for column in columns])
+
+
+def foundation_of(scene: Scene, moved: Array, factor: float, most: float) -> Array:
+    """The facets of the foundation where it is drawn nearer to the deformed body than `most`, and their undersides.
+
+    Args:
+        scene: The body as it was.
+        moved: Where its points are drawn.
+        factor: Displacements and gaps are drawn larger by this factor.
+        most: See above.
+
+    Returns:
+        The vertices of each facet, on the surface and then below it, shape (facets, 2 dim, dim).
+    """
+    facets = scene.facets
+    assert isinstance(facets, BodyFacets)
+    lift = _at_points(facets.vertices, factor * facets.gaps[:, :, None] * facets.normals[:, None], len(moved))
+    surface = (moved + lift)[facets.vertices]
+    under = surface + 0.2 * most * facets.normals[:, None]
+    return np.concatenate([surface, under[:, ::-1]], axis=1)[~_inside(scene) & (factor * scene.on_facets("gap") < most)]
+
+
+def _near(scene: Scene) -> tuple[Scene, Mask, float] | None:
+    """The surroundings of small parts inside the domain; None if there are none, or they are not small.
+
+    Returns:
+        The cells there, moved by the displacement less the mean one of these parts; which ones they are; the factor by
+        which this is drawn larger.
+    """
+    fields, of_parts = scene.fields, np.unique(scene.facets.vertices[_inside(scene)])
+    if not len(of_parts) or scene.dim == 3:
+        return None
+    low, high = fields.points[of_parts].min(axis=0), fields.points[of_parts].max(axis=0)
+    size = float((high - low).max())
+    if size > SMALL * np.ptp(fields.points, axis=0).max():
+        return None
+    moves = fields.at_points["u"] - fields.at_points["u"][of_parts].mean(axis=0)
+    largest = float(np.linalg.norm(moves[of_parts], axis=1).max())
+    factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
+    frame = np.stack([(low + high) / 2 - AROUND * size, (low + high) / 2 + AROUND * size])
+    moved = fields.points + factor * moves
+    shown = [places[fields.cells] for places in (fields.points, moved)]
+    reaches = [(each.max(axis=1) > frame[0]).all(axis=1) & (each.min(axis=1) < frame[1]).all(axis=1) for each in shown]
+    cells = reaches[0] | reaches[1]
+    few = replace(scene, fields=replace(fields, cells=fields.cells[cells]))
+    touching = Overlay("", list(moved[scene.facets.vertices[_inside(scene)]]), {"color": "black", "linewidth": 0.8})
+    return replace(few.at(moved, [Overlay("", *_mesh(few)), touching]), frame=frame), cells, factor
+
+
+def _rounded(value: float) -> float:
+    """The nearest smaller one of 1, 2, 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-12)) * power)
+
+
+def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
+    """Draw `forces.png` and, where there is Γ_C, `contact.png`."""
+    _forces(scene, steps.rows).save(folder / "forces.png")
+    if scene.labels:
+        panels = [each for each in _on_gamma(scene) if each.where is Where.GAMMA and each.what != "gap"]
+        draw_over_time(folder / "contact.png", scene, steps, panels)
+
+
+def _forces(scene: Scene, rows: Sequence[Mapping[str, Any]]) -> Sheet:
+    """The contact force over time; the force on each part that moves against its mean displacement, inner ones once."""
+    axes_of, others = AXES[: scene.dim], {other_side(part) for part in scene.inside}
+    parts = [key.removesuffix("_force_x") for key in rows[0] if key.endswith("_force_x")]
+    moved = {part: np.array([[row[f"{part}_u_{axis}"] for axis in axes_of] for row in rows]) for part in parts}
+    ranges = {part: np.ptp(path, axis=0) for part, path in moved.items()}
+    largest = max((float(size.max()) for size in ranges.values()), default=0.0)
+    forces = {part: np.array([[row[f"{part}_force_{axis}"] for axis in axes_of] for row in rows]) for part in parts}
+    strongest = max((float(np.abs(force).max()) for force in forces.values()), default=0.0)
+    driven = [
+        part
+        for part in parts
+        if part not in others
+        and ranges[part].max() > MOVES * largest
+        and np.abs(forces[part]).max() > LOADED * strongest
+    ]
+    first = 1 if scene.labels else 0
+    sheet = Sheet([4.4], [2.2] * (first + len(driven)), bars=False, title=scene.title)
+    if scene.labels:
+        axes = sheet.panel(0, 0)
+        axes.plot([row["t"] for row in rows], [row["contact_force"] for row in rows], color=style.CONTACT, marker=".")
+        axes.set(xlabel="$t$", ylabel=r"$-\int\sigma_{nn}$", title="contact force")
+        axes.set_ylim(0, 1.05 * max(row["contact_force"] for row in rows) or None)  # what hardly changes looks so
+    for index, part in enumerate(driven, start=first):
+        axes, along = sheet.panel(index, 0), int(ranges[part].argmax())
+        for k, (axis, colour) in enumerate(zip(axes_of, (style.CONTACT, style.FREE, style.WATER), strict=False)):
+            look = {"color": colour, "linestyle": ("-", "--", ":")[k], "marker": ".os"[k], "markersize": 4}
+            axes.plot(moved[part][:, along], forces[part][:, k], label=f"${axis}$", **look)
+        axes.set(xlabel=f"mean $u_{axes_of[along]}$", ylabel="force", title=f"force on {part}")
+    sheet.legend_below(list(axes.lines) if driven else [])
+    return sheet
+
+
+PICTURES = Pictures(files, in_time=in_time)

@@ -1,0 +1,1 @@
+"""Pictures of a solution; what they show is declared by each physics, in `physics/*/show/pictures.py`."""

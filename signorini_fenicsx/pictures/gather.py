@@ -1,0 +1,95 @@
+"""Distributed solutions as plain arrays on rank 0, for pictures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cells_behind
+from signorini_fenicsx.base.parallel import gather_rows
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.meshes.domain import facet_vertices
+from signorini_fenicsx.pictures.sample import Sample
+from signorini_fenicsx.solving.drawn import Kind
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """One row per boundary facet of all ranks.
+
+    Attributes:
+        kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`; `PARTLY_FIXED` of an elastic body.
+        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
+        vertices: Rows of `Fields.points`, ascending by their numbers in the mesh, shape (facets, dim).
+        middles: The middle of the cell of each facet, shape (facets, dim).
+    """
+
+    kind: npt.NDArray[np.int64]
+    u: Array
+    vertices: Indices
+    middles: Array
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Mesh and values for pictures, of all cells or of a sample of them, see `Sample`.
+
+    Attributes:
+        ids: For each point its number in the mesh, ascending.
+        points: Shape (points, dim).
+        cells: Shape (cells, dim + 1).
+        of: Number of cells of the mesh.
+        at_points: Values at the points by their names, the means over the cells around, shape (points, k).
+        in_cells: Values in the cells by their names; "indicator" is η_T, "regions" a mask with a column for each.
+    """
+
+    ids: Indices
+    points: Array
+    cells: Indices
+    of: int
+    at_points: Mapping[str, Array]
+    in_cells: Mapping[str, npt.NDArray]
+
+    @property
+    def count(self) -> str:
+        """How many cells there are, and in the picture."""
+        return f"{self.of} cells" + (f", a sample of {len(self.cells)} drawn" if len(self.cells) < self.of else "")
+
+
+def sample_of(spaces: MeshSpaces) -> Sample:
+    """The mesh for pictures of a solution on these spaces (collective)."""
+    return Sample(spaces.mesh, np.concatenate([spaces.facets, spaces.dirichlet_facets, spaces.neumann_facets]))
+
+
+def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Kind], sample: Sample) -> Boundary | None:
+    """The boundary on rank 0; None elsewhere (collective)."""
+    columns = [
+        np.column_stack([np.full(len(facets), kind), values, facet_vertices(mesh, facets), _middles(mesh, facets)])
+        for kind, (facets, values) in kinds.items()
+    ]
+    rows = gather_rows(mesh.comm, np.concatenate(columns))
+    if rows is None:
+        return None
+    dim = mesh.topology.dim
+    vertices = sample.rows_of(rows[:, 2:-dim].astype(np.int64))
+    return Boundary(rows[:, 0].astype(np.int64), rows[:, 1], vertices, rows[:, -dim:])
+
+
+def _middles(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:
+    """The middle of the cell behind each facet."""
+    nodes = mesh.geometry.dofmaps[0][cells_behind(mesh, facets)]
+    return mesh.geometry.x[nodes, : mesh.topology.dim].mean(axis=1).reshape(-1, mesh.topology.dim)
+
+
+def fields_of(sample: Sample, corners: Mapping[str, Array], cells: Mapping[str, npt.NDArray]) -> Fields | None:
+    """The values of all ranks on rank 0; None elsewhere (collective)."""
+    ends = np.cumsum([values.shape[2] for values in corners.values()])
+    at_points = sample.at_points(np.concatenate(list(corners.values()), axis=2))
+    in_cells = {name: rows for name, values in cells.items() if (rows := sample.in_cells(values)) is not None}
+    if at_points is None:
+        return None
+    named = dict(zip(corners, np.split(at_points, ends[:-1], axis=1), strict=True))
+    return Fields(sample.ids, sample.points, sample.cells, sample.of, named, in_cells)

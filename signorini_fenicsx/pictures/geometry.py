@@ -1,0 +1,102 @@
+"""Triangles and edges for pictures: fewer of them, chains, creases, frames, level lines."""
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from signorini_fenicsx.base.arrays import Array, Indices
+
+
+def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indices]:
+    """Fewer triangles with the same corners and edges, for pictures of large meshes.
+
+    All vertices within a box of a grid are replaced by one of them: the one that is farthest from the mean of its
+    neighbours, so that boundaries stay in place.
+
+    Returns:
+        The remaining triangles, and their rows in `triangles`.
+    """
+    rows = np.arange(len(triangles))
+    if len(triangles) <= most:
+        return triangles, rows
+    corners = np.zeros((len(triangles), 3, 3))
+    corners[:, :, : points.shape[1]] = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.sqrt(np.linalg.norm(normals, axis=1).sum() / most)  # twice the area; two triangles per box
+    box = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    _, box_of = np.unique(box, axis=0, return_inverse=True)
+    box_of = box_of.ravel()
+    vertices, others = triangles.ravel(), np.roll(triangles, 1, axis=1).ravel()
+    count = np.maximum(np.bincount(vertices, minlength=len(points)), 1)
+    offsets = [np.bincount(vertices, x[others] - x[vertices], minlength=len(points)) / count for x in points.T]
+    order = np.lexsort((np.linalg.norm(offsets, axis=0), box_of))
+    last = np.append(np.diff(box_of[order]) > 0, True)
+    chosen = order[last][box_of]
+    moved = chosen[triangles]
+    kept = (moved[:, 0] != moved[:, 1]) & (moved[:, 1] != moved[:, 2]) & (moved[:, 2] != moved[:, 0])
+    return moved[kept], rows[kept]
+
+
+def chains(edges: Indices) -> list[tuple[Indices, Indices]]:
+    """Edges joined end to end.
+
+    Args:
+        edges: Vertices of each, shape (edges, 2).
+
+    Returns:
+        For each chain the rows of its edges, and its vertices in order, one more than edges. The last vertex of a
+        closed chain is its first one.
+    """
+    around: dict[int, list[int]] = {}
+    for row, ends in enumerate(edges.tolist()):
+        for vertex in ends:
+            around.setdefault(vertex, []).append(row)
+    left = set(range(len(edges)))
+    ends_of = edges.tolist()
+    starts = [row for row, (a, b) in enumerate(ends_of) if len(around[a]) == 1 or len(around[b]) == 1]
+    chains = []
+    for row in [*starts, *range(len(edges))]:
+        if row not in left:
+            continue
+        a, b = ends_of[row]
+        vertices, rows = ([b, a] if len(around[b]) == 1 else [a, b]), [row]
+        left.discard(row)
+        while (following := next((r for r in around[vertices[-1]] if r in left), None)) is not None:
+            left.discard(following)
+            rows.append(following)
+            a, b = ends_of[following]
+            vertices.append(a if b == vertices[-1] else b)
+        chains.append((np.array(rows), np.array(vertices)))
+    return chains
+
+
+def creases(points: Array, triangles: Indices, angle: float = 30) -> Indices:
+    """Edges where triangles end or meet at more than this angle, shape (edges, 2), for triangles of any orientation."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]]), axis=1)
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    order = np.lexsort(edges.T)
+    first, second = order[:-1], order[1:]
+    pair = np.all(edges[first] == edges[second], axis=1)
+    cosine = np.abs(np.sum(normals[first % len(triangles)] * normals[second % len(triangles)], axis=1))
+    flat = cosine >= np.cos(np.radians(angle))
+    inner = np.zeros(len(edges), dtype=bool)
+    inner[first] |= pair & flat
+    inner[second] |= pair & flat
+    return np.unique(edges[~inner], axis=0)
+
+
+def framed(points: Array) -> Array:
+    """Smallest and largest coordinates with some room around, shape (2, 2)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.02 * (high - low).max()
+    return np.stack([low - room, high + room])
+
+
+def level_lines(points: Array, triangles: Indices, values: Array, levels: npt.ArrayLike) -> list[Array]:
+    """The lines in the plane on which linear functions on triangles have some values; nothing if it is constant."""
+    if not len(triangles) or not values.min() < values.max():
+        return []
+    drawn = Figure().add_subplot().tricontour(*points.T, triangles, values, levels)
+    return [line for of_level in drawn.allsegs for line in of_level if len(line) > 1]

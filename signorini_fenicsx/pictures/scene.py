@@ -1,0 +1,286 @@
+"""The input of pictures: gathered arrays of one solution on rank 0, and values computed from them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from matplotlib import patheffects
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import owned_values
+from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.cases.plot import Plot
+from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.contact.history import Step
+from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET, NEUMANN
+from signorini_fenicsx.discrete.site_table import Facets
+from signorini_fenicsx.meshes.domain import membership
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.gather import Boundary, Fields, boundary_of, fields_of, sample_of
+from signorini_fenicsx.pictures.geometry import chains
+from signorini_fenicsx.pictures.panels import Overlay, Pictures
+from signorini_fenicsx.solving.drawn import PARTLY_FIXED
+from signorini_fenicsx.solving.physics import PHYSICS
+from signorini_fenicsx.solving.solved import Solved
+
+UNNAMED = Plot()
+"""Of problems that name nothing."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Facets of Γ_S that pictures show alike.
+
+    Attributes:
+        name: What legends call them.
+        colour: Their colour.
+        facets: Which ones.
+    """
+
+    name: str
+    colour: str
+    facets: Mask
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A solution for pictures (rank 0).
+
+    Attributes:
+        solution: The solution, of which this rank has a share.
+        caption: Algorithm, mesh and certified error, in mathematical type.
+        fields: Mesh and values in the cells.
+        facets: Γ_S.
+        sites: The table of the solution.
+        boundary: The whole boundary.
+        segments: Names of the segments of all laws, if there are others than the Signorini law.
+        edges: What the facets between cells in different states are called.
+        inside: The parts of Γ_S inside the domain.
+        lines: Lines of maps by their names.
+        given: What is drawn over maps, if not the boundary and what the physics has.
+        frame: Smallest and largest coordinates of maps, shape (2, 2), if not those of the domain.
+    """
+
+    solution: Solved
+    caption: str
+    fields: Fields
+    facets: Facets
+    sites: Any
+    boundary: Boundary
+    segments: Sequence[str] = ()
+    edges: str = ""
+    inside: Collection[str] = ()
+    lines: Mapping[str, Array] = field(default_factory=dict)
+    given: Sequence[Overlay] | None = None
+    frame: Array | None = None
+
+    @property
+    def pictures(self) -> Pictures:
+        """What its physics draws."""
+        return PHYSICS[self.solution.physics].pictures
+
+    @property
+    def title(self) -> str:
+        """Title of the problem."""
+        return self.solution.title or self.solution.name
+
+    @property
+    def dim(self) -> int:
+        """Dimension, 2 or 3."""
+        return int(self.fields.points.shape[1])
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """For each part of Γ_S the name of the coordinate along it."""
+        spaces = self.solution.spaces
+        return {name: spaces.domain.parts[name].label for name in spaces.part_names}
+
+    @property
+    def history(self) -> list[Step]:
+        """Steps of the algorithm."""
+        return self.solution.outcome.history
+
+    @property
+    def plot(self) -> Plot:
+        """Names of u and of the flux, and level lines."""
+        return getattr(self.solution.source, "plot", None) or UNNAMED
+
+    @property
+    def gamma(self) -> str:
+        """What Γ_S is called, in mathematical type."""
+        return rf"$\Gamma_{self.solution.gamma[-1]}$"
+
+    @cached_property
+    def rows(self) -> Indices:
+        """The rows of the table of sites that belong to each facet, shape (facets, sites)."""
+        order, of_sites = (
+            np.lexsort((*in_digits(x).T, part))
+            for x, part in ((self.facets.x, self.facets.part), (self.sites.middles, self.sites.part))
+        )
+        rows = np.empty((len(order), len(of_sites) // max(len(order), 1)), dtype=np.int64)
+        rows[order] = of_sites.reshape(rows.shape)
+        return rows
+
+    def on_facets(self, column: str) -> Array:
+        """The means of a column of the table of sites over each facet."""
+        values: Array = getattr(self.sites, column)[self.rows].mean(axis=1)
+        return values
+
+    @cached_property
+    def touching(self) -> Mask:
+        """Mask of the facets of Γ_S in contact."""
+        touching: Mask = self.sites.in_contact(self.solution.method.contact)[self.rows].any(axis=1)
+        return touching
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """Γ_S in contact and not in contact, or by the segments of the laws; none of them empty.
+
+        The colour of a segment does not depend on which others have facets, so it stays in time.
+        """
+        groups = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
+        if self.segments:
+            names = np.array(self.segments)[self.sites.shown[self.rows].min(axis=1, initial=len(self.segments) - 1)]
+            colours, others = dict[str, str](), itertools.cycle(style.SEGMENTS)
+            for each in sorted(set(self.segments)):
+                colour = style.OF_SEGMENT.get(each)  # "contact" and "lower" have one colour, but not in one picture
+                colours[each] = next(others) if colour is None or colour in colours.values() else colour
+            groups = [Group(each, colour, names == each) for each, colour in colours.items()]
+        return [group for group in groups if group.facets.any()]
+
+    @cached_property
+    def measure(self) -> Array:
+        """|T| per cell."""
+        corners = self.fields.points[self.fields.cells]
+        edges = corners[:, 1:] - corners[:, :1]
+        return np.abs(np.linalg.det(edges)) / (2 if self.dim == 2 else 6)
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether u_h is a number."""
+        return self.fields.at_points["u"].shape[1] == 1
+
+    @cached_property
+    def u(self) -> Array:
+        """A scalar u_h at the vertices: p_h on Γ_S, u_D on Γ_D, elsewhere the mean over the cells around."""
+        inner = self.fields.at_points["u"][:, 0]
+        finite = np.isfinite(self.boundary.u)
+        vertices = self.boundary.vertices[finite].ravel()
+        count = np.bincount(vertices, minlength=len(inner))
+        total = np.bincount(vertices, np.repeat(self.boundary.u[finite], self.dim), minlength=len(inner))
+        return np.where(count > 0, total / np.maximum(count, 1), inner)
+
+    def usual(self, values: Array) -> tuple[float, float, str]:
+        """Colour limits for values in the cells, see `style.limits`."""
+        return style.limits(values, self.measure)
+
+    def interfaces(self) -> Indices:
+        """Edges between cells of different regions, in the plane: shape (edges, 2)."""
+        regions = self.fields.in_cells.get("regions")
+        return self._facets_between(regions if regions is not None and regions.shape[1] > 1 else None)
+
+    def free_boundary(self) -> Indices:
+        """Facets between cells in different states of laws in Ω, shape (facets, dim)."""
+        states = self.fields.in_cells.get("states")
+        return self._facets_between(None if states is None else states[:, None])
+
+    def _facets_between(self, groups: npt.NDArray | None) -> Indices:
+        """Facets between cells in different groups; these are a mask, a column for each, or numbers in a column."""
+        if groups is None:
+            return np.empty((0, self.dim), dtype=np.int64)
+        cells, corners = self.fields.cells, list(itertools.combinations(range(self.dim + 1), self.dim))
+        facets = np.sort(np.concatenate([cells[:, some] for some in corners]), axis=1)
+        _, region = np.unique(groups, axis=0, return_inverse=True)
+        both = np.column_stack([facets, np.tile(region.ravel(), len(corners))])
+        different = np.unique(both, axis=0)[:, : self.dim]
+        between, times = np.unique(different, axis=0, return_counts=True)
+        return between[times == 2]
+
+    @cached_property
+    def over(self) -> Sequence[Overlay]:
+        """What is drawn over maps of the plane: what the physics has, regions, the boundary, Γ_S by its groups."""
+        if self.given is not None:
+            return self.given
+        points, boundary = self.fields.points, self.boundary
+        black = {"color": "black", "linewidth": 1.2, "clip_on": False}
+        edge = [patheffects.Stroke(linewidth=4.5, foreground="black"), patheffects.Normal()]
+        groups = [
+            Overlay(
+                f"{self.gamma}, {group.name}",
+                [points[vertices] for _, vertices in chains(self.facets.vertices[group.facets])],
+                {"color": group.colour, "linewidth": 3, "clip_on": False, "zorder": 5}
+                | {"solid_capstyle": "butt", "path_effects": edge},
+            )
+            for group in self.groups
+        ]
+        kinds = [
+            Overlay(
+                name,
+                [points[vertices] for _, vertices in chains(boundary.vertices[boundary.kind == kind])],
+                black | {"linestyle": look},
+            )
+            for kind, name, look in (
+                (DIRICHLET, r"$\Gamma_D$", "-"),
+                (NEUMANN, r"$\Gamma_N$", ":"),
+                (PARTLY_FIXED, "partly fixed", "-."),
+            )
+        ]
+        dashed = {"color": "black", "linewidth": 0.8, "linestyle": "--"}
+        regions = Overlay("regions", [points[each] for _, each in chains(self.interfaces())], dashed)
+        return self.pictures.over(self, [*groups, *kinds, regions])
+
+    def at(self, points: Array, over: Sequence[Overlay] = ()) -> Scene:
+        """The scene with its points in other places, and with other things over its maps."""
+        return replace(self, fields=replace(self.fields, points=points), given=over)
+
+
+def gathered_scene(
+    solution: Solved, certificate: Certificate | None = None, indicator: fem.Function | None = None
+) -> Scene | None:
+    """The scene of a solution on rank 0; None elsewhere (collective).
+
+    Args:
+        solution: The solution.
+        certificate: Its error bound, if there is one.
+        indicator: η_T of another bound.
+    """
+    drawn, spaces, sample = solution.drawn(), solution.spaces, sample_of(solution.spaces)
+    indicator = certificate.indicator if certificate is not None else indicator
+    cells = {**drawn.cells, **({} if indicator is None else {"indicator": owned_values(indicator)})}
+    if spaces.domain.regions:
+        cells["regions"] = membership(spaces.domain)
+    fields, boundary = fields_of(sample, drawn.corners, cells), boundary_of(spaces.mesh, drawn.boundary, sample)
+    facets, sites = drawn.facets.gathered(spaces.mesh.comm), solution.table().gathered(spaces.mesh.comm)
+    if fields is None or facets is None or boundary is None:
+        return None
+    return Scene(
+        solution=solution,
+        caption=caption(solution, [fields.count, *drawn.words], certificate),
+        fields=fields,
+        facets=replace(facets, vertices=sample.rows_of(facets.vertices)),
+        sites=sites,
+        boundary=boundary,
+        segments=drawn.segments,
+        edges=drawn.edges,
+        inside=drawn.inside,
+        lines=drawn.lines,
+    )
+
+
+def caption(solution: Solved, words: Sequence[str], certificate: Certificate | None) -> str:
+    """Algorithm, h, ε, cells and the certified error, in Matplotlib's mathematical type."""
+    h = solution.spaces.domain.h
+    asked = solution.source.solve.h if isinstance(solution.source, CaseFile) and solution.spaces.domain.is_shape else h
+    h = asked if asked / 2 < h <= asked * (1 + 1e-12) else h
+    eps = [rf"$\varepsilon = {style.power(solution.options.eps)}$"] if solution.method.has_eps else []
+    bound = style.bound_in_words(certificate)
+    method = solution.approach.replace("_h", "$_h$")
+    return ", ".join([method, rf"$h = {style.power(h)}$", *eps, *words, *bound])
