@@ -97,12 +97,12 @@ def drawn(solution: LinearSolution) -> Drawn:
     p, u = solution.p_means.copy(), in_vertices(solution)
     p[spaces.inner.rows] = np.nan
     u_D = solution.data.lift[spaces.unknowns(spaces.dirichlet)].mean(axis=1)
+    sigma = solution.cell_flux.centroid
     return Drawn(
-        u=u[:, :, None],
-        sigma=solution.cell_flux.centroid,
+        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)},
         facets=table(solution),
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
-        divergence=solution.divergences,
+        cells={"sigma": sigma, "divergence": solution.divergences},
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
     )

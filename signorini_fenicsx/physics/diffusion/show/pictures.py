@@ -97,7 +97,7 @@ def kept(solution: Any, steps: int) -> Mapping[str, Sequence[int]]:
     """Steps whose u is in the animation, and whose fronts are drawn."""
     if solution.spaces.mesh.topology.dim == 3:
         return {}
-    return {"u": shown(steps)} | ({} if solution.data.inside is None else {"own": chosen_for_fronts(steps)})
+    return {"u": shown(steps)} | ({"own": chosen_for_fronts(steps)} if "states" in solution.drawn().cells else {})
 
 
 def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
@@ -114,7 +114,7 @@ def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
 
 def columns_of_cells(solution: Any) -> dict[str, str]:
     """What the measures of cells are called that `Solution.of_step` gives."""
-    laws = solution.data.inside
+    laws = getattr(solution.data, "inside", None)
     if laws is None:
         return {}
     if laws.is_obstacle:
