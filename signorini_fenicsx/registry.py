@@ -24,6 +24,12 @@ class Diffusion(Physics):
         return System
 
     @cached_property
+    def refining(self) -> Any:
+        from signorini_fenicsx.physics.diffusion.solving import refining
+
+        return refining
+
+    @cached_property
     def keeping(self) -> Any:
         from signorini_fenicsx.physics.diffusion.kept import KEEPING
 

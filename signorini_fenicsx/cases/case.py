@@ -38,7 +38,7 @@ class Solve(Section):
 
     algorithm: Annotated[str, choice("algorithm", tuple(METHODS))] = "alg1"
     backend: Annotated[str, choice("backend", tuple(BACKENDS))] = "hybrid"
-    element: Annotated[str, choice("element", ELEMENTS)] = "RT0"
+    element: Annotated[str, choice("element", ELEMENTS)] | None = None
     h: Annotated[Positive, within(1e-90, 1e90)] = 2**-5  # powers of h must be floats
     rho: Annotated[Positive, within(1e-100, 1e100)] | None = None
     eps: Annotated[Positive, within(1e-14, 1e6)] = 1e-8

@@ -26,6 +26,7 @@ from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import Solver, solve
+from signorini_fenicsx.solving.system import refining
 
 
 @collector_off()
@@ -166,6 +167,7 @@ def adapt_case(
     on_step: OnStep = lambda step: None,
     measure: Callable[[Any], Quantity] | None = None,
     width: float | None = None,
+    on_note: Callable[[str], None] = lambda note: None,
 ) -> tuple[Any, Certificate]:
     """Solve a case on meshes refined where the error is, see `certificate.adaptive.adapt` (collective).
 
@@ -180,6 +182,12 @@ def adapt_case(
 
     with naming(case.name):
         first = mesh_case(case, comm)
+    measured = measure is not None or bool(case.quantity)
+    options, lacking = refining(case.posed(first.mesh.geometry.dim), options_of(case), measured=measured)
+    if lacking:
+        on_note(f"element {options.element}: {lacking}")
+    if options.element is not None:
+        case = case.with_values({"solve.element": options.element})
     return adapt(
         first,
         solve_on,

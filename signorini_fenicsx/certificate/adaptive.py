@@ -19,8 +19,10 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
+from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import solve
+from signorini_fenicsx.solving.system import refining, sorted_on
 
 type SolveOn[S: Solved] = Callable[[Domain, S | None], S]
 
@@ -31,6 +33,8 @@ ROUNDING = 1e-10
 LONGER = 1.5
 """A slope needs meshes whose unknowns differ by this factor."""
 DEFAULT_THETA = 0.5
+MARGIN, LEAST = 1.3, 0.05
+"""Near the target so many times the share of Σ η_T² is refined that is above it, and no less than the second."""
 DEFAULT_MAX_CELLS = 10**6
 
 
@@ -147,7 +151,7 @@ def adapt[S: Solved](
     if domain.cells > max_cells:
         cells = f"{domain.cells} cells, more than the {max_cells} allowed"
         raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells}")
-    solve_on = problem if callable(problem) else lambda mesh, start: solve(mesh, problem, start=start)
+    solve_on = problem if callable(problem) else _solving(domain, problem, measured=measure is not None)
     solution, start, mesh = solve_on(domain, None), None, 0
     while True:
         check_kind("what `problem` returns", solution, Solved)
@@ -163,7 +167,8 @@ def adapt[S: Solved](
             return solution, certificate
         shares = None if interval is None else interval.shares
         with doing("refining the mesh"), _after(solution, certificate, "cannot refine further: "):
-            marked = dorfler(owned_values(certificate.indicator) if shares is None else np.sqrt(shares), theta, comm)
+            part = theta if target is None or interval is not None else _enough(theta, certificate.relative / target)
+            marked = dorfler(owned_values(certificate.indicator) if shares is None else np.sqrt(shares), part, comm)
             domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
         if domain.cells > max_cells:
             return solution, certificate
@@ -171,6 +176,17 @@ def adapt[S: Solved](
         collect_garbage(comm)
         with _after(solution, certificate, f"on the next mesh, with {domain.cells} cells: "):
             solution = solve_on(domain, start)
+
+
+def _solving(domain: Domain, problem: Any, *, measured: bool) -> SolveOn[Any]:
+    """What solves a problem on a mesh, with the element of order two where it is there (collective)."""
+    options, _ = refining(sorted_on(domain, problem), Options(), measured=measured)
+    return lambda mesh, start: solve(mesh, problem, options, start=start)
+
+
+def _enough(theta: float, above: float) -> float:
+    """The share of Σ η_T² to refine if the bound is so many times the target: near it less is enough."""
+    return theta if theta >= 1 else min(theta, max(LEAST, MARGIN * (1 - above**-2)))
 
 
 @contextlib.contextmanager

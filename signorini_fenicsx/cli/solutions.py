@@ -195,7 +195,7 @@ def adapt(
     _refuse_lacking(problem, {"--html": html})
     measured, measure = _measuring(problem, quantity)
     end: Any = {"target": wanted, "max_cells": most, "width": narrow, "on_step": lambda _: end_if_told(comm)}
-    refined = partial(adapt_case, problem, comm, **end, measure=measure, on_row=report.mesh)
+    refined = partial(adapt_case, problem, comm, **end, measure=measure, on_row=report.mesh, on_note=report.line)
     with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
         report.heading(problem, comm)
         report.columns(wanted, most, {} if quantity is None else {quantity: narrow})

@@ -30,7 +30,8 @@ class Options:
     Attributes:
         algorithm: A name that `signorini methods` lists, or your own rule or method.
         backend: Solves the linear problems of the set rules: "hybrid", "mixed", or your own backend.
-        element: The element of diffusion: "RT0" with u in P0, or "RT1" with u in P1, which is of one order more.
+        element: The element of diffusion: "RT0" with u in P0, or "RT1" with u in P1, which is of one order more; None
+            for RT0, in adaptive refinement for RT1 where it is there.
         rho: ρ > 0 of the set rule or the projection iteration; None for the default of the method.
         eps: ε > 0 of the penalty and stabilised methods.
         max_iterations: Iterations allowed; None for the default of the method.
@@ -43,7 +44,7 @@ class Options:
 
     algorithm: str | Method | SetRule = "alg1"
     backend: str | BackendFactory = "hybrid"
-    element: str = "RT0"
+    element: str | None = None
     rho: float | None = None
     eps: float = 1e-8
     max_iterations: int | None = None
@@ -60,7 +61,8 @@ class Options:
         check_kind("algorithm", self.algorithm, str, Method, SetRule)
         if not callable(self.backend):
             check_kind("backend", self.backend, str, hint="; a function that makes a backend will do too")
-        check_kind("element", self.element, str)
+        if self.element is not None:
+            check_kind("element", self.element, str)
         check_kind("tuning", self.tuning, Tuning)
         for key in ("rho", "eps", "max_iterations"):
             value = getattr(self, key)

@@ -22,6 +22,8 @@ class Physics:
         quantities: Its quantities from both sides, `Quantities`; None if there are none.
         pictures: What is drawn of its solutions, `Pictures`; None if nothing is.
         proofs: Its bounds as theorems, `Proofs`; None if there are none.
+        refining: Gives options with the element that suits adaptive refinement of a sorted problem, and if that is not
+            the one of order two, why; None if there is one element alone.
     """
 
     problem: Any
@@ -32,6 +34,7 @@ class Physics:
     quantities: Any = None
     pictures: Any = None
     proofs: Any = None
+    refining: Any = None
 
 
 PHYSICS: dict[str, Physics] = {}

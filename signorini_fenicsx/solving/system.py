@@ -136,6 +136,18 @@ def system_on(domain: Domain, problem: Any) -> System:
     return system
 
 
+def refining(problem: Any, options: Options, *, measured: bool) -> tuple[Options, str]:
+    """The options with which a sorted problem is refined adaptively, and why not with an element of order two.
+
+    Options that name an element stay as they are. `measured` is whether quantities are wanted.
+    """
+    choose = PHYSICS[problem.boundary.physics].refining
+    if choose is None or options.element is not None:
+        return options, ""
+    chosen: tuple[Options, str] = choose(problem, options, measured=measured)
+    return chosen
+
+
 def with_sides(domain: Domain, problem: Any) -> Domain:
     """The domain with the sides of parts inside it that the conditions of a problem name (collective).
 

@@ -387,7 +387,7 @@ class Solution(AnySolution):
     def _sets(self) -> dict[str, Any]:
         facets, measure = self.contact
         return {
-            "element": self.options.element,
+            "element": self.options.element or "RT0",
             "signorini_facets": self.spaces.Lambda.dofmap.index_map.size_global,
             "dofs": self.outcome.dofs,
             "contact_facets": facets,

@@ -94,7 +94,9 @@ class System:
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
         if linear:
-            _refuse_linear(options, data)
+            lacking = _lacking(options, inside=data.inside is not None, in_time=data.memory is not None)
+            if lacking:
+                raise InputError(f"element: {lacking}; take RT0")
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
         constant = 0.0 if options.method.stabilised or linear else data.common_constant(spaces)
@@ -274,21 +276,23 @@ class LinearRun(DiffusionRun):
         )
 
 
-def _refuse_linear(options: Options, data: Data) -> None:
-    """Refuse what RT1 is not there for.
+def refining(problem: Problem, options: Options, *, measured: bool) -> tuple[Options, str]:
+    """The options with RT1 where it is there, else with RT0 and why."""
+    lacking = "there is no RT1 for quantities" if measured else _lacking(options, inside=problem.has_laws_inside)
+    return replace(options, element="RT0" if lacking else "RT1"), lacking
 
-    Raises:
-        InputError: If the problem or the method is of this kind.
-    """
-    name = options.algorithm_name
-    for wrong, what, right in (
-        (data.inside is not None, "laws in Ω", "take RT0"),
-        (data.memory is not None, "problems in time", "take RT0"),
-        (options.method.rule is None, name, "take alg1 to alg4, or RT0"),
-        (options.backend != "hybrid", "this backend", "take the hybrid one, or RT0"),
+
+def _lacking(options: Options, *, inside: bool, in_time: bool = False) -> str:
+    """What of a problem or its method RT1 is not there for; empty if it is."""
+    for lacking, what in (
+        (inside, "laws in Ω"),
+        (in_time, "problems in time"),
+        (options.method.rule is None, options.algorithm_name),
+        (options.backend != "hybrid", "this backend"),
     ):
-        if wrong:
-            raise InputError(f"element: there is no RT1 for {what}; {right}")
+        if lacking:
+            return f"there is no RT1 for {what}"
+    return ""
 
 
 def _alone(name: str) -> Callable[..., Outcome]:
