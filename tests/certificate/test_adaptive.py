@@ -138,25 +138,28 @@ def test_a_cell_that_would_be_flattened_is_a_failure():
         refine(domain, np.arange(6, dtype=np.int32))
 
 
-def history(case: str, theta: float, max_cells: int, **values: object) -> list[AdaptRow]:
+def history(case: str, theta: float, *, max_cells: int, **values: object) -> list[AdaptRow]:
     rows: list[AdaptRow] = []
     problem = load_case(case).with_values({key.replace("_", "."): value for key, value in values.items()})
     adapt_case(problem, COMM, max_cells=max_cells, theta=theta, on_row=rows.append)
     return rows
 
 
-def test_best_rate_where_uniform_meshes_lose_it():
-    """Example 5 has a corner of 270°: adaptive meshes keep the order ½ in the unknowns, uniform ones have ⅓ to 0.4."""
-    adaptive, uniform = history("example5", 0.5, 10_000, solve_h=0.4), history("example5", 1.0, 10_000, solve_h=0.4)
+@pytest.mark.parametrize(("element", "best"), [("RT0", -0.47), ("RT1", -0.9)])
+def test_best_rate_where_uniform_meshes_lose_it(element: str, best: float):
+    """Example 5 has a corner of 270°: adaptive meshes keep the best order, uniform ones have ⅓ to 0.4."""
+    given = {"max_cells": 10_000 if element == "RT0" else 4_000, "solve_h": 0.4, "solve_element": element}
+    adaptive, uniform = (history("example5", theta, **given) for theta in (0.5, 1.0))
     slow, fast = rate(uniform), rate(adaptive)
     assert slow is not None
     assert fast is not None
     assert slow > -0.43
-    assert fast < -0.47
+    assert fast < best
     reached = next(row for row in adaptive if row.bound <= uniform[-1].bound)
     assert reached.unknowns < 0.5 * uniform[-1].unknowns
     assert all(later.bound < earlier.bound for earlier, later in itertools.pairwise(adaptive))
-    assert max(row.iterations for row in adaptive[2:]) <= 3
+    assert max(row.iterations for row in adaptive[2:]) <= (3 if element == "RT0" else 4)
+    assert np.mean([row.iterations for row in adaptive[2:]]) <= 3
 
 
 @pytest.mark.slow
@@ -187,8 +190,9 @@ def test_all_algorithms_and_the_end():
     for algorithm in ("alg1", "alg2", "alg3", "alg4", "snes1", "vi"):
         case = load_case("example4").with_values({"solve.h": 0.4, "solve.algorithm": algorithm})
         rows: list[AdaptRow] = []
-        _, certificate = adapt_case(case, COMM, target=0.3, on_row=rows.append)
-        assert certificate.relative == rows[-1].relative <= 0.3 < rows[-2].relative
+        _, certificate = adapt_case(case, COMM, target=0.06, max_cells=2000, on_row=rows.append)
+        assert certificate.relative == rows[-1].relative
+        assert rows[-1].relative <= 0.06 < rows[-2].relative or rows[-1].cells > 1000
     with pytest.raises(InputError, match="more than the 20 allowed"):
         adapt_case(case, COMM, max_cells=20)
 
