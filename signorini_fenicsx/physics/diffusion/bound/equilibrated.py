@@ -71,10 +71,8 @@ def admissible_flux(
         y, u, rounding, why = _balanced(solution, metric, goal, sigma, u)
         flux = flux if y is sigma else CellFlux.of(spaces, y)
     else:
-        y, lowest = sigma, flux.function()
-        near, u, rounding, why = _balanced(
-            solution, metric, goal, lowest, function_of(spaces.Q, cell_values(u).mean(axis=1))
-        )
+        y, lowest, level = sigma, flux.function(), function_of(spaces.Q, _level(solution.data, flux, u))
+        near, u, rounding, why = _balanced(solution, metric, goal, lowest, level)
         if near is not lowest:
             change, added = near.copy(), fem.Function(sigma.function_space)
             change.x.array[:] -= lowest.x.array
@@ -83,6 +81,17 @@ def admissible_flux(
             y.x.array[:] += added.x.array
             flux = CellFlux.of(spaces, y)
     return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), why
+
+
+def _level(data: Data, flux: LinearFlux, u: fem.Function) -> Array:
+    """u* per owned cell: where c_h > 0 it makes up for cu_h having another mean than c_h times that of u_h."""
+    means = cell_values(u).mean(axis=1)
+    if data.c_h is None:
+        return means
+    c_h, most = owned_values(data.c_h), np.abs(cell_values(u)).max(axis=1)
+    off = flux.divergence.mean(axis=1) + owned_values(data.f_h) - c_h * means
+    near = np.abs(off) <= c_h * most
+    return means + np.divide(off, c_h, out=np.zeros_like(off), where=near & (c_h > 0))
 
 
 def _balanced(

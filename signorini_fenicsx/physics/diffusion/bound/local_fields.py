@@ -67,6 +67,11 @@ class Projection:
         short, long = sorted((self.coefficients, other.coefficients), key=lambda each: each.shape[1])
         return Projection(long + np.pad(short, ((0, 0), (0, long.shape[1] - short.shape[1]))), rest)
 
+    def of_degree(self, cell: basix.CellType, degree: int) -> Projection:
+        """The same with coefficients up to a higher degree, which are 0."""
+        more = orthonormal(cell, degree).dim - 1 - self.coefficients.shape[1]
+        return Projection(np.pad(self.coefficients, ((0, 0), (0, more))), self.rest)
+
     def of(self, rows: Mask) -> Projection:
         """Those of a selection of the cells."""
         return Projection(self.coefficients[rows], self.rest[rows])

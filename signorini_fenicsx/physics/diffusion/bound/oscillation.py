@@ -110,7 +110,7 @@ def load_oscillation(
         g_N, missed = on_facets("g_N", data.g_N, on_neumann, on_neumann.means(g_h), metric, resolution)
         rest = g_N - g_h
         facet_loads.append(FacetLoad(on_neumann, rest - on_neumann.means(rest)[:, None], missed))
-    of_load, cell = OF_LOAD if of_laws is None else OF_LAW, mesh.basix_cell()
+    of_load, cell = OF_LAW if of_laws is not None or spaces.degree else OF_LOAD, mesh.basix_cell()
     load = _load(spaces, data, metric, flux, resolution, takes_f, of_load)
     if of_laws is not None:
         load = of_laws if load is None else load.plus(of_laws)
@@ -238,16 +238,15 @@ def _load(
 
     degree = quadrature_degree(data.f, power=2)
     enclosed = resolution.encloses("f", data.f)
-    of_load = of_load if enclosed else HIGH[spaces.mesh.topology.dim]
+    high = HIGH[spaces.mesh.topology.dim]
+    of_load = of_load if enclosed else OF_LOAD if data.f.number is not None else high
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h(points), degree, of_load)
     load = load.without(takes_f)
-    cells = owned_cells(spaces.mesh)[~takes_f]
-    if not enclosed:
-        return load
-    nodes = quadratic_nodes(cell)
-    of_nodes = np.concatenate([f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), nodes)])
-    p = quadratic_of(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
-    volume = 1 / math.factorial(metric.jacobian.shape[1])
-    seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
-    load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume
-    return load
+    if enclosed:
+        cells, nodes = owned_cells(spaces.mesh)[~takes_f], quadratic_nodes(cell)
+        of_nodes = np.concatenate([f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), nodes)])
+        p = quadratic_of(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
+        volume = 1 / math.factorial(metric.jacobian.shape[1])
+        seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
+        load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume
+    return load.of_degree(cell, high) if spaces.degree and of_load > OF_LOAD else load
