@@ -52,6 +52,7 @@ from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
 CONTRAST = 1e6
@@ -207,7 +208,12 @@ def examine_pulses(seed: int, comm: MPI.Comm) -> Row:
     return Row(words, distance, bound, certificate.guaranteed and bound < (1 - 1e-9) * least)
 
 
-def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
+def _options(case: Case, element: str) -> Options:
+    options = replace(options_of(case), element=element)
+    return options if element == "RT0" else replace(options, backend="hybrid")
+
+
+def examine(seed: int, jumps: str, comm: MPI.Comm, element: str = "RT0") -> Row:
     """Certify a solution and compare it with one on the finer mesh (collective).
 
     Raises:
@@ -216,8 +222,8 @@ def examine(seed: int, jumps: str, comm: MPI.Comm) -> Row:
     """
     case, coarse, fine, problem = random_pair(seed, jumps, comm)
     boundary = case.posed(coarse.mesh.geometry.dim).boundary
-    solution = solve(coarse, replace(problem(coarse), boundary=boundary), options_of(case))
-    finer = solve(fine, replace(problem(fine), boundary=boundary))
+    solution = solve(coarse, replace(problem(coarse), boundary=boundary), _options(case, element))
+    finer = solve(fine, replace(problem(fine), boundary=boundary), Options(element=element))
     words = f"{case.geometry.shape} {case.geometry.mesh} {case.solve.algorithm} Γ_S {boundary.signorini}"
     bound, distance = certify(solution, for_signorini=True).sigma_bound, difference(solution, finer)
     wrong = bound < distance and bound < (1 - 1e-9) * (distance - certify(finer).sigma_bound)
@@ -267,10 +273,11 @@ def examine_start(seed: int, comm: MPI.Comm) -> Row:
 
 def difference(coarse: Solution, fine: Solution) -> float:
     """‖σ_h − σ_f‖ on the finer mesh, in the energy norm (collective)."""
-    (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain)
+    degree = 2 + 2 * fine.spaces.degree
+    (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain, degree=degree)
     form = flux_product(fine.sigma - sigma, fine.sigma - sigma, ufl.dx, fine.data.kappa_h)
     (integral,) = form.integrals()
-    metadata = {"quadrature_degree": 2, "quadrature_scheme": "default"}
+    metadata = {"quadrature_degree": degree, "quadrature_scheme": "default"}
     return math.sqrt(fine.spaces.integrate(integral.integrand() * ufl.dx(metadata=metadata)))
 
 
@@ -280,6 +287,7 @@ def main() -> int:
     arguments.add_argument("--seeds", type=int, default=100)
     arguments.add_argument("--first", type=int, default=0)
     arguments.add_argument("--jumps", choices=JUMPS, default="aligned")
+    arguments.add_argument("--element", choices=("RT0", "RT1"), default="RT0")
     kinds = arguments.add_mutually_exclusive_group()
     kinds.add_argument("--pulses", action="store_true")
     kinds.add_argument("--small", action="store_true")
@@ -288,7 +296,7 @@ def main() -> int:
     comm, began = MPI.COMM_WORLD, time.monotonic()
     of_kind: dict[str, Callable[[int, MPI.Comm], Row]] = {
         **{"pulses": examine_pulses, "small κ": examine_small, "starts": examine_start},
-        f"κ jumps: {options.jumps}": lambda seed, comm: examine(seed, options.jumps, comm),
+        f"κ jumps: {options.jumps}": lambda seed, comm: examine(seed, options.jumps, comm, options.element),
     }
     chosen = [options.pulses, options.small, options.starts, True].index(True)
     kind = list(of_kind)[chosen]
