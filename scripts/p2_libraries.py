@@ -12,8 +12,6 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import ngsolve as ng
@@ -24,33 +22,9 @@ from ngsolve.meshes import MakeStructured2DMesh, MakeStructured3DMesh
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 sys.path.append(str(Path(__file__).parent / "benchmark"))
-from pdas import primal_dual_active_set
+from block import OF_NGSOLVE, Block, Solve, edges_of_ngsolve, of_ngsolve, solved
 
 YOUNG, POISSON, GAP, WEIGHT, PRESS = 1.0, 0.3, 0.02, -0.3, -0.1
-
-
-@dataclass(frozen=True)
-class Block:
-    """The assembled problem.
-
-    Attributes:
-        matrix: The stiffness.
-        load: The right side.
-        held: Unknowns that are 0.
-        normal: Unknowns of u_n on Γ_C: those of vertices, those of edges.
-        ends: The unknowns of the vertices of each of these edges.
-        shares: The value at an edge's unknown is so much of the mean of its vertices and so much of Bernstein's
-            coefficient.
-        solver: Makes of a matrix what solves with its rows and columns that are free.
-    """
-
-    matrix: sp.csr_array
-    load: np.ndarray
-    held: np.ndarray
-    normal: tuple[np.ndarray, np.ndarray]
-    ends: np.ndarray
-    shares: tuple[float, float]
-    solver: Callable[[sp.csr_array], Callable[[np.ndarray, np.ndarray], np.ndarray]]
 
 
 def by_scikit_fem(dim: int, n: int) -> Block:
@@ -68,13 +42,14 @@ def by_scikit_fem(dim: int, n: int) -> Block:
     pairs = (mesh.facets if dim == 2 else mesh.edges)[:, edges]
     of_edges = basis.facet_dofs if dim == 2 else basis.edge_dofs
 
-    def solver(matrix: sp.csr_array) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        return lambda b, free: np.asarray(skfem.solve(*skfem.condense(matrix, b, I=free)))
+    def solver(matrix: sp.csr_array) -> Solve:
+        return lambda b, free, _: np.asarray(skfem.solve(*skfem.condense(matrix, b, I=free)))[free]
 
     return Block(
         matrix,
         weight.assemble(basis) + press.assemble(top),
         basis.get_dofs(lambda x: np.isclose(x[0], 0)).all(),
+        np.zeros(matrix.shape[0]),
         (basis.nodal_dofs[dim - 1, np.unique(mesh.facets[:, below])], of_edges[dim - 1, edges]),
         basis.nodal_dofs[dim - 1, pairs.T],
         (0.5, 0.5),
@@ -98,42 +73,19 @@ def by_ngsolve(dim: int, n: int) -> Block:
     load = ng.LinearForm(WEIGHT * v[dim - 1] * ng.dx + PRESS * v[dim - 1] * ng.ds(top))
     form.Assemble()
     load.Assemble()
-    values, columns, rows = (np.array(each) for each in form.mat.CSR())
-    normal, first = space.components[dim - 1], space.Range(dim - 1).start
-    facets = [element for element in mesh.Elements(ng.BND) if element.mat == below]
-    vertices = sorted({vertex.nr for element in facets for vertex in element.vertices})
-    edges = sorted({edge.nr for element in facets for edge in element.edges})
-    of_edge = [normal.GetDofNrs(ng.NodeId(ng.EDGE, edge))[0] for edge in edges]
-    ends = [[vertex.nr for vertex in mesh[ng.NodeId(ng.EDGE, edge)].vertices] for edge in edges]
-
-    def solver(matrix: sp.csr_array) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        numbers = [_numbers(each) for each in (sp.csr_array((values, columns, rows)), matrix)]
-        form.mat.AsVector().FV().NumPy()[:] = 0.0  # an edge has both vertices in all cells: no entry is new
-        form.mat.AsVector().FV().NumPy()[np.searchsorted(*numbers)] = matrix.data
-        right = form.mat.CreateColVector()
-
-        def solve(b: np.ndarray, free: np.ndarray) -> np.ndarray:
-            right.FV().NumPy()[:] = b
-            chosen = ng.BitArray(np.bincount(free, minlength=len(b)).astype(bool).tolist())
-            return np.array((form.mat.Inverse(chosen, inverse="sparsecholesky") * right).Evaluate().FV().NumPy())
-
-        return solve
-
+    matrix, solver = of_ngsolve(form)
+    first = space.Range(dim - 1).start
+    (vertices, edges), ends = edges_of_ngsolve(mesh, space.components[dim - 1], below)
     return Block(
-        sp.csr_array((values, columns, rows)),
+        matrix,
         load.vec.FV().NumPy().copy(),
         np.flatnonzero(~np.array(list(space.FreeDofs()))),
-        (first + np.array(vertices), first + np.array(of_edge)),
-        first + np.array(ends),
-        (4.0, -4.0),  # an edge's function is half of −λ₁λ₂
+        np.zeros(matrix.shape[0]),
+        (first + vertices, first + edges),
+        first + ends,
+        OF_NGSOLVE,
         solver,
     )
-
-
-def _numbers(matrix: sp.csr_array) -> np.ndarray:
-    """The places of the entries of a matrix, row by row."""
-    matrix.sort_indices()
-    return matrix.indices + matrix.shape[1] * np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
 
 
 def _side(mesh: ng.Mesh, axis: int, place: float) -> str:
@@ -141,30 +93,6 @@ def _side(mesh: ng.Mesh, axis: int, place: float) -> str:
     coordinate = (ng.x, ng.y, ng.z)[axis]
     off = {name: ng.Integrate((coordinate - place) ** 2, mesh.Boundaries(name)) for name in set(mesh.GetBoundaries())}
     return min(off, key=off.__getitem__)
-
-
-def solved(block: Block) -> tuple[int, float]:
-    """The set updates and the energy.
-
-    Raises:
-        RuntimeError: If the sets do not settle.
-    """
-    size, (vertices, edges) = len(block.load), block.normal
-    share = np.ones(size)
-    share[edges] = block.shares[1]
-    ends = (np.tile(edges, block.ends.shape[1]), block.ends.T.ravel())
-    of_ends = sp.coo_array((np.full(len(ends[0]), block.shares[0] / 2), ends), (size, size))
-    basis = (sp.diags_array(share) + of_ends).tocsr()
-    matrix, load = (basis.T @ block.matrix @ basis).tocsr(), basis.T @ block.load
-    contact = np.setdiff1d(np.concatenate([vertices, edges]), block.held)
-    solve = block.solver(matrix)
-
-    def under(active: np.ndarray, _before: np.ndarray) -> np.ndarray:
-        u = np.where(active, -GAP, 0.0)
-        return u + solve(load - matrix @ u, np.setdiff1d(np.flatnonzero(~active), block.held))
-
-    settled = primal_dual_active_set(under, lambda u: matrix @ u - load, contact, np.zeros(size), -GAP)
-    return settled.steps, float(settled.u @ (matrix @ settled.u) / 2 - load @ settled.u)
 
 
 def main() -> None:
@@ -179,10 +107,10 @@ def main() -> None:
             for _ in range(2):
                 began = time.process_time()
                 block = make(asked.dim, n)
-                steps, energy = solved(block)
+                found = solved(block, -GAP)
                 seconds.append(time.process_time() - began)
             unknowns = len(block.load) - len(block.held)
-            about = {"library": name, "cells": n, "unknowns": unknowns, "steps": steps, "energy": energy}
+            about = {"library": name, "cells": n, "unknowns": unknowns, "steps": found.steps, "energy": found.energy}
             print(json.dumps(about | {"seconds": round(min(seconds), 2)}), flush=True)
 
 

@@ -1,38 +1,111 @@
-"""The two problems of the benchmark, cases `transition` and `transition3d`, for programs that cannot read cases.
+"""The problems of the benchmark, for programs that cannot read cases.
 
 Formulas are written for whatever supports arithmetic: NumPy arrays, NGSolve's coefficient functions.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-Positive = Callable[[Any], Any]
-"""max(·, 0) in the caller's arithmetic."""
+type Points = Sequence[Any]
+TRANSITION = 0.413
+SINGULAR = f"((x - {TRANSITION})^2 + {{z}}^2)^(3/4)*cos(3/2*atan2(abs({{z}}), {TRANSITION} - x))"
 
 
-def solution(x: Sequence[Any], positive: Positive) -> Any:
-    """The solution u = t_+³ − z t_-³; z is the last coordinate and t = x − 0.413 in 2D, x² + y² − 0.49 in 3D."""
+@dataclass(frozen=True)
+class Arithmetic:
+    """What the caller calls max(·, 0) and the square root."""
+
+    positive: Callable[[Any], Any]
+    sqrt: Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """−Δu = f with u = u_D on Γ_D and Γ_S: u ≥ 0, ∇u·n ≥ 0, one of them 0.
+
+    Attributes:
+        case: The case of this program.
+        dim: Its dimension.
+        solution: u, at least on Γ_D.
+        load: f; None for 0.
+        gradient: ∇u; None where it is not known.
+        values: What the case has otherwise.
+        energy: Of u, where ∇u is not known.
+        heights: The last coordinate on Γ_S; the rest of the boundary is Γ_D.
+    """
+
+    case: str
+    dim: int
+    solution: Callable[[Points, Arithmetic], Any]
+    load: Callable[[Points, Arithmetic], Any] | None
+    gradient: Callable[[Points, Arithmetic], tuple[Any, ...]] | None = None
+    values: Mapping[str, object] = field(default_factory=dict)
+    energy: float = 0.0
+    heights: Sequence[float] = (0.0,)
+
+
+def _level(x: Points) -> tuple[Any, tuple[Any, ...], float]:
+    """A function whose sign tells contact, its gradient in the plane of Γ_S, its Laplacian there."""
+    if len(x) == 2:
+        return x[0] - TRANSITION, (1.0,), 0.0
+    return x[0] * x[0] + x[1] * x[1] - 0.49, (2 * x[0], 2 * x[1]), 4.0
+
+
+def _smooth(x: Points, of: Arithmetic) -> Any:
+    """u = t_+³ − z t_-³ with the level t and the last coordinate z."""
     t, _, _ = _level(x)
-    return positive(t) ** 3 - x[-1] * positive(-t) ** 3
+    return of.positive(t) ** 3 - x[-1] * of.positive(-t) ** 3
 
 
-def gradient(x: Sequence[Any], positive: Positive) -> tuple[Any, ...]:
-    """∇u."""
+def _smooth_gradient(x: Points, of: Arithmetic) -> tuple[Any, ...]:
     t, slope, _ = _level(x)
-    along = 3 * positive(t) ** 2 + 3 * x[-1] * positive(-t) ** 2
-    return (*(along * s for s in slope), -(positive(-t) ** 3))
+    along = 3 * of.positive(t) ** 2 + 3 * x[-1] * of.positive(-t) ** 2
+    return (*(along * s for s in slope), -(of.positive(-t) ** 3))
 
 
-def load(x: Sequence[Any], positive: Positive) -> Any:
-    """The load f = −Δu."""
+def _smooth_load(x: Points, of: Arithmetic) -> Any:
     t, slope, curvature = _level(x)
     square = sum(s * s for s in slope)
-    first = 3 * curvature * (positive(t) ** 2 + x[-1] * positive(-t) ** 2)
-    return -6 * square * (positive(t) - x[-1] * positive(-t)) - first
+    first = 3 * curvature * (of.positive(t) ** 2 + x[-1] * of.positive(-t) ** 2)
+    return -6 * square * (of.positive(t) - x[-1] * of.positive(-t)) - first
 
 
-def _level(x: Sequence[Any]) -> tuple[Any, tuple[Any, ...], float]:
-    """t, its gradient in the plane of Γ_S, its Laplacian there."""
-    if len(x) == 2:
-        return x[0] - 0.413, (1.0,), 0.0
-    return x[0] * x[0] + x[1] * x[1] - 0.49, (2 * x[0], 2 * x[1]), 4.0
+def _singular(x: Points, of: Arithmetic) -> Any:
+    """The real part of w^(3/2) with w = t + iz, t = 0.413 − x and the last coordinate z: contact where t < 0."""
+    t = TRANSITION - x[0]
+    r = of.sqrt(t * t + x[-1] * x[-1])
+    return of.sqrt(of.positive(r + t) / 2) * (2 * t - r)
+
+
+def _singular_gradient(x: Points, of: Arithmetic) -> tuple[Any, ...]:
+    t = TRANSITION - x[0]
+    r = of.sqrt(t * t + x[-1] * x[-1])
+    along, up = (1.5 * of.sqrt(of.positive(r + sign * t) / 2) for sign in (1, -1))
+    return (-along, *(0 * x[0] for _ in x[1:-1]), -up)
+
+
+def _zero(x: Points, _: Arithmetic) -> Any:
+    return 0 * x[0]
+
+
+def _of_singular(dim: int) -> Problem:
+    text = SINGULAR.format(z="xyz"[dim - 1])
+    name = {2: "singular", 3: "singular3d"}[dim]
+    return Problem(name, dim, _singular, None, _singular_gradient, {"problem.u_D": text, "exact.u": text})
+
+
+PROBLEMS = {
+    "transition": Problem("transition", 2, _smooth, _smooth_load, _smooth_gradient),
+    "singular": _of_singular(2),
+    "example1": Problem(
+        "example1",
+        2,
+        _zero,
+        lambda x, _: 50 * (0.5 - x[0]) * (0.5 - x[1]),
+        energy=0.0,
+        heights=(0.0, 1.0),
+    ),
+    "transition3d": Problem("transition3d", 3, _smooth, _smooth_load, _smooth_gradient),
+    "singular3d": _of_singular(3),
+}
