@@ -72,7 +72,7 @@ def by_numpy(points: Array, cells: Array) -> Assembled:
 def by_skfem(points: Array, cells: Array) -> Assembled:
     """P1 by scikit-fem."""
     import skfem
-    from skfem_worker import stiffness
+    from conforming import stiffness
 
     mesh = skfem.MeshTri(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
     bottom = mesh.facets_satisfying(lambda x: x[1] < 1e-12, boundaries_only=True)
@@ -86,8 +86,8 @@ def by_skfem(points: Array, cells: Array) -> Assembled:
 def by_ngsolve(points: Array, cells: Array) -> Assembled:
     """P1 by NGSolve."""
     import ngsolve
+    from conforming import netgen_mesh
     from ngsolve import ds, dx, grad
-    from ngsolve_worker import netgen_mesh
 
     mesh = netgen_mesh(points, cells)
     space = ngsolve.H1(mesh, order=1)

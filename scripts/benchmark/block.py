@@ -1,7 +1,7 @@
 """Contact problems as general finite element libraries assemble them, by P1 or P2, and a primal-dual active set.
 
-With P2 the conditions are on coefficients of Bernstein's basis on Γ_S, so that they hold everywhere, not in nodes alone. In
-space a nodal active set is none: the integral of the function of a vertex over a facet is 0, so that its force has no sign.
+With P2 the conditions are on coefficients of Bernstein's basis on Γ_S, so that they hold everywhere, not only in nodes.
+In space nodes would not do: the integral of the function of a vertex over a facet is 0, so that its force has no sign.
 """
 
 from collections.abc import Callable
