@@ -28,17 +28,16 @@ from functools import partial
 from typing import Any
 
 import basix
+import basix.ufl
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, sums_at
-from signorini_fenicsx.base.small_matrices import inverted, scaled
 from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, to_bernstein
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.continuity import facet_nodes
@@ -62,13 +61,15 @@ from signorini_fenicsx.physics.diffusion.bound.levels import levels
 from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
-from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, relax
+from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, Weight, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_around, quadratic_on_sides, set_means
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
+OF_KAPPA = 6
+"""Degree of the quadrature with a κ that varies, while v is relaxed."""
 HINDRANCES = (
     "the bounds of u leave no room where parts of Γ_S meet",
     BEYOND,
@@ -141,31 +142,29 @@ def law_trace(
     given, load, robin = np.union1d(on_dirichlet, jumps.meets), np.zeros(len(v.x.array)), None
     if field is None:
         load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside)
-    flux, by_nodes = _weighted(solution, y, None if field is None else near), on.by_nodes and field is None
+    weight, by_nodes = _weight(solution), on.by_nodes and field is None
+    flux = y if field is None else weight[0] * ufl.grad(near)
     pull = None if pieces is None else pieces.springs(space)
-    relax(v, flux, data.kappa_h, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
+    relax(v, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
     jumps.undone(v)
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
         ray.move_inside(v, limits_of_ray, on_dirichlet)
     return _with_exact_data(on, data, _with_levels(on, data, v, u_D, pieces), inside, hindrance=hindrance)
 
 
-def _weighted(solution: Solution, y: fem.Function, near: fem.Function | None) -> Expr:
-    """The flux κ_h∇w of a given w, else κ_hκ⁻¹y: with it κ_h is the weight, for RT0 y is enough (collective)."""
+def _weight(solution: Solution) -> Weight:
+    """κ_h, or where κ varies within cells of RT1, κ in points of cells; with its measure (collective)."""
     spaces, data, kappa = solution.spaces, solution.data, solution.data.kappa
-    if near is not None:
-        return data.kappa_h * ufl.grad(near)
-    if spaces.degree == 0 or kappa.number is not None:
-        return y
-    cell, dim = spaces.mesh.basix_cell(), spaces.mesh.topology.dim
-    flux = fem.Function(fenicsx.function_space(spaces.mesh, ("DG", spaces.degree + 1, (dim,))))
-    values, dofs = flux.x.array.reshape(-1, dim), cell_dofs(flux.function_space)
-    kappa_h = np.broadcast_to(data.matrices(spaces), (len(dofs), dim, dim))
-    for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), lattice(cell, spaces.degree + 1)):
-        slope = scaled(inverted(kappa.values(points)), points.of_ufl(y))
-        values[dofs[points.rows]] = scaled(kappa_h[points.rows, None], slope)
-    flux.x.scatter_forward()
-    return flux
+    if spaces.degree == 0 or kappa.polynomial == 0:
+        return data.kappa_h, ufl.dx
+    cell, rule = spaces.mesh.basix_cell(), {"quadrature_degree": OF_KAPPA, "quadrature_scheme": "default"}
+    element = basix.ufl.quadrature_element(cell, kappa.shape, degree=OF_KAPPA)
+    weight = fem.Function(fenicsx.function_space(spaces.mesh, element))
+    values, dofs = weight.x.array.reshape(-1, *kappa.shape), cell_dofs(weight.function_space)
+    for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), basix.make_quadrature(cell, OF_KAPPA)[0]):
+        values[dofs[points.rows]] = kappa.values(points)
+    weight.x.scatter_forward()
+    return weight, ufl.dx(metadata=rule)
 
 
 def _hold(

@@ -24,6 +24,8 @@ from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 type Indices = npt.NDArray[np.int32]
 type Robin = tuple[Spaces, fem.Function]
+type Weight = tuple[Expr, ufl.Measure]
+"""κ_h or κ, with the measure in which it is to be integrated."""
 
 STEPS, MOST_STEPS = 5, 1280
 """Steps of CG in the first round, and the largest number; each round has twice as many as the one before. κ that jumps
@@ -105,7 +107,7 @@ class Springs:
 def relax(
     v: fem.Function,
     y: Expr,
-    kappa: Expr,
+    kappa: Weight,
     excess: Array,
     fixed: Indices,
     box: Box,
@@ -123,7 +125,7 @@ def relax(
     Args:
         v: Bernstein coefficients within their bounds, with ghosts; changed in place.
         y: Flux, in RT0 or of a function.
-        kappa: κ_h.
+        kappa: κ_h, or κ.
         excess: ∫ (y·n − level) φ on Γ_S, with the forces of bounds in Ω, per node φ of this rank.
         fixed: Nodes on Γ_D.
         box: The bounds.
@@ -161,7 +163,7 @@ def relax(
 
 
 def _matrix(
-    space: fem.FunctionSpace, kappa: Expr, robin: Robin | None, springs: Springs | None, jumps: Jumps
+    space: fem.FunctionSpace, kappa: Weight, robin: Robin | None, springs: Springs | None, jumps: Jumps
 ) -> PETSc.Mat:
     """The matrix of the gap, in the jumps if there are any (collective)."""
     trial, test = ufl.TrialFunction(space), ufl.TestFunction(space)
@@ -176,9 +178,11 @@ def _matrix(
     return matrix
 
 
-def _form(u: Expr, v: Expr, kappa: Expr, robin: Robin | None, springs: Springs | None, part: str = "full") -> fem.Form:
+def _form(
+    u: Expr, v: Expr, kappa: Weight, robin: Robin | None, springs: Springs | None, part: str = "full"
+) -> fem.Form:
     """(κ_h∇u, ∇v) + ⟨βu, v⟩ on Γ_S and in Ω, or the diagonal of its matrix (collective)."""
-    form, maps = stiffness(u, v, ufl.dx, kappa), []
+    form, maps = stiffness(u, v, kappa[1], kappa[0]), []
     if springs is not None:
         form += springs.beta * u * v * ufl.dx
     if robin is not None:
@@ -209,7 +213,7 @@ class _Gap:
         self,
         space: fem.FunctionSpace,
         y: Expr,
-        kappa: Expr,
+        kappa: Weight,
         excess: Array,
         faced: Array,
         robin: Robin | None,
@@ -220,7 +224,9 @@ class _Gap:
         self._comm, size = space.mesh.comm, space.dofmap.index_map.size_local
         self._excess, self._faced = excess[:size], faced[:size]
         self._flux = assembled(ufl.inner(y, ufl.grad(test)) * ufl.dx)[:size]
-        self._constant = self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, ufl.dx, kappa)))) / 2
+        self._constant = (
+            self._comm.allreduce(fem.assemble_scalar(fenicsx.form(flux_product(y, y, kappa[1], kappa[0])))) / 2
+        )
         if springs is not None:
             self._flux += springs.load[:size]
             self._constant += springs.constant
