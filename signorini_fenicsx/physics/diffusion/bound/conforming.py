@@ -102,9 +102,8 @@ def law_trace(
     space = v.function_space
     nodes, facet = facet_nodes(space, spaces.facets), facet_type(mesh.topology.dim)
     on_dirichlet, at_nodes = _given(space, spaces, data.u_D), on.goal.at(spaces, lattice(facet, degree_of(space)))
-    u_D = quadratic_on_sides(data.u_D, space, spaces)
+    u_D, jumps = quadratic_on_sides(data.u_D, space, spaces), Jumps.of(space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
-    jumps = Jumps.of(space, spaces)
     fixed, on_cuts = np.union1d(on_dirichlet, jumps.tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
     at_meeting = on_cuts[:, None] & np.isin(nodes, jumps.meets)  # no jumps there that could be held or bounded
     jumps.taken(v)
@@ -142,8 +141,8 @@ def law_trace(
     given, load, robin = np.union1d(on_dirichlet, jumps.meets), np.zeros(len(v.x.array)), None
     if field is None:
         load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside)
-    weight, by_nodes = _weight(solution), on.by_nodes and field is None
-    flux = y if field is None else weight[0] * ufl.grad(near)
+    weight = _weight(solution)
+    flux, by_nodes = (y, on.by_nodes) if field is None else (weight[0] * ufl.grad(near), False)
     pull = None if pieces is None else pieces.springs(space)
     relax(v, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
     jumps.undone(v)
