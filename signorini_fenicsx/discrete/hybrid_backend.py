@@ -52,11 +52,13 @@ class HybridBackend(PlainBackend):
         measure: |e| of each site, over its vertices.
         sizes: The sizes of the last solution.
         conductance: With what β is compared, see `SiteConditions.clean`.
+        exact_to: The jumps of fluxes beside the largest flux at which corrections end.
     """
 
     noun = ("vertex", "vertices")
     cheap = False
     conductance = np.inf
+    exact_to = TIE
     spaces: LinearTraces
     system: HybridSystem
     data: Any
@@ -325,7 +327,7 @@ class HybridBackend(PlainBackend):
 
         def enough(left: Array) -> bool:
             size, scale = self.sizes.extent(np.abs(left), np.abs(forces))
-            return size <= TIE * scale
+            return size <= self.exact_to * scale
 
         fields = [self._x.array_r.copy(), sigma, u]
         by = stepped if posed.loose else corrected

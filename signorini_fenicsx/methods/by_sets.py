@@ -167,7 +167,8 @@ class _Sets:
             kkt = task.kkt(outcome.iterate, self._rule.penalty)
         if (violation := kkt.violation()) is None or backend.precise is None:
             return replace(outcome, kkt=kkt)
-        start = outcome.conditions
-        again = iterate_sets(backend.precise(), self._rule, self._parameters, start=start, history=self._history)
-        remark = f"by the saddle point, because the facet system left {violation}"
+        start, precise = outcome.conditions, backend.precise()
+        again = iterate_sets(precise, self._rule, self._parameters, start=start, history=self._history)
+        way = "with more corrections" if precise is backend else "by the saddle point"
+        remark = f"{way}, because the facet system left {violation}"
         return replace(again, reason=f"{again.reason}, {remark}")

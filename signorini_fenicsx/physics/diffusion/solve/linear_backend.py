@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
@@ -54,7 +55,13 @@ class LinearBackend(HybridBackend):
         make = partial(of_facets, spaces, False) if large else None
         near = np.arange(len(spaces.site_kinds)).reshape(-1, dim).repeat(dim, axis=0)
         super().__init__(system, spaces, data.fixed, make, DEFAULTS[dim], near=(near, None))
+        self.precise = self._corrected_to_rounding
         self._take(data)
+
+    def _corrected_to_rounding(self) -> Self:
+        """The backend itself, whose fluxes are corrected until the rest is rounding."""
+        self.exact_to = ROUNDING
+        return self
 
     def _take(self, data: LinearData) -> None:
         """Take data with this matrix (collective)."""
