@@ -104,8 +104,9 @@ class PartLaw:
         reference = graph.reference[1]
         if flux_h is not None and any(reference is each for each in values.values()):
             origin[:] = (points.means(np.reshape(reference, points.shape)) - flux_h)[:, None]
-        moved = [(u, flux - origin.ravel()) for u, flux in (graph.reference, *graph.corners)]
-        return replace(graph, reference=moved[0], corners=moved[1:])
+        moved = {id(each): (each[0], each[1] - origin.ravel()) for each in (graph.reference, *graph.corners)}
+        corners = [moved[id(each)] for each in graph.corners]  # one that is the reference stays it
+        return replace(graph, reference=moved[id(graph.reference)], corners=corners)
 
 
 def checked(spaces: MeshSpaces, part: PartLaw) -> tuple[PartLaw, Graph]:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from commands import signorini
 from dolfinx import fem
 from made_cases import EXACT, on_grid
 from mpi4py import MPI
+from random_laws import random_problem
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
@@ -124,6 +126,33 @@ def test_algorithms_and_starts():
         found = transition(domain, start=start)
         assert len(found.outcome.history) < len(expected.outcome.history)
         np.testing.assert_allclose(found.p_at, expected.p_at, atol=1e-12)
+
+
+def test_far_values(tmp_path: Path):
+    """A constant in u costs no digits of σ, and neither does a ψ far below u, also in a solution that is read again."""
+    domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
+
+    def solved(constant: float, psi: float) -> LinearSolution:
+        laws = [Signorini("bottom", psi=constant), Signorini("top", psi=psi + constant)]
+        f = f"50*(0.5 - x)*(0.2 - y) + {constant}"
+        return solve(domain, Diffusion(f=f, c=1.0, u_D=constant, conditions=laws), RT1)
+
+    near = solved(0.0, -1.0)
+    for constant, psi in ((1e5, -1.0), (0.0, -1e12)):
+        far = solved(constant, psi)
+        np.testing.assert_allclose(far.sigma.x.array, near.sigma.x.array, atol=1e-15 * constant + 1e-12)
+        np.testing.assert_allclose(far.p_at - constant, near.p_at, atol=1e-15 * constant + 1e-12)
+        write_solution(far, tmp_path / f"{constant:g}")
+        read = load_solution(tmp_path / f"{constant:g}", COMM)
+        assert max(vars(read.kkt).values()) < 1e-14 * constant + 1e-11
+
+
+def test_rounding_in_the_facet_system():
+    """κ from 1 to 2e4 on bad cells: more corrections where those by a size beside the largest flux are too few."""
+    domain, boundary, problem, _, _ = random_problem(0)
+    solution = solve(domain, replace(problem, boundary=boundary), RT1)
+    assert "with more corrections, because the facet system left" in solution.outcome.reason
+    assert max(vars(solution.kkt).values()) < 1e-11
 
 
 def test_inside_the_domain():

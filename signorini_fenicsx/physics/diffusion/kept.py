@@ -11,7 +11,7 @@ from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, Dirichlet, Neumann
-from signorini_fenicsx.discrete.linear_traces import means_of_linear
+from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
@@ -43,10 +43,11 @@ LAYOUT: Layout = {
 OF_LINEAR: Layout = {
     "u_at": (np.float64, "cells", "corners"),
     "sigma_at": (np.float64, "cells", "nodes", "dim"),
-    "facet_p_at": (np.float64, "facets", "dim"),
+    "facet_means_at": (np.float64, "facets", "dim"),
     "facet_condition_at": (np.int64, "facets", "dim"),
 }
-"""Beside the means what RT1 has: values at vertices, of σ at the midpoints of edges too, of facets at theirs."""
+"""Beside the means what RT1 has: values at vertices, of σ at the midpoints of edges too, of facets
+means by the hats of theirs."""
 
 
 def _in_cells(solution: Solution) -> Arrays:
@@ -68,9 +69,9 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
     sigma, u = spaces.flux(stored.in_cells(spaces, "sigma_at")), spaces.scalar(stored.in_cells(spaces, "u_at"))
-    p, condition = stored.on_facets(spaces.mesh.comm, "p_at", "condition_at")
+    p_means, condition = stored.on_facets(spaces.mesh.comm, "means_at", "condition_at")
     data = linear_data(spaces, project_data(on_mesh, problem))
-    means = means_of_linear(p).ravel()
+    means = p_means.ravel()
     flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
     law = data.chains.with_penalty(options.method.penalty, options.eps)
     segment = law.nearest(condition.ravel().astype(np.int8), means - data.laws_at.p_h, flux)
@@ -81,7 +82,7 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
         options=options,
         spaces=spaces,
         data=data,
-        p=spaces.linear_multiplier(p),
+        p=spaces.linear_multiplier(linear_from_means(p_means)),
         outcome=stored.outcome(iterate, law.conditions(segment)),
         kkt=linear_kkt(spaces, data, iterate, options.method.penalty, options.eps),
         step=stored.step,

@@ -99,7 +99,7 @@ class System:
                 raise InputError(f"element: {lacking}; take RT0")
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
-        constant = 0.0 if options.method.stabilised or linear else data.common_constant(spaces)
+        constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
         in_cells = data.inside is not None
         made_for = options.backend, options.element, options.tuning, in_cells
         task: Any = (LinearTask if linear else DiffusionTask)(
@@ -194,11 +194,11 @@ class DiffusionRun:
                 task = replace(self.task, data=nearer)
                 again = self.options.method.run(task)
                 facet = task.spaces.site_kinds["facet"]
-                touched = facet.of(again.conditions.kind != Condition.NO_FLUX) & (nearer.psi_h != self.task.data.psi_h)
+                touched = facet.of(again.conditions.kind != Condition.NO_FLUX) & (nearer.bound != self.task.data.bound)
                 if not again.converged or task.spaces.mesh.comm.allreduce(int(touched.sum())) > 0:
                     return replace(outcome, kkt=kkt)
-                self.trace, p = facet.of(again.iterate.p) + nearer.psi_h, again.iterate.p.copy()
-                facet.of(p)[:] = self.trace - self.task.data.psi_h
+                self.trace, p = facet.of(again.iterate.p) + nearer.bound, again.iterate.p.copy()
+                facet.of(p)[:] = self.trace - self.task.data.bound
                 as_given = replace(again.iterate, p=p)
                 kkt = again.kkt or task.kkt(again.iterate, self.options.method.penalty)
                 return replace(again, iterate=as_given, kkt=kkt)
@@ -216,7 +216,7 @@ class DiffusionRun:
         far = facet.of(outcome.conditions.kind == Condition.NO_FLUX) & (p > FARTHER * reach)
         if not data.chains.plain or spaces.mesh.comm.allreduce(int(far.sum())) == 0:
             return None
-        return data.with_bound(spaces, np.where(far, data.psi_h + p - reach, data.psi_h))
+        return data.with_bound(spaces, np.where(far, data.bound + p - reach, data.bound))
 
     def judged(self, outcome: Outcome) -> tuple[Outcome, Residuals]:
         """Judge an outcome by its own residual if it has one, else by its KKT residuals (collective)."""
@@ -254,20 +254,19 @@ class LinearRun(DiffusionRun):
     """A problem with RT1, ready to be solved."""
 
     task: LinearTask
-
-    def _nearer(self, outcome: Outcome) -> None:
-        """None: σ is corrected until too few digits of u do no harm."""
+    data: LinearData
 
     def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> LinearSolution:
         """The solution (collective)."""
         spaces, iterate = self.task.spaces, outcome.iterate
         assert isinstance(iterate, LinearIterate)
+        iterate.means[spaces.outer_sites] += self.constant
         self.system.kept.solved(outcome, self.task.data)
         return LinearSolution(
             problem=self.problem,
             options=self.options,
             spaces=spaces,
-            data=self.task.data,
+            data=self.data,
             p=spaces.linear_multiplier(linear_from_means(spaces.site_kinds["facet"].rows_of(iterate.means))),
             outcome=outcome,
             kkt=kkt,

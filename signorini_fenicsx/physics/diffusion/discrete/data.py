@@ -195,8 +195,13 @@ class Data:
             inside=self.inside and self.inside.less(constant),
         )
 
+    @property
+    def bound(self) -> Array:
+        """The means of ψ at the sites on Γ_S."""
+        return self.psi_h
+
     def with_bound(self, spaces: Spaces, psi_h: Array) -> Data:
-        """The data with other means of ψ on the facets of Γ_S (collective)."""
+        """The data with other means of ψ at the sites on Γ_S (collective)."""
         u_lift = self.u_lift.copy()
         u_lift.x.array[cells_and_dofs(u_lift.function_space, spaces.facets)[1]] = psi_h
         u_lift.x.scatter_forward()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem, la
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import AnyIndices, Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
@@ -19,6 +19,7 @@ from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, order_number, reference
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +33,7 @@ class LinearData(Data):
         load: ⟨g_N, q⟩ for each owned unknown q, and the fluxes at the references of the laws.
         given_flux: Π₁g_N at the vertices of the facets of Γ_N, shape (facets, d).
         fixed: Owned unknowns of Γ_D.
+        constant: What is taken from u, see `less`.
     """
 
     laws_at: VertexLaws
@@ -39,6 +41,7 @@ class LinearData(Data):
     load: Array
     given_flux: Array
     fixed: npt.NDArray[np.int32]
+    constant: float = 0.0
 
     @property
     def chains(self) -> Chains:
@@ -69,7 +72,40 @@ class LinearData(Data):
         """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
         points = _points(spaces, numbers, quadrature_degree(self.f) - 2)  # the rule of the means
         values = cells.determinant[:, None] * points.weights * self.f.values(points)
-        return np.einsum("nq,qnv->nv", values, _hats(spaces, numbers, points))
+        moments: Array = np.einsum("nq,qnv->nv", values, _hats(spaces, numbers, points))
+        if self.constant == 0 or (reactions := self.reactions(spaces, numbers, cells)) is None:
+            return moments
+        return moments - self.constant * reactions.sum(axis=2)
+
+    def less(self, spaces: Spaces, constant: float) -> LinearData:
+        """The data of the problem for u − constant, see `Data.less` (collective)."""
+        if constant == 0:
+            return self
+        assert isinstance(spaces, LinearSpaces)
+        p_h, outer = self.laws_at.p_h.copy(), spaces.outer_sites
+        p_h[outer] -= constant
+        given = np.concatenate([self.fixed, spaces.site_kinds.unknown[outer]])
+        means = super().less(spaces, constant)
+        assert isinstance(means, LinearData)
+        return replace(means, constant=constant)._moved(spaces, given, self.lift[given] - constant, p_h)
+
+    @property
+    def bound(self) -> Array:
+        """See `Data.bound`."""
+        return self.laws_at.p_h
+
+    def with_bound(self, spaces: Spaces, psi_h: Array) -> LinearData:
+        """See `Data.with_bound` (collective)."""
+        assert isinstance(spaces, LinearSpaces)
+        return self._moved(spaces, spaces.site_kinds.unknown, psi_h, psi_h)
+
+    def _moved(self, spaces: LinearSpaces, unknowns: AnyIndices, values: Array, p_h: Array) -> LinearData:
+        """The data with other values of the lift at some owned unknowns, and other references (collective)."""
+        lift = la.vector(spaces.traces.dofmap.index_map, spaces.dim)
+        lift.array[:] = self.lift
+        lift.array[unknowns] = values
+        lift.scatter_forward()
+        return replace(self, lift=lift.array.copy(), laws_at=replace(self.laws_at, p_h=p_h))
 
 
 def _points(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], degree: int) -> CellPoints:

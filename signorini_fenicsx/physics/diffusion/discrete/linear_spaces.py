@@ -129,6 +129,12 @@ class LinearSpaces(LinearTraces, Spaces):
         unknown = self.unknowns(self.contact).ravel()
         return Sites(Kind("facet", number, np.arange(number), share, (dim,), unknown))
 
+    @property
+    def outer_sites(self) -> Indices:
+        """The sites on the boundary, not inside the domain."""
+        sites: Indices = (self.outer_rows[:, None] * self.dim + np.arange(self.dim)).ravel()
+        return sites
+
 
 def linear_spaces(spaces: Spaces) -> LinearSpaces:
     """The spaces of RT1 on the mesh of those of RT0 (collective)."""

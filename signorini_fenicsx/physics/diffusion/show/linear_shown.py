@@ -25,13 +25,15 @@ class VertexTable(GammaTable):
     """One row per facet of Γ_S, with means over it, and what there is at its vertices.
 
     Attributes:
-        p_at: p_h, shape (facets, d).
+        means_at: The means of p_h by the hats, shape (facets, d).
+        p_at: p_h.
         flux_at: σ_h·n.
         condition_at: The condition of the vertex.
         segment_at: Its segment, an index into the names of the segments of all laws.
         x_at: The vertices, shape (facets, d, 3).
     """
 
+    means_at: Array
     p_at: Array
     flux_at: Array
     condition_at: npt.NDArray[np.int64]
@@ -62,6 +64,7 @@ def table(solution: LinearSolution) -> VertexTable:
         condition=np.take_along_axis(condition, strongest, axis=1)[:, 0],
         segment=np.take_along_axis(segment, strongest, axis=1)[:, 0],
         vertices=facet_vertices(spaces.mesh, spaces.facets),
+        means_at=kind.rows_of(solution.iterate.means),
         p_at=solution.p_at,
         flux_at=solution.flux_at,
         condition_at=condition,

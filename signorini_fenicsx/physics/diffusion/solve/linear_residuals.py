@@ -47,7 +47,9 @@ def linear_kkt(
         penalty: Penalty law; None for the Signorini condition.
         eps: ε of the penalty.
     """
-    sigma, u = spaces.flux_values(iterate.sigma), spaces.scalar_values(iterate.u)
+    constant, means = data.common_constant(spaces), iterate.means.copy()
+    data, means[spaces.outer_sites] = data.less(spaces, constant), means[spaces.outer_sites] - constant
+    sigma, u = spaces.flux_values(iterate.sigma), spaces.scalar_values(iterate.u) - constant
     scales = sizes_of_solution(spaces, CellFlux.of(spaces, iterate.sigma), function_of(spaces.Q, u.mean(axis=1)), data)
     (kind,), k, length = spaces.site_kinds, data.conductivities(spaces), spaces.length
     k_e = np.repeat(k[spaces.cells], spaces.dim)
@@ -55,7 +57,7 @@ def linear_kkt(
     if penalty is not None:
         pair = penalty.shift(*pair, eps)
     squares = squares_off(data.chains, pair, k_e / length, length * kind.measure, k_e, 1.0)
-    of_cells, facets = _of_cells(spaces, data, sigma, u, kind.rows_of(iterate.means)), spaces.neumann
+    of_cells, facets = _of_cells(spaces, data, sigma, u, kind.rows_of(means)), spaces.neumann
     lacking = ((spaces.through(facets, sigma) - data.given_flux) ** 2).mean(axis=1)
     of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
