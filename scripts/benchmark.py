@@ -47,8 +47,8 @@ CHOSEN = {  # first and last of these sizes, in the plane and in space
 }
 QUICK = 3
 """With --quick so many of the larger sizes are left out."""
-AGAIN = {"plane": 3, "space": 1}
-"""Solves of a mesh in one process, the fastest of which counts."""
+AGAIN = 3
+"""Most solves of a mesh in one process, the fastest of which counts."""
 
 console = Console(highlight=False, width=None if sys.stdout.isatty() else 180)
 
@@ -113,13 +113,12 @@ def launch(name: str, program: str, number: int, sizes: Sequence[str], folder: P
         RuntimeError: If it fails.
     """
     problem = PROBLEMS[name]
-    again = str(AGAIN["plane" if problem.dim == 2 else "space"])
     if program in OTHERS:
         library, degree = OTHERS[program]
         meshes = [mesh_of(problem, h, folder) for h in sizes]
-        command = [WORKERS / "conforming.py", library, str(degree), name, again, *meshes]
+        command = [WORKERS / "conforming.py", library, str(degree), name, str(AGAIN), *meshes]
     else:
-        command = [WORKERS / "mixed.py", program, name, again, *sizes]
+        command = [WORKERS / "mixed.py", program, name, str(AGAIN), *sizes]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, *command], capture_output=True, text=True, env=environment, check=False)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
