@@ -1,6 +1,6 @@
 """Commands that give information without solving: cases, info, check, methods, version."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from mpi4py import MPI
@@ -13,15 +13,8 @@ from signorini_fenicsx.cli.common import any_case
 from signorini_fenicsx.cli.report import Report
 
 
-def info(
-    case: option.CaseName,
-    algorithm: option.AlgorithmName = None,
-    h: option.MeshSize = None,
-    backend: option.BackendName = None,
-    element: option.ElementName = None,
-    settings: option.Settings = None,
-    as_json: option.Json = False,
-) -> None:
+@option.of_case
+def info(case: option.CaseName, as_json: option.Json = False, **new: Any) -> None:
     """Show sizes and boundary parts of a case, and estimate memory and time of a run; solve nothing.
 
     Examples:
@@ -32,24 +25,15 @@ def info(
     from signorini_fenicsx.cli.case_report import CaseReport
 
     comm, report = MPI.COMM_WORLD, CaseReport(as_json=as_json)
-    problem = any_case(comm, case, settings, algorithm=algorithm, h=h, backend=backend, element=element)
+    problem = any_case(comm, case, **new)
     estimate = on_root(comm, lambda: expected(problem, comm.size))
     report.heading(problem, comm)
     report.expected(problem, estimate)
     report.json({"case": problem.name, "title": problem.title, "ranks": comm.size} | vars(estimate))
 
 
-def check(
-    case: option.CaseName,
-    algorithm: option.AlgorithmName = None,
-    h: option.MeshSize = None,
-    rho: option.Rho = None,
-    eps: option.Epsilon = None,
-    backend: option.BackendName = None,
-    element: option.ElementName = None,
-    settings: option.Settings = None,
-    quiet: option.Quiet = False,
-) -> None:
+@option.of_case
+def check(case: option.CaseName, quiet: option.Quiet = False, **new: Any) -> None:
     """Check a case without solving it: read it, make or read its mesh, find its parts, evaluate its data.
 
     Examples:
@@ -61,9 +45,7 @@ def check(
     from signorini_fenicsx.cli.case_report import CaseReport
 
     comm, report = MPI.COMM_WORLD, CaseReport(quiet=quiet)
-    problem = any_case(
-        comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend, element=element
-    )
+    problem = any_case(comm, case, **new)
     report.heading(problem, comm)
     with naming(problem.name):
         report.checked(problem, inspection.check(problem, comm))

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from mpi4py import MPI
 
@@ -17,23 +17,22 @@ if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import CaseFile
 
 
-def any_case(comm: MPI.Comm, name: str, settings: list[str] | None, **options: object) -> "CaseFile":
+def any_case(comm: MPI.Comm, name: str, **new: Any) -> "CaseFile":
     """The case of a command, of any physics, with its new values (collective).
 
     Args:
         comm: Communicator; rank 0 reads the case.
         name: Name or path of the case.
-        settings: New values by `--set`, see `overrides`.
-        options: New values by other options, see `overrides`.
+        new: New values by options, see `overrides`.
 
     Raises:
         InputError: If there is no such case, or it is not valid with these values.
     """
     from signorini_fenicsx.cases.case import load_case
 
-    values = overrides(settings, **options)
+    values = overrides(**new)
     case = on_root(comm, lambda: load_case(name).with_values(values))
-    refuse_idle(case, **options)
+    refuse_idle(case, **new)
     return case
 
 

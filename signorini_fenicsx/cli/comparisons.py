@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from mpi4py import MPI
@@ -49,21 +49,16 @@ def compare(
             report.results(folder.target)
 
 
+@option.of_case
 def convergence(
     case: option.CaseName,
     vary: Annotated[str, typer.Option("--vary", help="h; eps (same mesh); eps=h or eps=h^2 (both vary).")] = "h",
     levels: Annotated[str, typer.Option("--levels", help="FIRST:LAST of h = 2^-level, or of eps = 10^-level.")] = "2:6",
     reference: Annotated[int, typer.Option("--reference", help="Level of the reference; unused by --vary eps.")] = 8,
-    algorithm: option.AlgorithmName = None,
-    h: option.MeshSize = None,
-    rho: option.Rho = None,
-    eps: option.Epsilon = None,
-    backend: option.BackendName = None,
-    element: option.ElementName = None,
-    settings: option.Settings = None,
     output: option.OutputFolder = None,
     quiet: option.Quiet = False,
     as_json: option.Json = False,
+    **new: Any,
 ) -> None:
     """Measure errors against a fine solution, or errors of the penalty; write results/<case>-convergence/.
 
@@ -76,9 +71,7 @@ def convergence(
     from signorini_fenicsx.output.writing import publish_convergence
 
     comm, report = MPI.COMM_WORLD, ConvergenceReport(quiet=quiet, as_json=as_json)
-    problem = any_case(
-        comm, case, settings, algorithm=algorithm, h=h, rho=rho, eps=eps, backend=backend, element=element
-    )
+    problem = any_case(comm, case, **new)
     if vary not in (ways := [way.value for way in Vary]):
         raise InputError(f"--vary {vary}: must be one of {', '.join(ways)}")
     way, steps = Vary(vary), _levels(levels)

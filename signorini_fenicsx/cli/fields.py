@@ -42,7 +42,7 @@ def certify(
     comm, report = MPI.COMM_WORLD, SolutionReport(quiet=quiet, verbose=verbose, as_json=as_json)
     if not 0 <= refine <= MOST_LEVELS:
         raise InputError(f"--refine {refine}: must be between 0 and {MOST_LEVELS}")
-    problem = any_case(comm, case, settings, h=h)
+    problem = any_case(comm, case, settings=settings, h=h)
     domain, v = field_of_case(problem, str(field), name, refine, comm)
     with ResultsFolder(comm, results_place(output, f"{problem.name}-certify")) as folder:
         report.begin(problem, comm)

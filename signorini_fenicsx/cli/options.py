@@ -1,7 +1,9 @@
 """Arguments and options of several commands, and the reading of their texts."""
 
+import inspect
 import math
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -55,6 +57,16 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Any other key of the case, e.g. geometry.mesh=structured."),
 ]
+OF_CASE = {
+    "algorithm": AlgorithmName,
+    "h": MeshSize,
+    "rho": Rho,
+    "eps": Epsilon,
+    "backend": BackendName,
+    "element": ElementName,
+    "settings": Settings,
+}
+"""Options of commands that take a case, which give it new values; they are None if they are not given."""
 ForSignorini = Annotated[
     bool,
     typer.Option(
@@ -102,7 +114,18 @@ OutputFolder = Annotated[
 ]
 
 
-def overrides(settings: list[str] | None, **options: object) -> dict[str, object]:
+def of_case[C: Callable[..., None]](command: C) -> C:
+    """A command with `OF_CASE` in the place of its `**new`; those that it names itself are its own."""
+    case, *own, _ = inspect.signature(command).parameters.values()
+    named, keyword = [each.name for each in own], inspect.Parameter.KEYWORD_ONLY
+    new = [inspect.Parameter(name, keyword, annotation=kind) for name, kind in OF_CASE.items() if name not in named]
+    new = [each.replace(default=None) for each in new]
+    parameters = [case, *new, *(each.replace(kind=keyword) for each in own)]
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def overrides(settings: list[str] | None = None, **options: object) -> dict[str, object]:
     """New values of keys of a case.
 
     Args:

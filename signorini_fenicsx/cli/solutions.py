@@ -32,16 +32,10 @@ if TYPE_CHECKING:
 MIN_THETA = 1e-3
 
 
+@option.of_case
 def solve(
     case: option.CaseName,
-    algorithm: option.AlgorithmName = None,
-    h: option.MeshSize = None,
-    rho: option.Rho = None,
-    eps: option.Epsilon = None,
-    backend: option.BackendName = None,
-    element: option.ElementName = None,
     predict: option.Predict = True,
-    settings: option.Settings = None,
     start_from: option.StartFrom = None,
     rigorous: option.Rigorous = False,
     for_signorini: option.ForSignorini = False,
@@ -53,6 +47,7 @@ def solve(
     quiet: option.Quiet = False,
     verbose: option.Verbose = False,
     as_json: option.Json = False,
+    **new: Any,
 ) -> None:
     """Solve a case and write its results, by default into results/<case>/.
 
@@ -71,8 +66,7 @@ def solve(
 
     said = {"quiet": quiet, "verbose": verbose, "as_json": as_json}
     comm, report = MPI.COMM_WORLD, SolutionReport(**said)
-    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend, "element": element}
-    problem = any_case(comm, case, settings, **options, predict=None if predict else False)
+    problem = any_case(comm, case, **new, predict=None if predict else False)
     only_steady = {"--rigorous": rigorous, "--html": html, "--for-signorini": for_signorini}
     _refuse_lacking(problem, only_steady)
     if _is_in_time(problem, only_steady, {"--restart": restart, "--certify-steps": certify_steps}):
@@ -152,6 +146,7 @@ def _check_provable(case: "CaseFile") -> None:
         raise InputError(f"--rigorous: {case.unproved}")
 
 
+@option.of_case
 def adapt(
     case: option.CaseName,
     target: Annotated[
@@ -159,23 +154,18 @@ def adapt(
     ] = None,
     max_cells: Annotated[int | None, typer.Option("--max-cells", help="Most cells of a mesh; default 10^6.")] = None,
     quantity: Annotated[
-        str | None, typer.Option("--quantity", help="Refine for this [[quantity]] of the case, with --width.")
+        str | None, typer.Option("--quantity", help="Refine for this quantity of the case, with --width.")
     ] = None,
     width: Annotated[str | None, typer.Option("--width", help="Length of its interval to reach.")] = None,
     theta: Annotated[str, typer.Option("--theta", help="Share of the squared error to refine; 1 is uniform.")] = "0.5",
     uniform: Annotated[bool, typer.Option("--uniform", help="Refine uniformly as well, for comparison.")] = False,
-    algorithm: option.AlgorithmName = None,
     h: Annotated[str | None, typer.Option("--h", help="h of the first mesh; default 1/8 of the diameter.")] = None,
-    rho: option.Rho = None,
-    eps: option.Epsilon = None,
-    backend: option.BackendName = None,
-    element: option.ElementName = None,
-    settings: option.Settings = None,
     output: option.OutputFolder = None,
     plot: option.Plot = False,
     html: option.Html = False,
     quiet: option.Quiet = False,
     as_json: option.Json = False,
+    **new: Any,
 ) -> None:
     """Refine where the certified error is large until it is small; write results/<case>-adapt/.
 
@@ -190,8 +180,7 @@ def adapt(
 
     comm, report = MPI.COMM_WORLD, AdaptReport(quiet=quiet, as_json=as_json)
     wanted, part, narrow, most = _checked(target, max_cells, theta, quantity, width)
-    options = {"algorithm": algorithm, "h": h, "rho": rho, "eps": eps, "backend": backend, "element": element}
-    problem = on_root(comm, lambda: _on_first_mesh(case, settings, options))
+    problem = on_root(comm, lambda: _on_first_mesh(case, new | {"h": h}))
     _refuse_lacking(problem, {"--html": html})
     measured, measure = _measuring(problem, quantity)
     end: Any = {"target": wanted, "max_cells": most, "width": narrow, "on_step": lambda _: end_if_told(comm)}
@@ -283,7 +272,7 @@ def _checked(
     return wanted, part, narrow, max_cells or DEFAULT_MAX_CELLS
 
 
-def _on_first_mesh(name: str, settings: list[str] | None, options: Mapping[str, object]) -> "CaseFile":
+def _on_first_mesh(name: str, new: Mapping[str, Any]) -> "CaseFile":
     """A case with its new values; on a named shape without a value of h, with h of the first mesh (rank 0).
 
     Raises:
@@ -293,11 +282,11 @@ def _on_first_mesh(name: str, settings: list[str] | None, options: Mapping[str, 
     from signorini_fenicsx.certificate.adaptive import FIRST_MESH
     from signorini_fenicsx.meshes.shapes import shape_of
 
-    case, values = load_case(name), option.overrides(settings, **options)
+    case, values = load_case(name), option.overrides(**new)
     shape = case.with_values(values).geometry.shape
     first = {} if shape is None else {"solve.h": shape_of(shape).diameter / FIRST_MESH}
     problem = case.with_values(first | values)
-    refuse_idle(problem, **options)
+    refuse_idle(problem, **new)
     return problem
 
 
