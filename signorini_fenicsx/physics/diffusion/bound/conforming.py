@@ -38,7 +38,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, sums_at
-from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, to_bernstein
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, to_bernstein
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
@@ -237,8 +237,8 @@ def _given(space: fem.FunctionSpace, spaces: Spaces, u_D: Datum) -> npt.NDArray[
     is_given = np.zeros(space.dofmap.index_map.size_local + space.dofmap.index_map.num_ghosts, dtype=bool)
     is_given[on_dirichlet] = True
     nodes = facet_nodes(space, np.concatenate([spaces.facets[spaces.inner.rows], spaces.inner.facets]))
-    ends = is_given[nodes[:, :dim]][:, np.array(basix.topology(facet_type(dim))[1])]
-    is_given[nodes[:, dim:][ends.all(axis=2)]] = True
+    between = exponents(facet_type(dim), degree_of(space)) > 0  # these vertices of the facet
+    is_given[nodes[(is_given[nodes[:, None, :dim]] | ~between).all(axis=2)]] = True
     return np.flatnonzero(sums_at(space.dofmap.index_map, np.flatnonzero(is_given)))
 
 
