@@ -97,7 +97,8 @@ def main(
             for number in range(rounds):
                 for program in (*element, *OTHERS):
                     first, last = CHOSEN[program][PROBLEMS[name].dim - 2]
-                    sizes = SIZES[PROBLEMS[name].dim][first : last - (QUICK if quick else 0)]
+                    last = max(last - QUICK, first + 2) if quick else last  # a power law needs two
+                    sizes = SIZES[PROBLEMS[name].dim][first:last]
                     with console.status(f"{name}, round {number + 1}: {program}"):
                         runs += launch(name, program, number, sizes, Path(folder))
                     write_table(output / "benchmark.csv", Run, runs)
