@@ -1,6 +1,8 @@
 """One solver for all physics: spaces, data, method, residuals."""
 
+from dataclasses import replace
 from typing import Any, cast
+from weakref import ref
 
 from petsc4py import PETSc
 
@@ -94,11 +96,11 @@ class Solver[S: Solved]:
             outcome, kkt = run.judged(outcome)
             PETSc.garbage_cleanup(comm)  # in parallel PETSc frees objects only here
         timings = wish.watch.longest(comm)
-        solution: Any = run.solution(
-            outcome, kkt, name=name, title=title, source=source, timings=timings, peak_memory=peak_memory(comm)
-        )
+        about = {"name": name, "title": title, "source": source, "timings": timings, "peak_memory": peak_memory(comm)}
+        given = {"problem": replace(data, boundary=system.boundary), "options": wish.options, "system": ref(system)}
+        solution: Any = run.solution(outcome, kkt=kkt, **given, **about)
         if not solution.converged:
-            system.forget()
+            system.kept.forget()
             raise NumericalFailure(solution.outcome.reason, solution)
         return cast("S", solution)
 

@@ -10,6 +10,7 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.contact.history import OnStep, Outcome
+from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.unjoined import check_joined
@@ -70,8 +71,8 @@ class Run(Protocol):
     def judged(self, outcome: Outcome) -> tuple[Outcome, Residuals]:
         """The outcome, which has converged only if its residuals are small, and these (collective)."""
 
-    def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> Solved:
-        """The solution with what else is known about it: name, title, source, timings, peak_memory (collective)."""
+    def solution(self, outcome: Outcome, **about: Any) -> Solved:
+        """The solution, with the fields of `Solved` that are the same for all physics (collective)."""
 
 
 class System(Protocol):
@@ -80,10 +81,12 @@ class System(Protocol):
     Attributes:
         spaces: The discrete spaces.
         boundary: The parts of each kind of boundary.
+        kept: Keeps the backend of the last solve, if it did not fail.
     """
 
     spaces: MeshSpaces
     boundary: Any
+    kept: KeptBackend
 
     def __init__(self, domain: Domain, problem: Any):
         """Set up the spaces for such a problem (collective).
@@ -120,9 +123,6 @@ class System(Protocol):
         Raises:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
-
-    def forget(self) -> None:
-        """Keep nothing of the last solve, which has failed."""
 
 
 def system_on(domain: Domain, problem: Any) -> System:

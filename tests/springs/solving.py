@@ -14,6 +14,7 @@ from signorini_fenicsx.base.owned import owned_values, set_owned
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, build_mesh_spaces
@@ -23,7 +24,6 @@ from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.evolution import Evolution, Past
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
-from signorini_fenicsx.solving.options import Options
 
 
 @dataclass(frozen=True)
@@ -138,18 +138,15 @@ class System:
     """The spaces of a bed."""
 
     def __init__(self, domain: Domain, problem: Bed):
-        self.boundary = problem.boundary
+        self.boundary, self.kept = problem.boundary, KeptBackend()
         self.spaces = build_mesh_spaces(domain, problem.boundary.rests)
 
     def prepared(self, problem: Bed, wish: Any):
         load = np.full(len(self.spaces.cell_measures), problem.f) + (0.0 if wish.memory is None else wish.memory)
-        return Run(self.spaces, problem, wish.options, load)
+        return Run(self.spaces, problem, load)
 
     def steps(self, problem: Bed, evolution: Evolution, start: Any):
         return Settling(self.spaces, problem, evolution)
-
-    def forget(self):
-        """Nothing is kept."""
 
 
 @dataclass
@@ -188,7 +185,6 @@ class Run:
 
     spaces: MeshSpaces
     problem: Bed
-    options: Options
     load: Array
 
     def outcome(self):
@@ -200,14 +196,11 @@ class Run:
     def judged(self, outcome: Outcome):
         return outcome, residuals(self.problem, outcome.iterate.u, self.load)
 
-    def solution(self, outcome: Outcome, kkt: Balance, **about: Any):
+    def solution(self, outcome: Outcome, **about: Any):
         return Rested(
-            problem=self.problem,
-            options=self.options,
             spaces=self.spaces,
             data=self.load,
             outcome=outcome,
-            kkt=kkt,
             **about,
         )
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
-from weakref import ref
 
 import numpy as np
 from mpi4py import MPI
@@ -89,7 +88,6 @@ class System:
         options = wish.options
         linear = options.element == "RT1"
         _check_same(self.boundary, problem.boundary)
-        problem = replace(problem, boundary=self.boundary)
         data: Any = project_data(spaces, problem, self._known).after(wish.memory)
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
@@ -124,7 +122,7 @@ class System:
         if remesh is not None:
             task = replace(task, coarser=partial(_coarser, task, remesh, problem))
         kind = LinearRun if linear else DiffusionRun
-        return kind(task, options, problem, data, constant, self)
+        return kind(task, options, data, constant, self.kept)
 
     def check(self, problem: Problem) -> list[str]:
         """Read the data and check them, see `solving.system.System` (collective).
@@ -145,10 +143,6 @@ class System:
         check_start(self.spaces.domain, start, Solution)
         return DiffusionSteps(self.spaces, problem, evolution, start)
 
-    def forget(self) -> None:
-        """Drop the backend of the last solve."""
-        self.kept.forget()
-
 
 @dataclass
 class DiffusionRun:
@@ -157,19 +151,17 @@ class DiffusionRun:
     Attributes:
         task: What the method gets: the problem for u − constant.
         options: Algorithm, backend and their parameters.
-        problem: The data as given.
         data: The data on the mesh.
         constant: What is taken from u.
-        system: What it was prepared by.
+        kept: Keeps the backend.
         trace: u − constant on Γ_S where u − ψ has too few digits of it; None if it has not.
     """
 
     task: DiffusionTask
     options: Options
-    problem: Problem
     data: Data
     constant: float
-    system: System
+    kept: KeptBackend
     trace: Array | None = None
 
     def remarks(self) -> list[str]:
@@ -229,22 +221,18 @@ class DiffusionRun:
         outcome.iterate.u.x.array[:] += self.constant
         return outcome.ended(violation if outcome.converged else outcome.reason), kkt
 
-    def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> Solution:
+    def solution(self, outcome: Outcome, **about: Any) -> Solution:
         """The solution (collective)."""
         spaces = self.task.spaces
         trace = spaces.site_kinds["facet"].of(outcome.iterate.p) + self.data.psi_h
         if self.trace is not None:
             trace = self.trace + (self.data.psi_h - self.task.data.psi_h)  # the difference is the constant
-        self.system.kept.solved(outcome, self.task.data)
+        self.kept.solved(outcome, self.task.data)
         return Solution(
-            problem=self.problem,
-            options=self.options,
             spaces=spaces,
             data=self.data,
             p=spaces.multiplier(trace),
             outcome=outcome,
-            kkt=kkt,
-            system=ref(self.system),
             **about,
         )
 
@@ -256,21 +244,17 @@ class LinearRun(DiffusionRun):
     task: LinearTask
     data: LinearData
 
-    def solution(self, outcome: Outcome, kkt: Residuals, **about: Any) -> LinearSolution:
+    def solution(self, outcome: Outcome, **about: Any) -> LinearSolution:
         """The solution (collective)."""
         spaces, iterate = self.task.spaces, outcome.iterate
         assert isinstance(iterate, LinearIterate)
         iterate.means[spaces.outer_sites] += self.constant
-        self.system.kept.solved(outcome, self.task.data)
+        self.kept.solved(outcome, self.task.data)
         return LinearSolution(
-            problem=self.problem,
-            options=self.options,
             spaces=spaces,
             data=self.data,
             p=spaces.linear_multiplier(linear_from_means(spaces.site_kinds["facet"].rows_of(iterate.means))),
             outcome=outcome,
-            kkt=kkt,
-            system=ref(self.system),
             **about,
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
-from weakref import ref
 
 import numpy as np
 
@@ -95,7 +94,7 @@ class System:
             watch=wish.watch,
             kept=self.kept,
         )
-        return ElasticRun(task, options, problem, self)
+        return ElasticRun(task, options)
 
     def check(self, problem: ElasticProblem) -> list[str]:
         """Read the data and check them, see `solving.system.System` (collective).
@@ -117,10 +116,6 @@ class System:
             raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
         return ElasticSteps(self.spaces, problem, evolution)
 
-    def forget(self) -> None:
-        """Drop the backend of the last solve."""
-        self.kept.forget()
-
 
 def _note_foundations(spaces: ElasticSpaces, data: ElasticData) -> None:
     """Note where bodies face each other within their gaps, each with a foundation of its own (collective)."""
@@ -136,14 +131,10 @@ class ElasticRun:
     Attributes:
         task: What the method gets.
         options: Algorithm and its parameters.
-        problem: The data as given.
-        system: What it was prepared by.
     """
 
     task: ElasticTask
     options: Options
-    problem: ElasticProblem
-    system: System
 
     def remarks(self) -> list[str]:
         """Data that jump and should not, and along what the gap is measured (collective)."""
@@ -168,18 +159,14 @@ class ElasticRun:
             failure = slides(self.task.spaces, self.task.kept.present.data_found()) or failure
         return outcome.ended(failure), kkt
 
-    def solution(self, outcome: Outcome, kkt: ElasticKKT, **about: Any) -> ElasticSolution:
+    def solution(self, outcome: Outcome, **about: Any) -> ElasticSolution:
         """The solution."""
-        self.system.kept.solved(outcome, self.task.data)
+        self.task.kept.solved(outcome, self.task.data)
         return ElasticSolution(
-            problem=self.problem,
-            options=self.options,
             spaces=self.task.spaces,
             data=self.task.kept.present.data_found(),
             outcome=outcome,
-            kkt=kkt,
             bound_changes=tuple(self.task.changes),
-            system=ref(self.system),
             **about,
         )
 
