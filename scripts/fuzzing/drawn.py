@@ -45,7 +45,7 @@ def drawn(rng: random.Random, folder: Path, valid: Valid) -> Broken:
         drawable = [text for text in TEXTS if len(text) <= 30 and text.isprintable()]
         lines += ["[plot]", *(f"{key} = {_toml(rng.choice(drawable))}" for key in ("u", "unit", "flux"))]
     (folder / "case.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    words = ["solve", "case.toml", "--output", OUTPUT, "--plot", *["--html"] * (not body and not in_time)]
+    words = ["solve", "case.toml", "--output", OUTPUT, "--plot", *["--html"] * (not in_time)]
     about = f"{names}, contact on {len(some)} of them" + " in time" * in_time + " of a body" * body
     return Broken(words, about, solved=True, homeless=rng.random() < 0.5)
 

@@ -1,7 +1,6 @@
 """Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -31,32 +30,6 @@ def number(value: object) -> object:
 def text_of(value: object) -> object:
     """A number as text; all else as it is."""
     return str(_not_huge(value)) if isinstance(value, int | float) and not isinstance(value, bool) else value
-
-
-def _expression(value: object) -> object:
-    text = text_of(value)
-    if not isinstance(text, str):
-        raise ValueError(f"must be an expression, not {shown(value)}")
-    return text
-
-
-def _vector(value: object) -> object:
-    """A list of numbers or texts."""
-    if not isinstance(value, list):
-        raise ValueError(
-            f'must be a list with an expression for each component, such as ["0", "-1"], not {shown(value)}'
-        )
-    return [_expression(entry) for entry in value]
-
-
-def _entries(value: object) -> object:
-    """Numbers and texts as texts, in lists too."""
-    return [_entries(entry) for entry in value] if isinstance(value, list) else _expression(value)
-
-
-def _vector_by_part(value: object) -> object:
-    """A list of numbers or texts, or a table with one per part."""
-    return {part: _vector(entry) for part, entry in value.items()} if isinstance(value, dict) else _vector(value)
 
 
 def _not_huge(value: object) -> object:
@@ -96,74 +69,43 @@ def within(low: float, high: float) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _in_regions(read: Callable[[object], object]) -> BeforeValidator:
-    """Accept what this reads, or a table with one per region."""
+def _texts(value: object) -> object:
+    """Numbers as texts, in lists too."""
+    return [_texts(entry) for entry in value] if isinstance(value, list) else text_of(value)
+
+
+def _has(shape: tuple[int | None, ...], texts: object) -> bool:
+    """Whether these are texts in lists with these numbers of entries, None for any; () for one text."""
+    if not shape:
+        return isinstance(texts, str)
+    is_list = isinstance(texts, list) and shape[0] in (None, len(texts))
+    return is_list and all(_has(shape[1:], entry) for entry in texts)  # type: ignore[attr-defined]
+
+
+def given(what: str, *shapes: tuple[int | None, ...], table: bool = False, only: str = "") -> BeforeValidator:
+    """Read numbers and texts as texts.
+
+    Args:
+        what: What they have to be, in words.
+        shapes: For each list that they may be its length, or None for any, and that of its entries; () for no list.
+        table: Whether there may be a table with one for each region or part.
+        only: What this table has, in words, if there has to be one.
+    """
+
+    def one(value: object) -> object:
+        texts = _texts(value)
+        if not any(_has(shape, texts) for shape in shapes):
+            raise ValueError(f"must be {what}, not {shown(value)}")
+        return texts
 
     def check(value: object) -> object:
-        if not isinstance(value, dict):
-            return read(value)
-        if not value:
-            raise ValueError("the table of regions is empty")
-        return {region: read(entry) for region, entry in value.items()}
+        if isinstance(value, dict) and (value or only) and (table or only):
+            return {place: one(entry) for place, entry in value.items()}
+        if only:
+            raise ValueError(f"must be a table with {only}")
+        return one(value)
 
     return BeforeValidator(check)
-
-
-def _modulus(value: object) -> object:
-    """A number or text, or three along the axes of a material."""
-    if isinstance(text := text_of(value), str):
-        return text
-    if not isinstance(value, list):
-        raise ValueError("must be an expression, a list of three, or a table with one per region")
-    if len(value) != 3:
-        raise ValueError(f"must be an expression, or a list of three along axes of the material, not of {len(value)}")
-    return _vector(value)
-
-
-def _directions(value: object) -> object:
-    """A list with one direction in the plane, or two in space."""
-    directions = value if isinstance(value, list) else []
-    if [len(entry) if isinstance(entry, list) else 0 for entry in directions] not in ([2], [3, 3]):
-        raise ValueError(f"must list one direction in the plane, as [[1, 1]], or two in space, not {shown(value)}")
-    return [_vector(entry) for entry in directions]
-
-
-def _matrix_or_text(value: object) -> object:
-    value = text_of(value)
-    if isinstance(value, list):
-        rows = [[text_of(entry) for entry in row] if isinstance(row, list) else [] for row in value]
-        if len(rows) not in (2, 3) or any(len(row) != len(rows) for row in rows):
-            raise ValueError("a matrix must have 2 rows of 2 expressions, in 3D 3 of 3")
-        if all(isinstance(entry, str) for row in rows for entry in row):
-            return rows
-    elif isinstance(value, str):
-        return value
-    raise ValueError("must be an expression, a matrix such as [[2, 0], [0, 1]], or a table with one per region")
-
-
-def text_by_region(value: object, place: str = "region") -> object:
-    """A number or text, or a table with one per region, or another place."""
-    by_place = value if isinstance(value, dict) else {"": value}
-    texts = {name: text_of(entry) for name, entry in by_place.items()}
-    if not texts or not all(isinstance(text, str) for text in texts.values()):
-        raise ValueError(f"must be an expression, or a table with one per {place}")
-    return texts if isinstance(value, dict) else texts[""]
-
-
-def _by_part(read: Callable[[object], object], what: str) -> BeforeValidator:
-    """A table whose value for each part is read by a function."""
-
-    def check(value: object) -> object:
-        if not isinstance(value, dict):
-            raise ValueError(f"must be a table with {what}")
-        return {part: read(entry) for part, entry in value.items()}
-
-    return BeforeValidator(check)
-
-
-def _stiffness(value: object) -> object:
-    flat = isinstance(value, list) and len(value) == 2 and not any(isinstance(entry, list) for entry in value)
-    return _vector(value) if flat else _matrix_or_text(value)
 
 
 type Text = str | list[str] | list[list[str]]
@@ -182,15 +124,25 @@ def _leaves(value: Text | str) -> list[str]:
 
 Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(number)]
-Expression = Annotated[str, BeforeValidator(_expression)]
-Vector = Annotated[list[str], BeforeValidator(_vector)]
-VectorByPart = Annotated[list[str] | dict[str, list[str]], BeforeValidator(_vector_by_part)]
-Entries = Annotated[list[Any], BeforeValidator(_entries)]
+MATRICES = (), (2, 2), (3, 3)
+VECTOR = 'a list with an expression for each component, such as ["0", "-1"]'
+MODULUS = "an expression, a list of three, or a table with one per region"
+MATRIX = "an expression, a matrix of 2 rows of 2 expressions, in 3D 3 of 3, or a table with one per region"
+AXES = "a list with one direction in the plane, as [[1, 1]], or two in space"
+STIFFNESS = "a stiffness: an expression, [along n, across n], or a matrix"
+Expression = Annotated[str, given("an expression", ())]
+Vector = Annotated[list[str], given(VECTOR, (None,))]
+VectorByPart = Annotated[list[str] | dict[str, list[str]], given(VECTOR, (None,), table=True)]
+Entries = Annotated[list[Any], given("pairs, such as [[0, 1], [2, 3]]", (None, None))]
 ShapeName = Annotated[str, BeforeValidator(_shape)]
-ExpressionByPart = Annotated[dict[str, str], _by_part(_expression, 'one expression per part, such as {top = "0.1"}')]
-ExpressionByRegion = Annotated[str | dict[str, str], BeforeValidator(text_by_region)]
-ExpressionOrByPart = Annotated[str | dict[str, str], BeforeValidator(partial(text_by_region, place="part"))]
-Conductivity = Annotated[ConductivityText, _in_regions(_matrix_or_text)]
-Moduli = Annotated[str | list[str] | dict[str, str | list[str]], _in_regions(_modulus)]
-Stiffnesses = Annotated[dict[str, Text], _by_part(_stiffness, "a stiffness per part, such as {bottom = [10, 5]}")]
-Directions = Annotated[list[list[str]] | dict[str, list[list[str]]], _in_regions(_directions)]
+ByPart = given("an expression", (), only='one expression per part, such as {top = "0.1"}')
+ExpressionByPart = Annotated[dict[str, str], ByPart]
+ByRegion = given("an expression, or a table with one per region", (), table=True)
+ExpressionByRegion = Annotated[str | dict[str, str], ByRegion]
+OrByPart = given("an expression, or a table with one per part", (), table=True)
+ExpressionOrByPart = Annotated[str | dict[str, str], OrByPart]
+Conductivity = Annotated[ConductivityText, given(MATRIX, *MATRICES, table=True)]
+Moduli = Annotated[str | list[str] | dict[str, str | list[str]], given(MODULUS, (), (3,), table=True)]
+OfPart = given(STIFFNESS, *MATRICES, (2,), only="a stiffness per part, such as {bottom = [10, 5]}")
+Stiffnesses = Annotated[dict[str, Text], OfPart]
+Directions = Annotated[list[list[str]] | dict[str, list[list[str]]], given(AXES, (1, 2), (2, 3), table=True)]

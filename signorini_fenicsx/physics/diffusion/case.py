@@ -12,7 +12,7 @@ from signorini_fenicsx.cases.first_case import GIVEN, HELD, law_sections, lists_
 from signorini_fenicsx.cases.laws import LawTexts
 from signorini_fenicsx.cases.parts import PartsInside
 from signorini_fenicsx.cases.plot import Plot
-from signorini_fenicsx.cases.values import ExpressionByRegion, ExpressionOrByPart, choice, text_by_region
+from signorini_fenicsx.cases.values import ByRegion, ExpressionByRegion, ExpressionOrByPart, choice
 from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Neumann, Signorini
 from signorini_fenicsx.expressions import exactly
@@ -34,7 +34,7 @@ type CapacityText = str | dict[str, Any]
 def _capacity(value: object) -> object:
     """A number or text, a table with one per region, or the graph of a storage."""
     if value is None or not isinstance(value, dict) or "corners" not in value:
-        return value if value is None else text_by_region(value)
+        return value if value is None else ByRegion.func(value)  # type: ignore[call-arg]
     graph = LawTexts.model_validate({"kind": "storage", "region": EVERYWHERE, **value})
     return dict(graph.model_extra or {})
 
