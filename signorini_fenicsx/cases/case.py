@@ -12,9 +12,9 @@ from pydantic import Field, ValidationError, model_validator
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
-from signorini_fenicsx.cases.data_section import DataSection, KindSection
+from signorini_fenicsx.cases.data_section import DataSection
 from signorini_fenicsx.cases.geometry import Geometry
-from signorini_fenicsx.cases.parts import Parts, PartsInside, Section
+from signorini_fenicsx.cases.parts import Named, Parts, Section
 from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Positive, Whole, choice, within
@@ -91,18 +91,26 @@ class CaseFile(Section):
     solve: Solve = Solve()
     time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
     quantity: Annotated[list[QuantityTexts], Field(default=[], exclude_if=lambda quantities: not quantities)]
-    boundary: PartsInside
-    law: Annotated[Sequence[KindSection], Field(default=[], exclude_if=lambda laws: not laws)]
+    boundary: Parts
+    law: Annotated[Sequence[Any], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: DataSection
     exact: DataSection
     costs: ClassVar[Mapping[int, Cost]]
     """What it costs to solve it, by dimension."""
+    inner_needs: ClassVar[str] = "a [[law]] between the jump of u and σ·n"
+    """What a part inside the domain needs, in words."""
     held: ClassVar[str] = "u = u_D"
     """What holds on Γ_D, in words."""
     is_vector: ClassVar[bool] = False
     """Whether u is a vector."""
     first_words: ClassVar[Sequence[str]]
-    """What may hold on a part of a first case, in a word, besides a given u or flux."""
+    """What may hold on a part of a first case, in a word, besides a given u or flux; first what has no law."""
+    first_listed: ClassVar[Sequence[str]] = ()
+    """Those whose parts `[boundary]` lists under the first one, if others than that."""
+    first_data: ClassVar[Sequence[tuple[str, str, str]]]
+    """The lines of `[problem]` of a first case, what they are, and the word of a part that needs them, if one does."""
+    first_laws: ClassVar[Mapping[str, tuple[str, list[str]]]] = {}
+    """What laws in a first case say, and the lines of their data, for those that are no `Law`."""
 
     @property
     def states(self) -> tuple[str, str]:
@@ -110,9 +118,19 @@ class CaseFile(Section):
         return "σ·n = 0", "p = 0"
 
     @property
-    def parts(self) -> Parts:
-        """The section `[boundary]`."""
-        raise NotImplementedError
+    def parts(self) -> Named:
+        """All parts that are named."""
+        return self.boundary.with_lists(self.lists)
+
+    @property
+    def lists(self) -> dict[str, list[str]]:
+        """The parts of each `[[law]]`, and other lists beside those of `[boundary]`, by their keys."""
+        return {f"law.{i}.parts": law.parts for i, law in enumerate(self.law) if law.parts}
+
+    @property
+    def meeting(self) -> list[str]:
+        """The parts that may be inside the domain: those with a law."""
+        return [part for law in self.law for part in law.parts]
 
     def posed(self, dim: int, step: int | None = None) -> Any:
         """The problem, in time of a step or with t in it, sorted by the kinds of its boundary, as `Solver` takes it.
@@ -120,11 +138,6 @@ class CaseFile(Section):
         Raises:
             InputError: If an expression cannot be read.
         """
-        raise NotImplementedError
-
-    @classmethod
-    def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
-        """The texts of the sections of a first case, with words for the parts of the boundary and for those inside."""
         raise NotImplementedError
 
     @property
@@ -167,8 +180,8 @@ class CaseFile(Section):
         return [(f"{place}{key}", text, may_move) for place, own, may_move in sections for key, text in own]
 
     def condition_of(self, part: str) -> str:
-        """The condition on a part, in a word."""
-        return self.parts.condition_of(part)
+        """The condition on a part, in a word: of a law its kind."""
+        return next((law.kind for law in self.law if part in law.parts), self.boundary.condition_of(part))
 
     @model_validator(mode="after")
     def _measures_once(self) -> Self:
@@ -186,6 +199,12 @@ class CaseFile(Section):
             raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' has its own h; leave h out")
         else:
             self._check_expressions(3)  # the mesh file has not been read yet
+        return self
+
+    @model_validator(mode="after")
+    def _lists_parts_once(self) -> Self:
+        self.parts.refuse_repetition()
+        self.boundary.check_inner(self.meeting, self.geometry.file, self.inner_needs)
         return self
 
     @property

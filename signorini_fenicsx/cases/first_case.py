@@ -117,34 +117,41 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
     sections = [
         "\n".join(head),
         f"[geometry]\n{place.geometry}",
-        *PHYSICS[physics].case.first_sections(outer, inner, place.dim),
+        *_sections(PHYSICS[physics].case, outer, inner, place.dim),
     ]
     if place.geometry.startswith("shape") and place.dim == 3:
         sections.append('[solve]\nh = "1/8"')
     return "\n\n".join(sections) + "\n"
 
 
+def _sections(case: Any, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
+    """The sections of a case file, with words for the parts of the boundary and for those inside."""
+    plain = case.first_words[0]
+    lists = {plain: parts_with(outer, *(case.first_listed or [plain])), GIVEN: parts_with(outer, GIVEN)}
+    keys = case.model_fields["boundary"].annotation.model_fields
+    lines = [f"{key} = {_json(parts)}" for key, parts in lists.items() if key in keys]
+    lines += [f"inner = {_json(list(inner))}"] if inner else []
+    lines.append(f"# u is given on the rest: {', '.join(parts_with(outer, HELD)) or 'nothing'}")
+    if fixed := parts_with(outer, SYMMETRIC):
+        axes = ", ".join(f'{_json(part)} = "n"' for part in fixed)
+        lines.append(f"fixed = {{{axes}}}  # u·n is given there; also letters of xyz")
+    laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, SYMMETRIC, plain)} | {**inner}
+    numbers = {"down": [0] * (dim - 1) + [-0.01], "zero": [0] * dim}
+    needed = [(line, about) for line, about, word in case.first_data if not word or parts_with(outer, word)]
+    data = [(line.format(**numbers), about.format()) for line, about in needed]
+    width = max(len(line) for line, _ in data)
+    problem = [f"{line:<{width}}  # {about}" if about else line for line, about in data]
+    return ["\n".join(["[boundary]", *lines]), *law_sections(laws, case.first_laws), "\n".join(["[problem]", *problem])]
+
+
+def _json(names: object) -> str:
+    """Names as TOML has them."""
+    return json.dumps(names, ensure_ascii=False)
+
+
 def parts_with(conditions: Mapping[str, str], *names: str) -> list[str]:
     """The parts that have one of these words."""
     return [part for part, word in conditions.items() if word in names]
-
-
-def lists_of(conditions: Mapping[str, str], *names: str) -> list[str]:
-    """The lines of `[boundary]` that list the parts with these words."""
-    return [f"{name} = {json.dumps(parts_with(conditions, name), ensure_ascii=False)}" for name in names]
-
-
-def rest_of(outer: Mapping[str, str], inner: Mapping[str, str]) -> list[str]:
-    """The lines of `[boundary]` about the parts inside and about those where u is given."""
-    held = ", ".join(parts_with(outer, HELD)) or "nothing"
-    lines = [f"# u is given on the rest: {held}"]
-    return [f"inner = {json.dumps(list(inner), ensure_ascii=False)}", *lines] if inner else lines
-
-
-def section_of(name: str, data: Sequence[tuple[str, str]]) -> str:
-    """A section with its data, each with what it is about."""
-    width = max(len(line) for line, _ in data)
-    return "\n".join([f"[{name}]", *(f"{line:<{width}}  # {about}" for line, about in data)])
 
 
 def law_sections(
@@ -153,7 +160,7 @@ def law_sections(
     """A [[law]] for each kind, with what it says and all its data."""
     texts = []
     for kind in dict.fromkeys(given.values()):
-        parts = json.dumps(parts_with(given, kind), ensure_ascii=False)
+        parts = _json(parts_with(given, kind))
         about, data = special[kind] if kind in special else _about(kind)
         about = f"{about} Here u is the opening, κ∇u·n the pressure." if special and kind not in special else about
         texts.append("\n".join([f"# {about}", "[[law]]", f"parts = {parts}", f'kind = "{kind}"', *data]))

@@ -1,7 +1,8 @@
 """`[boundary]`: the parts of the boundary with each kind of condition."""
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
@@ -16,18 +17,21 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Parts(Section):
-    """`[boundary]`: parts for each kind of condition; "dirichlet" may be left out, and then has all others."""
+@dataclass(frozen=True)
+class Named:
+    """All parts that a case names.
 
-    @property
-    def named(self) -> dict[str, list[str]]:
-        """The lists that are given, by their keys."""
-        return {key: list(value) for key, value in self if value is not None}
+    Attributes:
+        named: Lists of them by the keys that have them.
+        kinds: The keys of `[boundary]` for kinds of conditions.
+    """
 
-    @model_validator(mode="after")
-    def _no_repetition(self) -> Self:
-        self.refuse_repetition()
-        return self
+    named: Mapping[str, list[str]]
+    kinds: Collection[str]
+
+    def listed(self) -> list[str]:
+        """All of them, each once: inner ones are in the list of their condition, too."""
+        return [part for key, parts in self.named.items() for part in parts if key != "inner"]
 
     def refuse_repetition(self) -> None:
         """Refuse a part that is listed twice.
@@ -51,37 +55,22 @@ class Parts(Section):
         Raises:
             ValueError: If not; the message names key and part.
         """
-        for key, parts in self.named.items():
-            for part in parts:
-                if part not in known:
-                    raise ValueError(
-                        f"{key_of(key)}: unknown part '{part}' of {where}; its parts are {', '.join(known)}"
-                    )
-        inner = self.named.get("inner", [])
-        for part in {*inside} ^ {*inner}:
-            raise ValueError(
-                f"[boundary] inner: part '{part}' of {where} is inside the domain, and needs a [[law]]"
-                if part in inside
-                else f"[boundary] inner: part '{part}' of {where} is not inside the domain"
-            )
+        for key, part in ((key, part) for key, parts in self.named.items() for part in parts if part not in known):
+            raise ValueError(f"{key_of(key)}: unknown part '{part}' of {where}; its parts are {', '.join(known)}")
+        for part in {*inside} ^ {*self.named.get("inner", [])}:
+            about = "inside the domain, and needs a [[law]]" if part in inside else "not inside the domain"
+            raise ValueError(f"[boundary] inner: part '{part}' of {where} is {about}")
         left = [part for part in known if part not in self.listed()]
         if "dirichlet" in self.named and left:
-            *others, last = (key for key in keys_of(type(self)) if key not in ("inner", "sides", "impervious"))
+            *others, last = self.kinds
             raise ValueError(f"[boundary] '{left[0]}' is in none of {', '.join(others)} and {last}")
 
-    def condition_of(self, part: str) -> str:
-        """The condition on a part, in a word."""
-        return next((key for key, parts in self.named.items() if part in parts and key != "inner"), "dirichlet")
 
-    def listed(self) -> list[str]:
-        """All parts that the section names."""
-        return [part for parts in self.named.values() for part in parts]
+class Parts(Section):
+    """`[boundary]`: parts for each kind of condition; "dirichlet" may be left out, and then has all others.
 
-
-class PartsInside(Parts):
-    """`[boundary]` with parts inside the domain, across which u may jump.
-
-    "sides" tells the named side of an inner part: the region of cells there, or a direction that points to it.
+    Across parts inside the domain, "inner", u may jump. "sides" tells the named side of an inner part: the region of
+    cells there, or a direction that points to it.
     """
 
     inner: list[str] = []
@@ -93,9 +82,19 @@ class PartsInside(Parts):
         lists = {key: list(value) for key, value in self if value is not None and key != "sides"}
         return lists if self.inner else {key: parts for key, parts in lists.items() if key != "inner"}
 
-    def listed(self) -> list[str]:
-        """All parts that the section names, each once: inner ones are in the list of their condition, too."""
-        return [part for key, parts in self.named.items() for part in parts if key != "inner"]
+    def with_lists(self, lists: dict[str, list[str]]) -> Named:
+        """These parts and those of other sections."""
+        kinds = [key for key in keys_of(type(self)) if key not in ("inner", "sides", "impervious")]
+        return Named(self.named | lists, kinds)
+
+    @model_validator(mode="after")
+    def _no_repetition(self) -> Self:
+        self.with_lists({}).refuse_repetition()
+        return self
+
+    def condition_of(self, part: str) -> str:
+        """The condition on a part, in a word."""
+        return next((key for key, parts in self.named.items() if part in parts and key != "inner"), "dirichlet")
 
     def check_inner(self, with_law: Collection[str], file: str | None, law: str) -> None:
         """Make sure that inner parts have laws and are listed once, and that sides are those of inner parts of a file.

@@ -189,7 +189,10 @@ WRONG = {
     "inner": (('kind = "contact"', 'kind = "contact", mu = 0.3'), "unknown key 'mu' of the law 'contact'"),
     "law": ((LAW, ""), "inner: 'fault' needs contact: list it there as well, or in a [[law]]"),
     "sides": (("sides = {fault", "sides = {crack"), "sides.crack: 'crack' is not an inner part of a mesh file"),
-    "twice": (("contact", 'contact"}, {parts = ["fault"], kind = "contact'), "part 'fault' has two laws"),
+    "twice": (
+        ("contact", 'contact"}, {parts = ["fault"], kind = "contact'),
+        "'fault' is listed twice: in law.0.parts and",
+    ),
     "listed": (('inner = ["fault"]', 'inner = ["fault", "fault"]'), "[boundary] inner: 'fault' is listed twice"),
     "given": (("g_N = {top", "u_D = {fault"), "u_D.fault: no displacement is given on this part, it is in contact"),
     "closed": (('inner = ["fault"]\nsides = {fault = "upper"}', ""), "part 'fault' has 12 facets inside the domain"),

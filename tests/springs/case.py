@@ -7,12 +7,11 @@ from pydantic import Field
 
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.data_section import DataSection
-from signorini_fenicsx.cases.first_case import lists_of
-from signorini_fenicsx.cases.parts import PartsInside
+from signorini_fenicsx.cases.parts import Parts
 from springs.solving import Bed, Edges
 
 
-class RestingParts(PartsInside):
+class RestingParts(Parts):
     """`[boundary]`: the parts of Γ."""
 
     rests: list[str] = Field(default=[])
@@ -35,14 +34,7 @@ class BedCase(CaseFile):
     problem: Stiffness
     exact: DataSection = DataSection()
     first_words = ("rests",)
-
-    @property
-    def parts(self):
-        return self.boundary
+    first_data = (("k = 2", "", ""), ("f = -1", "", ""))
 
     def posed(self, dim: int, step: int | None = None):
         return Bed(self.problem.k, self.problem.f, Edges(self.boundary.rests))
-
-    @classmethod
-    def first_sections(cls, outer, inner, dim):
-        return ["\n".join(["[boundary]", *lists_of(outer, "rests")]), "[problem]\nk = 2\nf = -1"]

@@ -8,9 +8,9 @@ from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, mode
 
 from signorini_fenicsx.cases.case import CaseFile, Cost, Times
 from signorini_fenicsx.cases.data_section import DataSection, data_section
-from signorini_fenicsx.cases.first_case import GIVEN, HELD, law_sections, lists_of, parts_with, rest_of, section_of
+from signorini_fenicsx.cases.first_case import GIVEN, HELD
 from signorini_fenicsx.cases.laws import LawTexts
-from signorini_fenicsx.cases.parts import PartsInside
+from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.values import ByRegion, ExpressionByRegion, ExpressionOrByPart, choice
 from signorini_fenicsx.contact.law import EVERYWHERE, Law
@@ -84,7 +84,7 @@ class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
         return Problem(**data, laws=laws)
 
 
-class Boundary(PartsInside):
+class Boundary(Parts):
     """`[boundary]`: the parts of Γ_S and Γ_N; everything else is Γ_D, whose parts may be listed as a check.
 
     Parts with a `[[law]]` belong to Γ_S and are not listed here, but for those inside the domain: "inner" has them.
@@ -101,18 +101,6 @@ class Boundary(PartsInside):
         """The lists that are given, by their keys; walls are inner parts."""
         inner = {"inner": [*self.inner, *self.impervious]} if self.impervious else {}
         return super().named | inner
-
-
-class PartsWithLaws(Boundary):
-    """`[boundary]` with the parts of each `[[law]]`."""
-
-    laws: dict[str, list[str]] = Field(exclude=True)
-
-    @property
-    def named(self) -> dict[str, list[str]]:
-        """The lists that are given, by their keys."""
-        lists = {key: parts for key, parts in super().named.items() if key != "laws"}
-        return lists | self.laws
 
 
 class Time(Times):
@@ -134,12 +122,24 @@ class Exact(DataSection):
     u: ExpressionByRegion | None = None
 
 
+FIRST_DATA = (
+    ("f = -1", "the source: −∇·(κ∇u) = f", ""),
+    ("kappa = 1", "κ, the conductivity", ""),
+    ("u_D = 0", "u on the rest", HELD),
+    ("g_N = 0", "κ∇u·n on the parts in neumann, with the outer normal n", GIVEN),
+    ("psi = -0.1", "u ≥ psi on the parts in signorini", "signorini"),
+    ("q_S = 0", "κ∇u·n ≥ q_S there", "signorini"),
+)
+"""See `CaseFile.first_data`."""
+
+
 class Case(CaseFile):
     """One Signorini problem, its discretisation and its algorithm."""
 
     PHYSICS: ClassVar[str] = "diffusion"
     costs = COSTS
     first_words = tuple(LAWS)
+    first_data = FIRST_DATA
     boundary: Boundary = Boundary()
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
@@ -161,9 +161,6 @@ class Case(CaseFile):
 
     @model_validator(mode="after")
     def _has_gamma_s(self) -> Self:
-        self.parts.refuse_repetition()
-        law = "a [[law]] between the jump of u and σ·n"
-        self.boundary.check_inner(self.law_parts, self.geometry.file, law)
         for key, values in self.problem.by_part.items():
             listed = getattr(self.boundary, OF_LIST[key])
             for part in [] if listed is None else sorted({*values} - {*listed}):
@@ -200,26 +197,15 @@ class Case(CaseFile):
         return "" if no_obstacle else "the proof is for the law of Signorini alone, without an obstacle"
 
     @property
-    def law_parts(self) -> list[str]:
-        """The parts that have a `[[law]]`."""
-        return [part for law in self.law for part in law.parts]
-
-    @property
     def sides(self) -> Mapping[str, Side]:
         """The named sides of inner parts; those of walls do not matter."""
         return self.boundary.sides | dict.fromkeys(self.boundary.impervious, ANY)
 
-    def condition_of(self, part: str) -> str:
-        """The condition on a part, in a word: of a law its kind."""
-        return next((law.kind for law in self.law if part in law.parts), self.boundary.condition_of(part))
-
     @property
-    def parts(self) -> PartsWithLaws:
-        """The section `[boundary]`, and the parts with a `[[law]]`."""
-        laws = {f"law.{i}.parts": law.parts for i, law in enumerate(self.law) if law.parts}
-        if self.boundary.dirichlet is None and "u_D" in self.problem.by_part:
-            laws["problem.u_D"] = [*self.problem.u_D]
-        return PartsWithLaws.model_construct(**dict(self.boundary), laws=laws)
+    def lists(self) -> dict[str, list[str]]:
+        """The parts of laws, and those of a u_D by part, see `CaseFile.lists`."""
+        held = [*self.problem.u_D] if self.boundary.dirichlet is None and "u_D" in self.problem.by_part else []
+        return super().lists | ({"problem.u_D": held} if held else {})
 
     def posed(self, dim: int, step: int | None = None) -> Problem:
         """The data as trees, with the exact u if it is given, and the parts, see `CaseFile.posed`."""
@@ -234,18 +220,3 @@ class Case(CaseFile):
         if step is None or self.time is None:
             return problem
         return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)
-
-    @classmethod
-    def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
-        """The sections of a first case, see `CaseFile.first_sections`."""
-        unilateral = parts_with(outer, "signorini")
-        boundary = [*lists_of(outer, "signorini", GIVEN), *rest_of(outer, inner)]
-        laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, "signorini")} | {**inner}
-        data = [("f = -1", "the source: −∇·(κ∇u) = f"), ("kappa = 1", "κ, the conductivity")]
-        if parts_with(outer, HELD):
-            data.append(("u_D = 0", "u on the rest"))
-        if parts_with(outer, GIVEN):
-            data.append(("g_N = 0", "κ∇u·n on the parts in neumann, with the outer normal n"))
-        if unilateral:
-            data += [("psi = -0.1", "u ≥ psi on the parts in signorini"), ("q_S = 0", "κ∇u·n ≥ q_S there")]
-        return ["\n".join(["[boundary]", *boundary]), *law_sections(laws), section_of("problem", data)]

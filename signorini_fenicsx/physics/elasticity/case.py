@@ -1,7 +1,5 @@
 """Case files of elastic contact, `physics = "elasticity"`."""
 
-import json
-from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -10,18 +8,9 @@ from pydantic import Field, model_validator
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import CaseFile, Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
-from signorini_fenicsx.cases.first_case import (
-    GIVEN,
-    HELD,
-    SYMMETRIC,
-    law_sections,
-    lists_of,
-    parts_with,
-    rest_of,
-    section_of,
-)
+from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
-from signorini_fenicsx.cases.parts import PartsInside
+from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.values import (
     Directions,
     Expression,
@@ -59,7 +48,7 @@ COSTS = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 700, 300)}
 """On 110 000 to 450 000 unknowns; an order of magnitude."""
 
 
-class ElasticParts(PartsInside):
+class ElasticParts(Parts):
     """`[boundary]`: the parts in contact, with given traction, and fixed in some components; the rest is Γ_D.
 
     Where two bodies touch, the part is one of "inner" as well.
@@ -73,18 +62,18 @@ class ElasticParts(PartsInside):
     @model_validator(mode="after")
     def _components(self) -> Self:
         try:
-            self.read()
+            self.read(self.contact)
         except InputError as error:
             raise ValueError(str(error)) from None
         return self
 
-    def read(self) -> ElasticBoundary:
-        """The boundary for the solver.
+    def read(self, contact: list[str]) -> ElasticBoundary:
+        """The boundary for the solver, with these parts in contact.
 
         Raises:
             InputError: If a component is unknown.
         """
-        return ElasticBoundary(self.contact, self.neumann, self.fixed, self.inner)
+        return ElasticBoundary(contact, self.neumann, self.fixed, self.inner)
 
 
 OF_DATA = OF_LAWS | {
@@ -178,6 +167,17 @@ class ElasticExact(DataSection):
     u: Vector | None = None
 
 
+FIRST_DATA = (
+    ("young = 1", "Young's modulus", ""),
+    ("poisson = 0.3", "Poisson's ratio", ""),
+    ("f = {down}", "the load", ""),
+    ("u_D = {zero}", "the displacement on the rest", HELD),
+    ("g_N = {zero}", "the traction σn on the parts in neumann; also by part: {{top = […]}}", GIVEN),
+    ("gap = 0", "to what the body touches, along the outer normal", ""),
+)
+"""See `CaseFile.first_data`."""
+
+
 class ElasticCase(CaseFile):
     """One problem of elastic contact, its discretisation and its algorithm."""
 
@@ -194,7 +194,11 @@ class ElasticCase(CaseFile):
         return {"contact_force": ("force", 11, ".5g")} | super().columns_of_step
 
     costs = COSTS
-    first_words = (SYMMETRIC, *WITH_CONTACT, *NORMAL)
+    first_words = (*WITH_CONTACT, SYMMETRIC, *NORMAL)
+    first_listed = tuple(WITH_CONTACT)
+    first_data = FIRST_DATA
+    first_laws = IN_WORDS
+    inner_needs = "contact: list it there as well, or in a [[law]]"
     held = "clamped, u = u_D"
     is_vector = True
 
@@ -204,22 +208,25 @@ class ElasticCase(CaseFile):
         return ("free", "held") if any(law.kind != "contact" for law in self.law) else ("open", "contact")
 
     @property
-    def parts(self) -> ElasticParts:
-        """The section `[boundary]`, with the parts of each `[[law]]` in contact."""
-        rough = dict.fromkeys(part for law in self.law for part in law.parts if part not in self.boundary.contact)
-        return self.boundary.model_copy(update={"contact": [*self.boundary.contact, *rough]})
+    def lists(self) -> dict[str, list[str]]:
+        """The parts of laws, and those in contact without one, see `CaseFile.lists`."""
+        in_laws = super().meeting
+        return super().lists | {"contact": [part for part in self.boundary.contact if part not in in_laws]}
+
+    @property
+    def meeting(self) -> list[str]:
+        """The parts in contact, listed or with a `[[law]]`."""
+        return [*dict.fromkeys([*self.boundary.contact, *super().meeting])]
 
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
-        kind = next((law.kind for law in self.law if part in law.parts), "contact")
-        if part in self.problem.support:
-            return "elastic support"
-        return {"contact": super().condition_of(part), "friction": "contact with friction"}.get(kind, kind)
+        word = "elastic support" if part in self.problem.support else super().condition_of(part)
+        return {"friction": "contact with friction"}.get(word, word)
 
     @property
     def approach(self) -> str:
         """What is solved and how, in words."""
-        return f"{'elastic contact' if self.parts.contact else 'elasticity'}, {self.solve.algorithm}"
+        return f"{'elastic contact' if self.meeting else 'elasticity'}, {self.solve.algorithm}"
 
     @property
     def unproved(self) -> str:
@@ -228,13 +235,6 @@ class ElasticCase(CaseFile):
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:
-        self.parts.refuse_repetition()
-        in_laws = Counter(part for law in self.law for part in law.parts)
-        twice = [part for part, times in in_laws.items() if times > 1]
-        if twice:
-            raise ValueError(f"[[law]]: part '{twice[0]}' has two laws")
-        law = "contact: list it there as well, or in a [[law]]"
-        self.boundary.check_inner(self.parts.contact, self.geometry.file, law)
         try:
             rule_of(Options(algorithm=self.solve.algorithm))
         except InputError as error:
@@ -251,35 +251,7 @@ class ElasticCase(CaseFile):
         gaps |= {part: self.problem.gap if law.gap is None else law.gap for law in self.law for part in law.parts}
         values["gap"] = one_value(gaps, self.problem.gap)
         meeting = of_meeting([law.made() for law in self.law])
-        problem = ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=self.parts.read())
+        problem = ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=self.boundary.read(self.meeting))
         if step is None or self.time is None:
             return problem
         return problem.in_time(dim).at(self.time.evolution().time(step))
-
-    @classmethod
-    def first_sections(cls, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
-        """The sections of a first case, see `CaseFile.first_sections`."""
-        touching = [part for part, word in outer.items() if word in WITH_CONTACT]
-        fixed = ", ".join(f'{json.dumps(part)} = "n"' for part in parts_with(outer, SYMMETRIC))
-        boundary = [
-            f"contact = {json.dumps(touching)}",
-            *lists_of(outer, GIVEN),
-            *rest_of(outer, inner),
-        ]
-        if fixed:
-            boundary.append(f"fixed = {{{fixed}}}  # u·n is given there; also letters of xyz")
-        laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, SYMMETRIC, "contact")} | {
-            **inner
-        }
-        down, zero = (json.dumps([0] * (dim - 1) + [last]) for last in (-0.01, 0))
-        data = [("young = 1", "Young's modulus"), ("poisson = 0.3", "Poisson's ratio"), (f"f = {down}", "the load")]
-        if parts_with(outer, HELD):
-            data.append((f"u_D = {zero}", "the displacement on the rest"))
-        if parts_with(outer, GIVEN):
-            data.append((f"g_N = {zero}", "the traction σn on the parts in neumann; also by part: {top = […]}"))
-        data.append(("gap = 0", "to what the body touches, along the outer normal"))
-        return [
-            "\n".join(["[boundary]", *boundary]),
-            *law_sections(laws, IN_WORDS),
-            section_of("problem", data),
-        ]
