@@ -1,4 +1,4 @@
-"""Gain of adaptive refinement with RT0: unknowns and seconds that it needs for the certified error of each uniform mesh.
+"""Gain of adaptive refinement with RT0: unknowns and seconds that it needs for the certified error of uniform meshes.
 
 Usage: python scripts/adaptive_gain.py [MAX_CELLS [CASE …]]
        python scripts/adaptive_gain.py --quantities [MAX_CELLS]
