@@ -182,8 +182,7 @@ def adapt_case(
 
     with naming(case.name):
         first = mesh_case(case, comm)
-    measured = measure is not None or bool(case.quantity)
-    options, lacking = refining(case.posed(first.mesh.geometry.dim), options_of(case), measured=measured)
+    options, lacking = refining(case.posed(first.mesh.geometry.dim), options_of(case))
     if lacking:
         on_note(f"element {options.element}: {lacking}")
     if options.element is not None:

@@ -151,7 +151,7 @@ def adapt[S: Solved](
     if domain.cells > max_cells:
         cells = f"{domain.cells} cells, more than the {max_cells} allowed"
         raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells}")
-    solve_on = problem if callable(problem) else _solving(domain, problem, measured=measure is not None)
+    solve_on = problem if callable(problem) else _solving(domain, problem)
     solution, start, mesh = solve_on(domain, None), None, 0
     while True:
         check_kind("what `problem` returns", solution, Solved)
@@ -178,9 +178,9 @@ def adapt[S: Solved](
             solution = solve_on(domain, start)
 
 
-def _solving(domain: Domain, problem: Any, *, measured: bool) -> SolveOn[Any]:
+def _solving(domain: Domain, problem: Any) -> SolveOn[Any]:
     """What solves a problem on a mesh, with the element of order two where it is there (collective)."""
-    options, _ = refining(sorted_on(domain, problem), Options(), measured=measured)
+    options, _ = refining(sorted_on(domain, problem), Options())
     return lambda mesh, start: solve(mesh, problem, options, start=start)
 
 

@@ -80,6 +80,18 @@ def _raised(cell: basix.CellType, degree: int) -> Indices:
     return np.array([[number[tuple(alpha + unit)] for unit in units] for alpha in exponents(cell, degree)])
 
 
+def raised(coefficients: Array, cell: basix.CellType, degree: int) -> Array:
+    """The coefficients of quadratics on simplices as those of polynomials of a higher degree, or the same."""
+    lower = 2
+    while lower < degree:
+        places, shares = _raised(cell, lower), (exponents(cell, lower) + 1) / (lower + 1)
+        higher = np.zeros((len(coefficients), len(nodes(cell, lower + 1))))
+        for vertex in range(places.shape[1]):
+            higher[:, places[:, vertex]] += coefficients * shares[:, vertex]
+        coefficients, lower = higher, lower + 1
+    return coefficients
+
+
 def jet(coefficients: Array, barycentric: Array, slopes: Array | None = None) -> Array:
     """Values, and gradients if the slopes of the barycentric coordinates are given, by de Casteljau's algorithm.
 

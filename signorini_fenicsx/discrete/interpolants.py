@@ -9,7 +9,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.bernstein import exponents
 from signorini_fenicsx.expressions import Tree, values
-from signorini_fenicsx.expressions.quadratics import Quadratic, edges, quadratic
+from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, edges, quadratic
 
 
 def edge_order(corners: int) -> list[int]:
@@ -28,6 +28,15 @@ def in_nodes(tree: Tree, vertices: Array, degree: int = 2) -> Array:
     """Values in the nodes of polynomials of a degree, as Basix numbers them, shape (n, nodes)."""
     shares = exponents(SIMPLEX[vertices.shape[1] - 1], degree) / degree
     return values(tree, shares @ vertices)
+
+
+def as_basix(p: Quadratic, vertices: Array) -> Array:
+    """The Bernstein coefficients of quadratics, in the order of Basix, shape (n, nodes)."""
+    corners = vertices.shape[1]
+    coefficients = bernstein(p, vertices)
+    in_order = np.empty_like(coefficients)
+    in_order[:, [*range(corners), *edge_order(corners)]] = coefficients
+    return in_order
 
 
 def quadratic_by(vertices: Array, coefficients: Array) -> Quadratic:

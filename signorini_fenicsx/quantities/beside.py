@@ -62,7 +62,7 @@ class Beside[Fields](ABC):
         self.comm = self.spaces.mesh.comm
         self.tau = 1.0
         self._solver: Solver | None = None
-        self._options = Options(tuning=solution.options.tuning)
+        self._options = Options(element=solution.options.element, tuning=solution.options.tuning)
 
     def interval(self) -> Quantity:
         """The interval (collective)."""

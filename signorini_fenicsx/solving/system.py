@@ -136,15 +136,15 @@ def system_on(domain: Domain, problem: Any) -> System:
     return system
 
 
-def refining(problem: Any, options: Options, *, measured: bool) -> tuple[Options, str]:
+def refining(problem: Any, options: Options) -> tuple[Options, str]:
     """The options with which a sorted problem is refined adaptively, and why not with an element of order two.
 
-    Options that name an element stay as they are. `measured` is whether quantities are wanted.
+    Options that name an element stay as they are.
     """
     choose = PHYSICS[problem.boundary.physics].refining
     if choose is None or options.element is not None:
         return options, ""
-    chosen: tuple[Options, str] = choose(problem, options, measured=measured)
+    chosen: tuple[Options, str] = choose(problem, options)
     return chosen
 
 

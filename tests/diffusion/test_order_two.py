@@ -28,6 +28,7 @@ from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
+from signorini_fenicsx.quantities import Energy, Flux, Integral, Mean
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
@@ -177,6 +178,24 @@ def test_ranks(name: str):
     assert together.contact == pytest.approx(alone.contact)
     for key, value in alone.errors().items():
         assert together.errors()[key] == pytest.approx(value, rel=1e-9, abs=1e-14)
+
+
+def test_quantities():
+    """Intervals that contain what finer meshes and exact solutions say, and are far shorter than those of RT0."""
+    kinds = {"mean": Mean(), "on top": Mean(parts="top"), "weighted": Integral(weight="exp(x)*y"), "energy": Energy()}
+    values = {"mean": 0.031421, "on top": 0.059185, "weighted": 0.032679, "energy": -0.089936}
+    lengths = {}
+    for element in ("RT0", "RT1"):
+        solution = on_grid("example1", 12, solve__element=element)
+        found = {name: solution.quantity(kind) for name, kind in kinds.items()}
+        lengths[element] = {name: quantity.width for name, quantity in found.items()}
+        assert all(
+            quantity.lower < values[name] < quantity.upper and quantity.proved for name, quantity in found.items()
+        )
+    assert all(lengths["RT1"][name] < lengths["RT0"][name] / 10 for name in kinds), lengths
+    flux = on_grid("regulator", 12, solve__element="RT1").quantity(Flux("bottom"))
+    assert flux.lower < 0.05 < flux.upper
+    assert flux.width < 0.04
 
 
 @pytest.mark.parallel([1, 2])

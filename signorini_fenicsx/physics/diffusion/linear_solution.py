@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part
@@ -72,10 +72,10 @@ class LinearSolution(Solution):
         """u_h in points, shape (n, points)."""
         return np.asarray(np.einsum("nqv,nv->nq", points.barycentric, cell_values(self.u)[points.rows]))
 
-    def trace_at(self, points: FacetPoints) -> Array:
-        """p_h in points of all facets of Γ_S, shape (facets, points)."""
-        hats = np.column_stack([1 - points.points.sum(axis=1), points.points])[:, self.spaces.contact.ranking]
-        return np.asarray(np.einsum("qfa,fa->fq", hats, self.p_at))
+    def trace_at(self, points: FacetPoints, rows: Indices | slice = slice(None)) -> Array:
+        """p_h in points of facets of Γ_S, by default of all, shape (facets, points)."""
+        hats = np.column_stack([1 - points.points.sum(axis=1), points.points])[:, self.spaces.contact.ranking[rows]]
+        return np.asarray(np.einsum("qfa,fa->fq", hats, self.p_at[rows]))
 
     @property
     def p_means(self) -> Array:

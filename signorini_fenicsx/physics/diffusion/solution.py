@@ -171,9 +171,9 @@ class Solution(AnySolution):
         """u_h in points, shape (n, points or 1)."""
         return self.u.x.array[points.cells, None]
 
-    def trace_at(self, points: FacetPoints) -> Array:
-        """p_h in points of all facets of Γ_S, shape (facets, points or 1)."""
-        return self.p_means[:, None]
+    def trace_at(self, points: FacetPoints, rows: Indices | slice = slice(None)) -> Array:
+        """p_h in points of facets of Γ_S, by default of all, shape (facets, points or 1)."""
+        return self.p_means[rows, None]
 
     @property
     def p_at(self) -> Array:

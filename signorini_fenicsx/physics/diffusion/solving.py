@@ -259,9 +259,9 @@ class LinearRun(DiffusionRun):
         )
 
 
-def refining(problem: Problem, options: Options, *, measured: bool) -> tuple[Options, str]:
+def refining(problem: Problem, options: Options) -> tuple[Options, str]:
     """The options with RT1 where it is there, else with RT0 and why."""
-    lacking = "there is no RT1 for quantities" if measured else _lacking(options, inside=problem.has_laws_inside)
+    lacking = _lacking(options, inside=problem.has_laws_inside)
     return replace(options, element="RT0" if lacking else "RT1"), lacking
 
 

@@ -14,27 +14,29 @@ import basix
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import AnyIndices, Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.certificate.laws import half_gap
 from signorini_fenicsx.contact.laws import Signorini
+from signorini_fenicsx.discrete.bernstein import jet, nodes
 from signorini_fenicsx.discrete.datum import DEGREES, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, FacetPoints, facet_quadrature, facet_type, in_cells, in_facets
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
+from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_on_gamma_s, gap_parts
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
 from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
-from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC
-from signorini_fenicsx.physics.diffusion.bound.near_quadratic import NearQuadratic
+from signorini_fenicsx.physics.diffusion.bound.near_polynomial import NearPolynomial
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import normal_flux
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.quantities.shifts import with_flux, with_trace
 from signorini_fenicsx.physics.diffusion.show.water import share_above_table
@@ -202,21 +204,23 @@ class Fluxes(_Beside):
     def _weighted(self, of_y: Admissible, enough: float) -> Array:
         """The flux of y' with a weight by text, and by how much it may be wrong, on this rank (collective)."""
         facets = np.unique(np.concatenate([self.domain.facets[part] for part in self.kind.parts]))
-        on, total = (
-            in_facets(self.spaces.mesh, facets, *basix.make_quadrature(facet_type(self.spaces.mesh.topology.dim), 0)),
-            np.zeros(2),
-        )
-        outward = -np.take_along_axis(on.slopes, on.local[:, None, None], axis=1)
-        outward /= np.linalg.norm(outward, axis=2, keepdims=True)
-        flux = (of_y.flux.at(on)[:, :1] * outward).sum(axis=2)
+        mesh, total = self.spaces.mesh, np.zeros(2)
+        on = in_facets(mesh, facets, nodes(facet_type(mesh.topology.dim), 1))
+        flux, middle = normal_flux(of_y.flux, on), on.vertices.mean(axis=1, keepdims=True)
+        slopes = barycentric_gradients(on.vertices).transpose(0, 2, 1)
+        measures = on.scale / math.factorial(mesh.topology.dim - 1)
+
+        def w(own: AnyIndices, x: Array) -> Array:
+            return jet(flux[own], 1 / on.vertices.shape[1] + (x - middle[own]) @ slopes[own])[:, :, 0]
+
         for tree, _ in self.weight.pieces or ():
             assert isinstance(tree, TREES)
             total += products(
                 tree,
                 on.vertices,
-                on.scale * on.weights.sum(),
-                lambda own, x: np.broadcast_to(flux[own], x.shape[:2]),
-                0,
+                measures,
+                w,
+                self.spaces.degree,
                 self.spaces.frame,
                 enough,
             ).total
@@ -236,16 +240,16 @@ class Integrals(beside.Integrals[Admissible], _Beside):
 
     def discrete(self) -> float:
         """The integral, or the mean, with u_h in cells and p_h, or the mean of u, on facets (collective)."""
-        u_h, sums = owned_values(self.solution.u), np.zeros(2)
+        solution, sums = self.solution, np.zeros(2)
         for points in self.where():
-            weights = points.integrals(self.weight.values(points))
-            u = _on_facets(self.solution, points) if isinstance(points, FacetPoints) else u_h[points.rows]
-            sums += weights @ u, weights.sum()
+            weight = self.weight.values(points)
+            u = _on_facets(solution, points) if isinstance(points, FacetPoints) else solution.u_at(points)
+            sums += points.integrals(weight * u).sum(), points.integrals(weight).sum()
         return self.of_sums(sums)
 
     def integral(self, of: Admissible, enough: float) -> Array:
         """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
-        near = NearQuadratic.of(of)
+        near = NearPolynomial.of(of)
         if not self.kind.parts:
             return near.integral(self.weight, self.cells, enough)
         inner, total = self.solution.boundary.inner, np.zeros(2)
@@ -293,7 +297,7 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
         hidden: What quadrature may miss of ‖κ^½∇v‖ on cells.
         enough: As in `products`.
     """
-    spaces, data, near = own.solution.spaces, own.solution.data, NearQuadratic.of(own)
+    spaces, data, near = own.solution.spaces, own.solution.data, NearPolynomial.of(own)
     cells, half, minus = owned_cells(spaces.mesh).astype(np.int64), np.array([0.5, 0.5]), np.array([-1.0, 1.0])
     total = half * near.of_gradient(hidden) + minus * near.integral(data.f, cells, enough)
     total += minus * near.on_facets(data.g_N, spaces.neumann_facets, enough)
@@ -301,7 +305,7 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
         total += half * near.integral(data.c, cells, enough, power=2)
     if data.memory is not None:
         load = data.memory.x.array
-        total[0] -= near.seen(lambda at, jet: load[at.cells, None] * jet[:, :, 0], cells, QUADRATIC).sum()
+        total[0] -= near.seen(lambda at, jet: load[at.cells, None] * jet[:, :, 0], cells, near.order).sum()
         total[1] += np.abs(load[cells]) * spaces.cell_measures @ near.off
     for part in () if data.inside is None else data.inside.of_regions:
 
@@ -313,7 +317,7 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
     return [float(each) for each in spaces.mesh.comm.allreduce(total + _of_laws(own, near, enough))]
 
 
-def _of_laws(own: Admissible, near: NearQuadratic, enough: float) -> Array:
+def _of_laws(own: Admissible, near: NearPolynomial, enough: float) -> Array:
     """The energies of the laws on Γ_S, and by how much they may be wrong, of this rank (collective)."""
     spaces, goal, total = own.solution.spaces, own.goal, np.zeros(2)
     degree = min(max(goal.degree(), degree_near(own.trace)), DEGREES[1])
@@ -337,38 +341,39 @@ def _of_energy(solution: Solution, goal: Goal) -> float:
     Here u is the function with the gradient κ_h⁻¹σ_h and the mean u_h on each cell.
     """
     spaces, data, mesh = solution.spaces, solution.data, solution.spaces.mesh
-    u, laws = owned_values(solution.u), () if data.inside is None else data.inside.of_regions
+    laws = () if data.inside is None else data.inside.of_regions
     given = (data.f, data.c, data.g_N, *(datum for part in (*laws, *goal.parts) for datum in part.data.values()))
     degree = quadrature_degree(*given)
     rule = positive_quadrature(mesh.basix_cell(), degree)
     metric = cell_metric(spaces, data)
     total = float(metric.squares(solution.cell_flux).sum()) / 2
     if data.memory is not None:
-        total -= float(spaces.cell_measures @ (owned_values(data.memory) * u))
+        total -= float(spaces.cell_measures @ (owned_values(data.memory) * solution.u_means))
     for points in in_cells(mesh, owned_cells(mesh), *rule):
         v = solution.cell_potential.at(points)
         total += points.integrals(data.c.values(points) * v**2 / 2 - data.f.values(points) * v).sum()
     for part in laws:
         for points in in_cells(mesh, part.rows.astype(np.int32), *rule):
-            values = np.broadcast_to(u[points.rows, None], points.shape)
+            values = np.broadcast_to(solution.u_at(points), points.shape)
             total += points.integrals(energies(part, points, values)).sum()
     loaded = facet_quadrature(mesh, spaces.neumann_facets, degree)
     total -= float(loaded.integrals(data.g_N.values(loaded)) @ _means(solution, loaded))
     for part in goal.parts:
         facets, flux_h = spaces.facets[part.rows], None if goal.plain else goal.flux_h[part.rows]
         on = facet_quadrature(mesh, facets, degree)
-        p = np.broadcast_to(solution.p.x.array[part.rows, None], on.shape)
+        p = np.broadcast_to(solution.trace_at(on, part.rows), on.shape)
         total += on.integrals(energies(part, on, p, flux_h)).sum()
     return float(mesh.comm.allreduce(total))
 
 
 def _on_facets(solution: Solution, points: FacetPoints) -> Array:
-    """p_h on the facets of Γ_S, inside the domain the jump, and the mean of u on others (collective)."""
-    u, facets = _means(solution, points), solution.spaces.facets
+    """The values p_h on the facets of Γ_S, inside the domain the jump, and the mean of u on others (collective)."""
+    facets = solution.spaces.facets
+    u = np.repeat(_means(solution, points)[:, None], points.shape[1], axis=1)
     order = np.argsort(facets)
     on_gamma_s = np.isin(points.facets, facets)
     rows = order[np.searchsorted(facets[order], points.facets[on_gamma_s])]
-    u[on_gamma_s] = solution.p.x.array[rows]
+    u[on_gamma_s] = solution.trace_at(points, rows)
     return u
 
 

@@ -1,9 +1,9 @@
-"""Integrals of data times an admissible v, with how wrong they may be: for v as a quadratic on each cell.
+"""Integrals of data times an admissible v, with how wrong they may be: for v as a polynomial on each cell.
 
-v is quadratic but for cells near Γ_D and near bounds of u, where it is r away from p = v_2 + v_1 of `conforming`.
-There r is within δ of a polynomial: u_D and the levels that v contains are within ρ of one, and where a bound b cuts v
-off, it changes v by at most sup (b − ℓ − p)_+. `products` encloses integrals of data e times p. If e is within ρ_e of a
-polynomial, a quadrature that is exact for products and squares of both polynomials has ∫er, but for
+v is quadratic, for RT1 cubic, but for cells near Γ_D and near bounds of u, where it is r away from p = v + v_1 of
+`conforming`. There r is within δ of a polynomial: u_D and the levels that v contains are within ρ of one, and where a
+bound b cuts v off, it changes v by at most sup (b − ℓ − p)_+. `products` encloses integrals of data e times p. If e is
+within ρ_e of a polynomial, a quadrature that is exact for products and squares of both polynomials has ∫er, but for
 
     2|T|^½ (δ(‖e‖ + 2ρ_e|T|^½) + ρ_e(‖r‖_Q + δ|T|^½)).
 """
@@ -15,27 +15,26 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import basix
 import dolfinx.mesh
 import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs
-from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.base.reference_cells import SIMPLEX, positive_quadrature
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, jet, raised
 from signorini_fenicsx.discrete.cell_shapes import Entities
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.interpolants import edge_order, in_nodes, quadratic_by, quadratic_of
+from signorini_fenicsx.discrete.interpolants import as_basix, in_nodes
 from signorini_fenicsx.discrete.points import CellPoints, cells_of_facets, facet_quadrature, in_cells
 from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import BESIDE, distances
 from signorini_fenicsx.expressions.products import EXACT, Products, products
-from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, interpolated
+from signorini_fenicsx.expressions.quadratics import barycentric_gradients, interpolated
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.tree import polynomial_degree
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
-from signorini_fenicsx.physics.diffusion.bound.mismatch import QUADRATIC
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST
 
 SHARP = 1e-3
@@ -47,55 +46,61 @@ CUT_OFFS = 2
 
 
 @dataclass(frozen=True)
-class NearQuadratic:
-    """An admissible v as quadratics.
+class NearPolynomial:
+    """An admissible v as polynomials.
 
     Integrals are arrays of two numbers, the value and its radius, of this rank. Those of data given in Python are by
     quadrature, without a radius.
 
     Attributes:
         own: Has v.
-        p: The quadratics on the owned cells.
+        p: The polynomials on the owned cells by their Bernstein coefficients, shape (cells, nodes).
         delta: δ, per owned cell.
         off: Bound of |r|.
         degree: Of the polynomials near r.
     """
 
     own: Admissible
-    p: Quadratic
+    p: Array
     delta: Array
     off: Array
     degree: int
 
     @classmethod
-    def of(cls, own: Admissible) -> NearQuadratic:
-        """The quadratics near the v of a solution (collective)."""
+    def of(cls, own: Admissible) -> NearPolynomial:
+        """The polynomials near the v of a solution (collective)."""
         spaces, data = own.solution.spaces, own.solution.data
         v = own.trace.v
-        coefficients = v.x.array[cell_dofs(v.function_space)] + _of_linear(own.trace.parts.moved)
-        p = quadratic_by(own.resolution.vertices, coefficients)
+        p = v.x.array[cell_dofs(v.function_space)] + _of_linear(own.trace.parts.moved, degree_of(v.function_space))
         of_u = spaces.length ** (1 - spaces.mesh.topology.dim / 2) / math.sqrt(data.conductance * spaces.length)
         return cls(own, p, *_beside(own, p, max(SHARP * own.resolution.error * of_u, SMALLEST)))
 
+    @property
+    def order(self) -> int:
+        """The degree of v."""
+        return degree_of(self.own.trace.v.function_space)
+
     def at(self, cells: AnyIndices, x: Array) -> Array:
-        """The quadratics and their gradients in points of owned cells, shape (n, points, 1 + d)."""
-        return self.p.of(cells).at(x - self.own.resolution.vertices[cells].mean(axis=1, keepdims=True))
+        """The polynomials and their gradients in points of owned cells, shape (n, points, 1 + d)."""
+        vertices = self.own.resolution.vertices[cells]
+        slopes = barycentric_gradients(vertices)
+        arms = x - vertices.mean(axis=1, keepdims=True)
+        return jet(self.p[cells], 1 / slopes.shape[1] + arms @ slopes.transpose(0, 2, 1), slopes)
 
     def integral(self, datum: Datum, cells: AnyIndices, enough: float, *, power: int = 1) -> Array:
         """The integral of a datum times v or v² over owned cells (collective); `enough` is as in `products`."""
         if datum.pieces is None:
-            degree = quadrature_degree(datum) + power * QUADRATIC
+            degree = quadrature_degree(datum) + power * self.order
             seen = self.seen(lambda at, jet: datum.values(at) * jet[:, :, 0] ** power, cells, degree)
             return np.array([seen.sum(), 0.0])
         total, measure, found = np.zeros(2), self.own.solution.spaces.cell_measures, np.zeros((2, len(self.off)))
         for tree, rows in _pieces(datum, cells):
             some = cells[rows]
-            of_tree = self._enclosed(tree, some, lambda jet: jet[:, :, 0] ** power, power * QUADRATIC, enough)
+            of_tree = self._enclosed(tree, some, lambda jet: jet[:, :, 0] ** power, power * self.order, enough)
             total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
         near = np.intersect1d(cells, self.own.trace.cells)
         if power == 2:
-            nodes = bernstein(self.p.of(near), self.own.resolution.vertices[near])
-            off = self.off[near] * (2 * np.abs(nodes).max(axis=1, initial=0.0) + self.off[near])
+            off = self.off[near] * (2 * np.abs(self.p[near]).max(axis=1, initial=0.0) + self.off[near])
             total[1] += (off * np.sqrt(measure[near])) @ found[0, near]
             return total
 
@@ -119,7 +124,7 @@ class NearQuadratic:
     def on_facets(self, datum: Datum, facets: Entities, enough: float, *, jump: bool = False) -> Array:
         """The integral of a datum times v over boundary facets; inside the domain of its jump (collective)."""
         spaces, trace, total = self.own.solution.spaces, self.own.trace, np.zeros(2)
-        degree = min(max(self._degree(datum), quadrature_degree(datum) + QUADRATIC, degree_near(trace)), DEGREES[1])
+        degree = min(max(self._degree(datum), quadrature_degree(datum) + self.order, degree_near(trace)), DEGREES[1])
         on, order = facet_quadrature(self._mesh, facets, degree), np.argsort(spaces.facets)
         sides, on_gamma_s = [on.cells], order[np.searchsorted(spaces.facets[order], facets)] if jump else order[:0]
         if jump:
@@ -146,7 +151,7 @@ class NearQuadratic:
                 def w(own: Indices, x: Array, some: Indices = some) -> Array:
                     return p(some[own], x)
 
-                of_tree = products(tree, on.vertices[some], measure[some], w, QUADRATIC, spaces.frame, enough)
+                of_tree = products(tree, on.vertices[some], measure[some], w, self.order, spaces.frame, enough)
                 total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
         rest = v - p(np.arange(len(facets)), on.x)
         seen, squares = on.integrals(datum.values(on) * rest), on.integrals(rest**2)
@@ -193,20 +198,19 @@ class NearQuadratic:
         )
 
 
-def _of_linear(function: fem.Function) -> Array:
-    """The coefficients of a linear function among quadratics on each cell, as Basix numbers them."""
-    values = function.x.array[cell_dofs(function.function_space)]
-    ends = np.array(basix.topology(function.function_space.mesh.basix_cell())[1])
-    return np.concatenate([values, values[:, ends].mean(axis=2)], axis=1)
+def _of_linear(function: fem.Function, degree: int) -> Array:
+    """The Bernstein coefficients of a linear function among polynomials of a degree, shape (cells, nodes)."""
+    shares = exponents(function.function_space.mesh.basix_cell(), degree) / degree
+    return np.asarray(function.x.array[cell_dofs(function.function_space)] @ shares.T)
 
 
-def _beside(own: Admissible, p: Quadratic, tolerance: float) -> tuple[Array, Array, int]:
+def _beside(own: Admissible, p: Array, tolerance: float) -> tuple[Array, Array, int]:
     """δ, the bound of |r|, and the degree of the polynomials near r (collective)."""
     vertices, parts, frame = own.resolution.vertices, own.trace.parts, own.solution.spaces.frame
-    cells, corners, degree = own.trace.cells.astype(np.int64), vertices.shape[1], QUADRATIC
+    cells, order = own.trace.cells.astype(np.int64), degree_of(own.trace.v.function_space)
     delta, off = np.zeros((2, len(vertices)))
-    x, order = vertices[cells], [*range(corners), *edge_order(corners)]
-    tops, enough = bernstein(p.of(cells), x), np.full(len(cells), tolerance)
+    x, tops, enough, degree = vertices[cells], p[cells], np.full(len(cells), tolerance), order
+    cell = SIMPLEX[vertices.shape[2]]
 
     def with_trees(datum: Datum, chi: fem.Function) -> Iterator[tuple[Tree, Indices]]:
         touched = chi.x.array[cell_dofs(chi.function_space)][cells].any(axis=1)
@@ -214,25 +218,27 @@ def _beside(own: Admissible, p: Quadratic, tolerance: float) -> tuple[Array, Arr
 
     for datum, chi in ((parts.u_D[0], parts.near_dirichlet), *((level, near) for level, _, near in parts.levels)):
         for tree, rows in with_trees(datum, chi):
-            off[cells[rows]] += BESIDE * distances(tree, x[rows], frame, enough[rows], QUADRATIC)
+            off[cells[rows]] += BESIDE * distances(tree, x[rows], frame, enough[rows], order)
             if is_polynomial(tree, MOST):
                 degree = max(degree, polynomial_degree(tree) or 0)
                 continue
             degree = max(degree, DEGREE)
             delta[cells[rows]] += distances(tree, x[rows], frame, enough[rows])
     for bound in parts.bounds:
-        depth = bound.depth * (1 - _of_linear(bound.near)[cells][:, order])
+        depth = bound.depth * (1 - _of_linear(bound.near, order)[cells])
         free = np.ones(depth.shape)
         for level, _, chi in parts.levels:
             if level is bound.datum:  # v is b but for (1 − χ)(b − I_hb) and what p is beside I_hb
-                free -= _of_linear(chi)[cells][:, order]
+                free -= _of_linear(chi, order)[cells]
         for tree, rows in with_trees(bound.datum, bound.near):
-            rho = BESIDE * distances(tree, x[rows], frame, enough[rows], QUADRATIC)[:, None]
-            nearest = (
-                (interpolated(tree, x[rows]), rho),
-                (quadratic_of(x[rows], in_nodes(tree, x[rows])), free[rows] * rho),
+            rho, quadratic = (
+                BESIDE * distances(tree, x[rows], frame, enough[rows], least)[:, None] for least in (order, 2)
             )
-            ends = [bound.sign * (bernstein(near, x[rows]) - tops[rows]) - depth[rows] + more for near, more in nearest]
+            nearest = (
+                (raised(as_basix(interpolated(tree, x[rows]), x[rows]), cell, order), quadratic),
+                (coefficients_of(in_nodes(tree, x[rows], order), cell), free[rows] * rho),
+            )
+            ends = [bound.sign * (near - tops[rows]) - depth[rows] + more for near, more in nearest]
             above = np.min([end.max(axis=1, initial=0.0) for end in ends], axis=0)
             delta[cells[rows]] += above
             off[cells[rows]] = np.maximum(off[cells[rows]], above)
