@@ -39,7 +39,7 @@ class Task(ABC):
         max_iterations: Iterations allowed.
         on_step: Called on all ranks after each iteration.
         backend: Makes the backend of the set rules.
-        start: A solution or segments to start from, on any mesh of the domain, or None.
+        start: Segments to start from, on any mesh of the domain, or None.
         predict: Whether the sets of large problems are predicted.
         coarser: Maps a factor > 1 to the same problem on a mesh that is coarser by this factor (collective; raises
             InputError if there is no such mesh); None if there are none.

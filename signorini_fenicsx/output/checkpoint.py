@@ -74,14 +74,14 @@ def load_solution(
         rows = _rows_of_facets(checkpoint, system.spaces)
     except InputError as error:
         raise InputError(f"{checkpoint.path}: is damaged: its mesh: {error}") from None
-    solution = checkpoint.keeping.read(posed, system.spaces, _stored(checkpoint, options, rows))
+    solution = checkpoint.keeping.read(posed, system.spaces, _stored(checkpoint, posed, options, rows))
     damage = _damage_of(checkpoint.about, solution)
     if damage is not None:
         raise InputError(f"{checkpoint.path}: is damaged: {damage}")
     return solution
 
 
-def _stored(checkpoint: Checkpoint, options: Options, rows: Indices) -> Stored:
+def _stored(checkpoint: Checkpoint, problem: Any, options: Options, rows: Indices) -> Stored:
     """What the physics makes a solution of."""
     about = checkpoint.about
     return Stored(
@@ -89,7 +89,8 @@ def _stored(checkpoint: Checkpoint, options: Options, rows: Indices) -> Stored:
         arrays=checkpoint.arrays,
         rows=rows,
         outcome=partial(Outcome, history=about.history, **{key: getattr(about, key) for key in OUTCOME}),
-        about={"name": about.name, "title": checkpoint.title, "source": checkpoint.case}
+        about={"problem": problem, "options": options, "step": about.step}
+        | {"name": about.name, "title": checkpoint.title, "source": checkpoint.case}
         | {key: getattr(about, key) for key in COSTS},
         own=checkpoint.own,
         step=about.step,

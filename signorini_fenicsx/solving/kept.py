@@ -32,7 +32,7 @@ class Stored:
         arrays: The rows of its arrays that this rank has read.
         rows: For each facet of Γ_S of this rank its row.
         outcome: How the solve ended, from the last solution and its conditions.
-        about: What else is known: name, title, source, timings, peak_memory.
+        about: Fields of `Solved`: problem, options, step, name, title, source, timings, peak_memory.
         own: The lists of numbers that `Keeping.own` names.
         step: Number of the step of a problem in time; None for others.
     """

@@ -10,11 +10,12 @@ from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, peak_memory
 from signorini_fenicsx.contact.history import OnStep
+from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.evolution import Evolution, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.system import Posed, Remesh, Wish, sorted_on, system_on, with_sides
+from signorini_fenicsx.solving.system import Posed, Remesh, Wish, check_start, sorted_on, system_on, with_sides
 
 
 class Solver[S: Solved]:
@@ -56,6 +57,7 @@ class Solver[S: Solved]:
     @collector_off()
     def steps(self, problem: Any, evolution: Evolution, start: Any = None) -> Steps:
         """The steps of a problem in time that is sorted, see `System.steps` (collective)."""
+        check_start(self._system, start, Solved)
         return self._system.steps(problem, evolution, start)
 
     @collector_off()
@@ -82,22 +84,24 @@ class Solver[S: Solved]:
             InputError: If the problem cannot be discretised as asked, or has other parts.
             NumericalFailure: If the sets do not settle or a residual is too large; its `solution` is the last state.
         """
-        wish = Wish(Options.of(options), start, remesh, memory, watch or Stopwatch(), on_step)
+        options, watch = Options.of(options), watch or Stopwatch()
         system, comm = self._system, self.spaces.mesh.comm
-        with wish.watch.phase("assembly"):
+        with watch.phase("assembly"):
             data = sorted_on(self.spaces.domain, problem)
             if with_sides(self.spaces.domain, problem) is not self.spaces.domain:
                 raise InputError("side: the named side of a part is not the one that the solver was set up for")
             if data.boundary.physics != system.boundary.physics:
                 raise InputError("problem: is of another physics than that which the solver was set up for")
-            run = system.prepared(data, wish)
+            check_start(system, start, Solved, Segments)
+            segments = start if isinstance(start, Segments | None) else start.segments()
+            run = system.prepared(data, Wish(options, segments, remesh, memory, watch, on_step))
         outcome = run.outcome()
-        with wish.watch.phase("kkt"):
+        with watch.phase("kkt"):
             outcome, kkt = run.judged(outcome)
             PETSc.garbage_cleanup(comm)  # in parallel PETSc frees objects only here
-        timings = wish.watch.longest(comm)
+        timings = watch.longest(comm)
         about = {"name": name, "title": title, "source": source, "timings": timings, "peak_memory": peak_memory(comm)}
-        given = {"problem": replace(data, boundary=system.boundary), "options": wish.options, "system": ref(system)}
+        given = {"problem": replace(data, boundary=system.boundary), "options": options, "system": ref(system)}
         solution: Any = run.solution(outcome, kkt=kkt, **given, **about)
         if not solution.converged:
             system.kept.forget()

@@ -33,7 +33,7 @@ class Wish:
 
     Attributes:
         options: Algorithm, backend and their parameters.
-        start: A solution, or segments of one, to start from; None for neither.
+        start: Segments to start from, or None.
         remesh: Makes coarser meshes; None if there are none.
         memory: What the step of a problem in time takes from those before, see `Steps.memory`.
         watch: Measures the phases.
@@ -182,15 +182,16 @@ def sorted_on(domain: Domain, problem: Any) -> Any:
     return sorted_problem
 
 
-def check_start(domain: Domain, start: Any, *kinds: type) -> None:
-    """Refuse a start that is none of these, or on another domain (collective).
+def check_start(system: System, start: Any, *kinds: type) -> None:
+    """Refuse a start that is none of these, of another physics, or on another domain (collective).
 
     Raises:
         InputError: If it is.
     """
     if start is None:
         return
-    if isinstance(start, Solved) and not isinstance(start, kinds):
+    domain = system.spaces.domain
+    if isinstance(start, Solved) and start.physics != system.boundary.physics:
         raise InputError(f"start: {start.name} is of another physics")
     check_kind("start", start, *kinds)
     if not same_domain(domain, start.spaces.domain):

@@ -13,11 +13,8 @@ def _read(problem, spaces, stored):
     load = stored.in_cells(spaces, "load")
     outcome, kkt = stored.outcome(*state(spaces, u)), residuals(problem, u, load)
     return Rested(
-        problem=problem,
-        options=stored.options,
         spaces=spaces,
         data=load,
-        step=stored.step,
         outcome=outcome,
         kkt=kkt,
         **stored.about,

@@ -78,14 +78,11 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     above = data.laws_at.own(data.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
     iterate = LinearIterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u, means=means)
     return LinearSolution(
-        problem=problem,
-        options=options,
         spaces=spaces,
         data=data,
         p=spaces.linear_multiplier(linear_from_means(p_means)),
         outcome=stored.outcome(iterate, law.conditions(segment)),
         kkt=linear_kkt(spaces, data, iterate, options.method.penalty, options.eps),
-        step=stored.step,
         **stored.about,
     )
 
@@ -110,14 +107,11 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     segment = law.nearest(condition.astype(np.int8), trace, flux)
     iterate, conditions = with_cells(spaces, data, iterate, segment, options.method.penalty, options.eps)
     return Solution(
-        problem=problem,
-        options=options,
         spaces=spaces,
         data=data,
         p=p,
         outcome=stored.outcome(iterate, conditions),
         kkt=kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps),
-        step=stored.step,
         **stored.about,
     )
 

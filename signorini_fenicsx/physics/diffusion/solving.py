@@ -46,7 +46,7 @@ from signorini_fenicsx.physics.diffusion.solve.solvability import check_solvabil
 from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.system import Remesh, Wish, check_start
+from signorini_fenicsx.solving.system import Remesh, Wish
 
 FARTHER = 10.0
 """A ψ so many times as far below u as u is large is replaced by a nearer one, if digits of u are lost otherwise."""
@@ -112,7 +112,7 @@ class System:
             on_step=wish.on_step,
             # with laws in Ω the cells are sites too
             backend=partial(self.kept.take, made_for, partial(_backend, options)),
-            start=wish.start.segments() if isinstance(wish.start, Solution) else wish.start,
+            start=wish.start,
             alone=_alone,
             predict=options.predict and (in_cells or len(spaces.part_names) > 0),  # else the problem is linear
             whole=in_cells,
@@ -140,7 +140,6 @@ class System:
         Raises:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
-        check_start(self.spaces.domain, start, Solution)
         return DiffusionSteps(self.spaces, problem, evolution, start)
 
 
@@ -334,7 +333,7 @@ def _check_same(boundary: Boundary, other: Boundary) -> None:
             )
 
 
-def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segments | None) -> None:
+def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None) -> None:
     """Make sure that there is a solution, that the method can find it, and that it can use this start (collective).
 
     Raises:
@@ -358,7 +357,6 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Solution | Segme
                 "alg1, alg2 and qp take every law"
             )
     _check_size(options, spaces)
-    check_start(spaces.domain, start, Solution, Segments)
     if start is not None and not method.starts_from_sets:
         usable = those(lambda other: other.starts_from_sets)
         raise InputError(f"{options.algorithm_name} has no facet sets to start from; {usable} have them")

@@ -100,14 +100,11 @@ def _read(problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored) -> Ela
         u=spaces.displacement(u),
     )
     return ElasticSolution(
-        problem=problem,
-        options=stored.options,
         spaces=spaces,
         data=data,
         outcome=stored.outcome(iterate, conditions),
         kkt=elastic_kkt(spaces, data, stresses, iterate.p),
         bound_changes=tuple(stored.own["bound_changes"]),
-        step=stored.step,
         **stored.about,
     )
 

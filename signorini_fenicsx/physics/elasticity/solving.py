@@ -13,7 +13,6 @@ from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.set_rules import SetRule
-from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.discrete.unjoined import note_facing
 from signorini_fenicsx.meshes.domain import Domain
@@ -33,7 +32,7 @@ from signorini_fenicsx.physics.elasticity.solve.slipping import is_large
 from signorini_fenicsx.physics.elasticity.solve.task import ElasticTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.system import Remesh, Wish, check_start
+from signorini_fenicsx.solving.system import Remesh, Wish
 
 MORE_WITH_FRICTION = 4
 """So many times the iterations of other problems are allowed for each bound in the plane, and in space for large μ."""
@@ -73,7 +72,6 @@ class System:
                 raise InputError(f"{key}: elastic contact has no such option")
         if problem.boundary != self.boundary or sorted(problem.rough) != self._rough:
             raise InputError("problem: has other parts, or others with friction, than the solver was set up for")
-        check_start(spaces.domain, wish.start, ElasticSolution, Segments)
         data = elastic_data(spaces, problem, wish.memory)
         check_against_foundation(spaces, data)
         data = replace(data, motions=check_rigid_motions(spaces, data))
@@ -86,7 +84,7 @@ class System:
             max_iterations=options.max_iterations or _most_iterations(spaces, data, options.method),
             on_step=wish.on_step,
             backend=partial(self.kept.take, options.tuning, partial(ElasticBackend, tuning=options.tuning)),
-            start=wish.start.segments() if isinstance(wish.start, ElasticSolution) else wish.start,
+            start=wish.start,
             predict=options.predict and len(spaces.part_names) > 0,  # else the problem is linear
             coarser=wish.remesh and partial(_coarser, wish.remesh, problem, wish),
             whole=True,
@@ -110,7 +108,6 @@ class System:
         Raises:
             InputError: If a text cannot be read, or the start is on another domain.
         """
-        check_start(self.spaces.domain, start, ElasticSolution)
         plain = Evolution(evolution.end, evolution.steps)
         if evolution != plain:
             raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
