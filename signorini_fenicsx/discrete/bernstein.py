@@ -63,10 +63,18 @@ def coefficients_of(values: Array, cell: basix.CellType) -> Array:
 
 
 @cache
+def to_values(cell: basix.CellType, degree: int) -> Array:
+    """The matrix from coefficients to values in the nodes; a 0 is exact, as values in vertices are coefficients."""
+    matrix = basis(cell, degree, nodes(cell, degree))
+    matrix[np.abs(matrix) < 1e-9] = 0.0
+    return matrix
+
+
+@cache
 def _from_values(cell: basix.CellType, number: int) -> Array:
     """The matrix from values in so many nodes to coefficients."""
     degree = next(degree for degree in range(1, number) if len(nodes(cell, degree)) == number)
-    matrix = np.linalg.inv(basis(cell, degree, nodes(cell, degree)))
+    matrix = np.linalg.inv(to_values(cell, degree))
     matrix[np.abs(matrix) < 1e-9] = 0.0
     return matrix
 

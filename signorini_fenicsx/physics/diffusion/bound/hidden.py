@@ -28,7 +28,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, degree_of, exponents, nodes_of
+from signorini_fenicsx.discrete.bernstein import coefficients_of, degree_of, exponents, to_values
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.interpolants import in_nodes, quadratic_of
@@ -245,7 +245,7 @@ def _on_dirichlet(spaces: Spaces, trace: Trace, cells: Indices) -> Array:
     space, dim = trace.v.function_space, spaces.mesh.topology.dim
     fixed = fem.locate_dofs_topological(space, dim - 1, spaces.dirichlet_facets)
     dofs = space.dofmap.list[cells]
-    values = trace.v.x.array[dofs] @ basis(spaces.mesh.basix_cell(), degree_of(space), nodes_of(space)).T
+    values = trace.v.x.array[dofs] @ to_values(spaces.mesh.basix_cell(), degree_of(space)).T
     return np.where(np.isin(dofs, fixed), values, np.nan)
 
 
