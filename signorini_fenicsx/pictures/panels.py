@@ -72,7 +72,7 @@ class Panel:
     ends: tuple[float, float, str] | None = None
     log: bool = False
     levels: Sequence[float] = ()
-    lines: tuple[Sequence[Array], Array] = ((), ())  # type: ignore[assignment]
+    lines: tuple[Sequence[Array], Sequence[Array] | Array] = (), ()
     only: Mask | None = None
     curves: Mapping[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
     of_jump: str = ""

@@ -221,7 +221,7 @@ class Space:
         elif panel.where is Where.OUTSIDE:
             surface = self.with_values(panel).extract_surface(algorithm=None)
             plotter.add_mesh(surface, scalars="values", **look)
-            for each in (each for each in self.scene.over if each.filled and len(each.points)):
+            for each in (each for each in self.scene.given or () if each.filled and len(each.points)):
                 corners = np.concatenate(each.points)
                 triangles = pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))
                 plotter.add_mesh(triangles, color=each.look["color"], opacity=0.35, lighting=False)

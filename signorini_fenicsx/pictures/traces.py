@@ -67,7 +67,10 @@ def _ends(along: Array, measure: Array) -> Array:
 
 
 def draw_trace(scene: Scene, axes: Axes, part: int, panel: Panel, named: Callable[[str], str]) -> None:
-    """The curves of a panel along a part, constant on each facet, or linear if its vertices are sites."""
+    """The curves of a panel along a part, constant on each facet, or linear if its vertices are sites.
+
+    They are, too, if the table has values `…_at` the vertices `x_at` of each facet, and x or y is along the part.
+    """
     name, table, rows = list(scene.labels)[part], scene.sites, scene.rows
     lines, label = pieces(scene, part)
     title = f"{panel.of_jump if panel.of_jump and name in scene.inside else panel.title} on {name}"
@@ -84,8 +87,12 @@ def draw_trace(scene: Scene, axes: Axes, part: int, panel: Panel, named: Callabl
             values = without_rounding(values)
             axes.plot(table.along[here], values[here], **look)
         for line in lines if rows.shape[1] == 1 else ():
-            of_line = values[rows[line.rows, 0]]
-            if "marker" in look:
+            of_line, at = values[rows[line.rows, 0]], getattr(table, f"{column}_at", None)
+            if at is not None and label in ("x", "y"):
+                x = table.x_at[line.rows][:, :, "xy".index(label)]
+                ordered = (np.take_along_axis(each, np.argsort(x, axis=1), axis=1) for each in (x, at[line.rows]))
+                axes.plot(*(each.ravel() for each in ordered), **look)
+            elif "marker" in look:
                 some = slice(None, None, 1 + len(of_line) // MARKERS)
                 axes.plot(((line.ends[1:] + line.ends[:-1]) / 2)[some], of_line[some], **look)
             else:
