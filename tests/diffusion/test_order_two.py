@@ -18,6 +18,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Signorini
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.mesh_spaces import assembled
@@ -25,9 +26,11 @@ from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, tra
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.output.writing import Found, write_solution
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
+from signorini_fenicsx.pictures.plane import Plane
+from signorini_fenicsx.pictures.scene import gathered_scene
 from signorini_fenicsx.quantities import Energy, Flux, Integral, Mean
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
@@ -246,3 +249,17 @@ def test_refused_in_python():
         solution.linearised(1e-8)
     held = Diffusion(f=-1.0, conditions=[Dirichlet("bottom", "x"), Signorini("top")])
     assert solve(build_domain(COMM, "square", 1 / 4, mesh="unstructured"), held, RT1).converged
+
+
+@pytest.mark.parallel([1])
+def test_a_law_is_reported_and_drawn(capsys: pytest.CaptureFixture[str]):
+    """Vertices on each segment are counted, and traces are linear on each facet."""
+    solution = solve_case(load_case("wall").with_values({"solve.h": 0.25, "solve.element": "RT1"}))
+    SolutionReport().solution(solution, Found())
+    assert "vertices on each segment: inflow" in capsys.readouterr().out
+    scene = gathered_scene(solution)
+    assert scene is not None
+    flux = Plane(scene).sheet(scene.pictures.files(scene)["signorini"][1]).axes[1].lines[0]
+    x = scene.sites.x_at[..., 0]
+    np.testing.assert_array_equal(flux.get_xdata(), np.sort(x, axis=1).ravel())
+    assert sorted(flux.get_ydata()) == sorted(scene.sites.flux_at.ravel())

@@ -187,8 +187,9 @@ def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
         counts = ", ".join(f"{name} {count['cells']}" for name, count in segments.items())
         lines[f"in Ω, {law}"] = f"cells on each segment: {counts}"
     for part, segments in summary.get("segments", {}).items():
-        counts = ", ".join(f"{name} {count['facets']}" for name, count in segments.items())
-        lines[f"on {part}"] = f"facets on each segment: {counts}"
+        sites = "facets" if "facets" in next(iter(segments.values())) else "vertices"  # of RT1
+        counts = ", ".join(f"{name} {count[sites]}" for name, count in segments.items())
+        lines[f"on {part}"] = f"{sites} on each segment: {counts}"
     if "violation" in summary:
         left = named({VIOLATIONS[name]: value for name, value in summary["violation"].items()}, ".3e")
         lines["ε"] = f"{summary['eps']:g} leaves {left}"
