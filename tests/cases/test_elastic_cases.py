@@ -14,12 +14,13 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import quantities_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.comparison import compare, differences
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.elasticity.case import ElasticCase
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.show.differences import ElasticDifferences
@@ -295,3 +296,15 @@ def test_problems_given_in_python_are_saved(tmp_path: Path):
     assert isinstance(read, ElasticSolution)
     assert list(read.problem.laws) == list(problem.laws)
     assert read.norms() == pytest.approx(solution.norms(), rel=1e-12)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("example1", Case), ("hertz", ElasticCase)])
+def test_a_run_reads_and_sorts_its_problem_once(name: str, kind: type, monkeypatch: pytest.MonkeyPatch):
+    """Also where it is measured: the texts of a case are not read again by checks, the bound and quantities."""
+    case = load_case(name).with_values({"solve.h": 0.5, "quantity": [{"name": "mean", "kind": "energy"}]})
+    posed, made = kind.posed, list[object]()
+    monkeypatch.setattr(kind, "posed", lambda *given: made.append(posed(*given)) or made[-1])
+    solution = solve_case(case, COMM)
+    assert certify(solution).guaranteed
+    assert quantities_of(solution)["mean"].guaranteed
+    assert len(made) == 1
