@@ -16,7 +16,7 @@ from pdas import Result, kkt_residual, primal_dual_active_set
 type Array = np.ndarray
 type Solve = Callable[[Array, Array, Array], Array]
 """Solves for a right side in all unknowns with those that are free, from a first guess; gives the values of these."""
-KKT = 1e-8
+KKT = 1e-6
 """Larger residuals are none of a solution."""
 OF_NGSOLVE = 4.0, -4.0
 """The shares of NGSolve's functions of edges, of which each is half of −λ₁λ₂."""
