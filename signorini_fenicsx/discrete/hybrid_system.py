@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.discrete.matrices import identity_with, of_cells
+from signorini_fenicsx.discrete.matrices import OfCells, identity_with, of_cells
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,10 @@ class Eliminated:
     Attributes:
         cells: Which cells.
         geometry: Their shapes, as `HybridSystem.fields` needs them.
-        matrix: Shape (cells, n, n).
+        matrix: Shape (cells, n, n); `kept` cells have none, as it is assembled.
         load: What f adds to the right side, shape (cells, n).
-        flux: Coefficients of σ for each unknown, shape (cells, basis, n).
+        flux: Coefficients of σ for each unknown, shape (cells, basis, n), or of the fluxes of divergence 0 alone, where
+            the others have none.
         flux_of_f: Those without x, shape (cells, basis).
         u: Coefficients of u for each unknown, one for each flux that is not of divergence 0, shape (cells, m, n).
         u_of_f: Those without x, shape (cells, m).
@@ -89,6 +90,10 @@ class Eliminated:
     flux_of_f: Array
     u: Array
     u_of_f: Array
+
+    def kept(self) -> Eliminated:
+        """What it takes to recover, without the matrix."""
+        return replace(self, matrix=np.empty(0))
 
 
 def eliminate(
@@ -114,8 +119,7 @@ def eliminate(
     if reaction is not None:
         return _with_reaction(cells, geometry, tractions, product, balance, functional, reaction)
     functional = np.broadcast_to(functional, product.shape[:2])
-    count, rest = balance.shape
-    free = product.shape[1] - rest
+    free = product.shape[1] - balance.shape[1]
     of_free, of_rest = tractions[:, :, :free], tractions[:, :, free:]
     coupled = product[:, free:, :free]
     reduced = functional[:, :free] - np.einsum("nmf,nm->nf", coupled, balance)
@@ -130,7 +134,7 @@ def eliminate(
         geometry=geometry,
         matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
         load=-np.einsum("nib,nb->ni", of_free, flux_of_f) - np.einsum("nib,nb->ni", of_rest, balance),
-        flux=np.concatenate([flux, np.zeros((count, rest, flux.shape[2]))], axis=1),
+        flux=flux,
         flux_of_f=np.concatenate([flux_of_f, balance], axis=1),
         u=of_rest.transpose(0, 2, 1) - coupled @ flux,
         u_of_f=u_of_f,
@@ -166,7 +170,7 @@ def _with_reaction(
         geometry=geometry,
         matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
         load=without.load - np.einsum("nmi,nm->ni", without.u, given),
-        flux=without.flux + of_flux @ (reaction @ u),
+        flux=np.pad(without.flux, ((0, 0), (0, units.shape[0]), (0, 0))) + of_flux @ (reaction @ u),
         flux_of_f=without.flux_of_f + np.einsum("nbm,nm->nb", of_flux, given),
         u=u,
         u_of_f=u_of_f,
@@ -195,11 +199,16 @@ class HybridSystem(ABC):
         """
         self._traces, self._dofs, self._sides = traces, dofs, sides
         self._numbers, self._size = traces.dofmap.index_map, traces.dofmap.index_map_bs
-        self._blocks = list(self.eliminated())
-        parts = ((dofs[block.cells], block.matrix) for block in self._blocks)
-        matrix = of_cells(traces.mesh.comm, self._numbers, self._size, *parts)
+        self._blocks = list[Eliminated]()
+        matrix = of_cells(traces.mesh.comm, self._numbers, self._size, [dofs], self._parts())
         jumps = sides.matrix(traces)
         self.matrix: PETSc.Mat = matrix if jumps is None else matrix.ptap(jumps)
+
+    def _parts(self) -> Iterator[OfCells]:
+        """The matrices of the cells, block by block, of which the rest is kept (collective)."""
+        for block in self.eliminated():
+            self._blocks.append(block.kept())
+            yield self._dofs[block.cells], block.matrix
 
     @abstractmethod
     def eliminated(self, *loads: Any) -> Iterator[Eliminated]:
@@ -213,15 +222,24 @@ class HybridSystem(ABC):
     def forces(self, sigma: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown q, from σ as `recover` gives it (collective)."""
 
-    def load_of(self, blocks: Sequence[Eliminated], lift: Array) -> Array:
+    def eliminate_again(self) -> None:
+        """Eliminate with other data and the same matrix (collective)."""
+        self._blocks = []  # both would take twice the memory
+        self._blocks = [block.kept() for block in self.eliminated()]
+
+    def load_of(self, blocks: Sequence[Eliminated], lift: Array | None = None) -> Array:
         """The right side for x − lift, without given fluxes: owned entries (collective)."""
-        load, lift = la.vector(self._numbers, self._size), self._sides.values(lift)
+        load = la.vector(self._numbers, self._size)
         for block in blocks:
-            unknowns = self._unknowns(block.cells)
-            of_cell = block.load - np.einsum("nij,nj->ni", block.matrix, lift[unknowns])
-            load.array[:] += np.bincount(unknowns.ravel(), of_cell.ravel(), len(load.array))
+            load.array[:] += np.bincount(self._unknowns(block.cells).ravel(), block.load.ravel(), len(load.array))
         load.scatter_reverse(la.InsertMode.add)
-        return self._sides.forces(load.array[: self._size * self._numbers.size_local])
+        forces = self._sides.forces(load.array[: self._size * self._numbers.size_local])
+        if lift is not None:
+            x, image = self.matrix.createVecs()
+            x.array_w[:] = lift[: len(forces)]
+            self.matrix.mult(x, image)
+            forces -= image.array_r
+        return forces
 
     def recover(
         self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None
@@ -238,7 +256,8 @@ class HybridSystem(ABC):
         def parts() -> Iterator[tuple[Eliminated, Array, Array]]:
             for block in self._blocks if blocks is None else blocks:
                 own = x[self._unknowns(block.cells)]
-                flux = np.einsum("nbi,ni->nb", block.flux, own) + with_f * block.flux_of_f
+                flux, varying = with_f * block.flux_of_f, block.flux.shape[1]
+                flux[:, :varying] += np.einsum("nbi,ni->nb", block.flux, own)
                 yield block, flux, np.einsum("nmi,ni->nm", block.u, own) + with_f * block.u_of_f
 
         return self.fields(parts())
@@ -254,7 +273,7 @@ class HybridSystem(ABC):
             σ and u as `recover` gives them, and x.
         """
         blocks = list(self.eliminated(*loads))
-        x = solve(self.load_of(blocks, np.zeros(self._size * (self._numbers.size_local + self._numbers.num_ghosts))))
+        x = solve(self.load_of(blocks))
         return *self.recover(x, blocks=blocks), x
 
     def everywhere(self, owned: Array) -> Array:

@@ -1,5 +1,7 @@
 """Sparse matrices: for changes of unknowns, and sums of the matrices of cells."""
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx import common, la
@@ -45,7 +47,9 @@ def identity_with(
     return matrix
 
 
-def of_cells(comm: MPI.Intracomm, numbers: common.IndexMap, block: int, *parts: OfCells) -> PETSc.Mat:
+def of_cells(
+    comm: MPI.Intracomm, numbers: common.IndexMap, block: int, nodes: Sequence[Nodes], parts: Iterable[OfCells]
+) -> PETSc.Mat:
     """The sum of matrices of cells (collective).
 
     Its entries are counted by blocks, and PETSc adds up the values: sorted one by one, they take four times as long.
@@ -54,11 +58,12 @@ def of_cells(comm: MPI.Intracomm, numbers: common.IndexMap, block: int, *parts: 
         comm: The mesh's communicator. That of `numbers` is another one, which nobody asks PETSc to clean up.
         numbers: The nodes.
         block: Number of unknowns of each.
-        parts: The cells, each of them by one rank.
+        nodes: Those of all cells of this rank.
+        parts: The cells, each of them by one rank; they are asked for one after the other and not kept.
     """
     own = numbers.size_local
     count, sizes = own + numbers.num_ghosts, (block * own, block * numbers.size_global)
-    keys = [(nodes[:, :, None].astype(np.int64) * count + nodes[:, None]).ravel() for nodes, _ in parts]
+    keys = [(each[:, :, None].astype(np.int64) * count + each[:, None]).ravel() for each in nodes]
     ascending = np.sort(np.concatenate(keys))
     rows, columns = np.divmod(ascending[np.diff(ascending, prepend=-1) > 0], count)
     owners = np.append(np.full(own, comm.rank), numbers.owners)
@@ -71,8 +76,8 @@ def of_cells(comm: MPI.Intracomm, numbers: common.IndexMap, block: int, *parts: 
     matrix.setType("aij")
     matrix.setPreallocationNNZ(tuple(most.astype(PETSc.IntType).repeat(block, axis=0).T))
     matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, True)  # said on all ranks, even without a row
-    for nodes, matrices in parts:
-        add_of_cells(matrix, numbers, nodes, matrices)
+    for part in parts:
+        add_of_cells(matrix, numbers, *part)
     matrix.assemble()
     return matrix
 

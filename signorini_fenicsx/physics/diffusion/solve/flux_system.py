@@ -38,7 +38,7 @@ class FluxSystem(HybridSystem):
         if not data.same_operator(self._data, self.spaces) or data.kappa is not self._data.kappa:
             return False
         self._data = data
-        self._blocks = list(self.eliminated())
+        self.eliminate_again()
         self._take_loads()
         return True
 

@@ -214,7 +214,7 @@ class BestDisplacement:
         inside = self._condensed = condensed(self.split, self.space, left, material, self._given.frames, forces)
         coupling = self._nodes, np.zeros((len(self._nodes), 2 * dim, 2 * dim))
         parts = ((inside.around, inside.matrices), *self._springs(), coupling)
-        self._natural = of_cells(self.comm, self._numbers, dim, *parts)
+        self._natural = of_cells(self.comm, self._numbers, dim, [nodes for nodes, _ in parts], parts)
         own = left.of_space[:size]
         self._lift, load = self._given.values[own].ravel(), inside.load
         image = self.times(self._lift)

@@ -58,7 +58,7 @@ class ElasticSystem(HybridSystem):
         self.spaces.mesh.comm.Allreduce(MPI.IN_PLACE, same, MPI.LAND)
         if same[0] and not same[1]:
             self._take(data)
-            self._blocks = list(self.eliminated())
+            self.eliminate_again()
         if same[0]:
             self._take_loads()
         return bool(same[0])
