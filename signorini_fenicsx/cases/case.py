@@ -1,6 +1,7 @@
 """Cases: the problem, its domain and its algorithm, read from TOML and validated before anything runs."""
 
 import os
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,8 +96,6 @@ class CaseFile(Section):
     law: Annotated[Sequence[Any], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: DataSection
     exact: DataSection
-    costs: ClassVar[Mapping[int, Cost]]
-    """What it costs to solve it, by dimension."""
     inner_needs: ClassVar[str] = "a [[law]] between the jump of u and σ·n"
     """What a part inside the domain needs, in words."""
     held: ClassVar[str] = "u = u_D"
@@ -144,6 +143,11 @@ class CaseFile(Section):
     def last_time(self) -> float | None:
         """The end of a problem in time; None for others."""
         return None if self.time is None else self.time.end
+
+    @property
+    @abstractmethod
+    def costs(self) -> Mapping[int, Cost]:
+        """What it costs to solve it, by dimension."""
 
     @property
     def steps(self) -> int:

@@ -41,7 +41,7 @@ class Expected:
         regions: For each region of a mesh file the number of its cells.
         cells: Number of cells.
         facets: Number of facets.
-        unknowns: Unknowns of the linear system: one per facet in the hybrid backend, d² in elasticity.
+        unknowns: Unknowns of the linear system: one per facet in the hybrid backend, d with RT1, d² in elasticity.
         exact: Whether the numbers are those of the mesh, not estimates.
         memory: Bytes for all ranks together.
         solver_seconds: Seconds from the assembled problem to the solution; in time for all steps together.

@@ -17,6 +17,7 @@ from random_laws import random_problem
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.inspection import expected
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.cli.solution_report import SolutionReport
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Signorini
@@ -24,6 +25,7 @@ from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.memory import PROCESS_BYTES
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import Found, write_solution
@@ -240,6 +242,16 @@ def test_command_line(tmp_path: Path):
         assert ended.returncode == 2
         assert told in ended.stderr, ended.stderr
         assert not (tmp_path / "refused").exists()
+
+
+def test_forecast():
+    """Of RT1 more is expected than of RT0: an unknown for each vertex of a facet, and their memory."""
+    for name, dim in (("example1", 2), ("transition3d", 3)):
+        case = load_case(name)
+        before, after = (expected(case.with_values({"solve.element": element}), 1) for element in ("RT0", "RT1"))
+        assert after.unknowns == dim * before.unknowns == dim * before.facets
+        assert after.memory > 3 * before.memory - 2 * PROCESS_BYTES
+        assert after.solver_seconds > before.solver_seconds
 
 
 def test_refused_in_python():

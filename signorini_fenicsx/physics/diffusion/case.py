@@ -24,9 +24,14 @@ from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_secti
 from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.solving.evolution import SCHEMES
+from signorini_fenicsx.solving.options import ELEMENTS
 
-COSTS = {2: Cost(1, BYTES_PER_FACET[2], 177e3, 5e4), 3: Cost(1, BYTES_PER_FACET[3], 196e3, 5e4)}
-"""Of diffusion by alg1 to alg4 with the hybrid backend, on at least 395 000 facets; see docs/measured/speed.md."""
+COSTS = {
+    "RT0": {2: Cost(1, BYTES_PER_FACET[2], 177e3, 5e4), 3: Cost(1, BYTES_PER_FACET[3], 196e3, 5e4)},
+    "RT1": {2: Cost(2, 4600, 35e3, 15e3), 3: Cost(3, 5800, 11e3, 6e3)},
+}
+"""Of diffusion by alg1 to alg4 with the hybrid backend, by element; of RT0 on at least 395 000 facets, see
+docs/measured/speed.md, of RT1 on 170 000 to 200 000 facets, where seconds are an order of magnitude."""
 
 type CapacityText = str | dict[str, Any]
 
@@ -137,7 +142,6 @@ class Case(CaseFile):
     """One Signorini problem, its discretisation and its algorithm."""
 
     PHYSICS: ClassVar[str] = "diffusion"
-    costs = COSTS
     first_words = tuple(LAWS)
     first_data = FIRST_DATA
     boundary: Boundary = Boundary()
@@ -169,6 +173,11 @@ class Case(CaseFile):
             if texts.kind == "storage" and self.time is None:
                 raise ValueError(f"law.{i}: the law 'storage' needs [time]")
         return self
+
+    @property
+    def costs(self) -> Mapping[int, Cost]:
+        """What it costs to solve it with its element, by dimension."""
+        return COSTS[self.solve.element or ELEMENTS[0]]
 
     @property
     def _stores(self) -> bool:

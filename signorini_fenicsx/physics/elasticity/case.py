@@ -193,7 +193,6 @@ class ElasticCase(CaseFile):
         """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
         return {"contact_force": ("force", 11, ".5g")} | super().columns_of_step
 
-    costs = COSTS
     first_words = (*WITH_CONTACT, SYMMETRIC, *NORMAL)
     first_listed = tuple(WITH_CONTACT)
     first_data = FIRST_DATA
@@ -201,6 +200,11 @@ class ElasticCase(CaseFile):
     inner_needs = "contact: list it there as well, or in a [[law]]"
     held = "clamped, u = u_D"
     is_vector = True
+
+    @property
+    def costs(self) -> Mapping[int, Cost]:
+        """What it costs to solve it, by dimension."""
+        return COSTS
 
     @property
     def states(self) -> tuple[str, str]:
