@@ -258,5 +258,6 @@ def gap_on_gamma_s(
     pressure = None
     if part is not None:
         excess = law_gap.load.values[part.rows] + on.flux_at(at.points)[part.rows] - q_S
-        pressure = Pressure(part.key("psi"), part.data["psi"], facets, excess.max(axis=1, initial=0.0))
+        free = ~trace.parts.is_on(part.data["psi"], facets.facets)  # elsewhere v − ψ is 0
+        pressure = Pressure(part.key("psi"), part.data["psi"], facets, free * excess.max(axis=1, initial=0.0))
     return law_gap.per_cell(number), [] if goal.keeps_flux else law_gap.loads(spaces), pressure

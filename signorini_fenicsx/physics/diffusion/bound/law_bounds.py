@@ -11,11 +11,13 @@ import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.contact.law import Values
 from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.discrete.bernstein import nodes_of
+from signorini_fenicsx.discrete.cell_shapes import Entities
+from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside
@@ -144,6 +146,18 @@ class LawTrace:
             across, order = points.across(spaces.inner.rows, spaces.inner.facets)
             values[spaces.inner.rows] -= np.take_along_axis(self._on_facets(across), order, axis=1)
         return values
+
+    def is_on(self, datum: Datum, facets: Entities) -> Mask:
+        """The boundary facets of some where the bound is this level itself, but for rounding (collective)."""
+        size = self.v.function_space.mesh.comm.allreduce(float(np.abs(self.v.x.array).max(initial=0.0)), MPI.MAX)
+        vertices = facet_nodes(self.moved.function_space, facets)
+        others = [near for level, _, near in self.levels if level is not datum]
+        held = [(near.x.array[vertices] == 1).all(axis=1) for level, _, near in self.levels if level is datum]
+        apart = [
+            (np.abs(each.x.array[vertices]) > ROUNDING * size).any(axis=1)
+            for each in (self.moved, self.near_dirichlet, *others)
+        ]
+        return np.any(held, axis=0) & ~np.any(apart, axis=0) if held else np.zeros(len(facets), dtype=bool)
 
     def _on_facets(self, points: FacetPoints) -> Array:
         if self.u_D[0].number is not None:
