@@ -1,6 +1,6 @@
 """Tests the certified bound on random problems against solutions on the mesh refined twice: sharp, and never too low.
 
-uv run python scripts/random_bounds.py --seeds 100 --jumps aligned        (also under mpirun)
+uv run python scripts/random_bounds.py --seeds 100 --jumps aligned [--element RT1]        (also under mpirun)
 
 A seed chooses shape, mesh and boundary parts as `random_problems.py` does, sometimes without Γ_D, a smooth or rough f,
 and waves for u_D ≥ ψ, ψ, q_S and g_N. κ is 1 (`none`), or jumps between 1 and 1e6: between coarse cells (`aligned`), or
