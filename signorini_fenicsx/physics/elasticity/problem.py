@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -169,7 +169,24 @@ class Support(OnParts):
 
 
 @dataclass(frozen=True)
-class Elasticity:
+class Body:
+    """What a problem of elasticity has wherever its conditions are, see `Elasticity`."""
+
+    young: GivenModulus
+    poisson: GivenModulus
+    f: GivenVector | None = None
+    u_D: GivenVectorByPart | None = None
+    plane: str = Plane.STRAIN
+    exact: GivenVector | None = None
+    _: KW_ONLY
+    shear: GivenModulus | None = None
+    axes: GivenAxes | None = None
+    eigenstrain: GivenMatrix | None = None
+    initial_stress: GivenMatrix | None = None
+
+
+@dataclass(frozen=True)
+class Elasticity(Body):
     """−∇·σ = f, σ = ℂε(u), with a condition on each part of the boundary; u = u_D where there is none.
 
     The conditions are `Dirichlet`, also in some components, `Neumann`, `Pressure`, `Support`, `Contact`, and other laws
@@ -198,17 +215,8 @@ class Elasticity:
         InputError: If `conditions` is not a list of them, or a part has two.
     """
 
-    young: GivenModulus
-    poisson: GivenModulus
-    f: GivenVector | None = None
     u_D: GivenVector | None = None
-    plane: str = Plane.STRAIN
-    exact: GivenVector | None = None
     conditions: Sequence[OnParts] = ()
-    shear: GivenModulus | None = None
-    axes: GivenAxes | None = None
-    eigenstrain: GivenMatrix | None = None
-    initial_stress: GivenMatrix | None = None
 
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
@@ -256,7 +264,7 @@ class Elasticity:
         u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
-        same = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("u_D", "conditions")}
+        same = {each.name: getattr(self, each.name) for each in fields(Body) if each.name != "u_D"}
         return ElasticProblem(
             **same,
             boundary=boundary,
@@ -327,7 +335,7 @@ class ElasticBoundary:
 
 
 @dataclass(frozen=True)
-class ElasticProblem:
+class ElasticProblem(Body):
     """−∇·σ = f, σ = ℂε(u), u = u_D on Γ_D, σn = g_N on Γ_N; u_n ≤ g, σ_nn ≤ 0, one of them equal, σ_t = 0 on Γ_C.
 
     Attributes:
@@ -356,22 +364,12 @@ class ElasticProblem:
         boundary: The parts of Γ_C, of Γ_N, and fixed in some components; those of laws are added to Γ_C.
     """
 
-    young: GivenModulus
-    poisson: GivenModulus
-    f: GivenVector | None = None
-    u_D: GivenVectorByPart | None = None
     g_N: GivenVectorByPart | None = None
     pressure: GivenByPart = field(default_factory=dict)
     support: GivenSupports = field(default_factory=dict)
     gap: Given | Mapping[str, Given] = 0.0
     surface: Mapping[str, str | Path] = field(default_factory=dict)
-    plane: str = Plane.STRAIN
-    exact: GivenVector | None = None
     laws: Sequence[ElasticLaw] = ()
-    shear: GivenModulus | None = None
-    axes: GivenAxes | None = None
-    eigenstrain: GivenMatrix | None = None
-    initial_stress: GivenMatrix | None = None
     force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     boundary: ElasticBoundary = field(default_factory=ElasticBoundary)
