@@ -1,7 +1,7 @@
 """A diffusion problem as the user gives it, and sorted by the kinds of its boundary."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 from signorini_fenicsx.base.arguments import check_kind
@@ -17,7 +17,19 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Diffusion:
+class Scalar:
+    """What a problem of diffusion has wherever its conditions are, see `Diffusion`."""
+
+    f: GivenByRegion
+    kappa: GivenMatrix = 1.0
+    c: GivenByRegion = 0.0
+    u_D: Given = 0.0
+    obstacle: Given | None = None
+    exact: GivenByRegion | None = None
+
+
+@dataclass(frozen=True)
+class Diffusion(Scalar):
     """−∇·(κ∇u) + cu + s = f, with a condition on each part of the boundary; u = u_D where there is none.
 
     With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω, with equality in one of them. The conditions are
@@ -39,12 +51,6 @@ class Diffusion:
         InputError: If `conditions` is not a list of them, or a part has two.
     """
 
-    f: GivenByRegion
-    kappa: GivenMatrix = 1.0
-    c: GivenByRegion = 0.0
-    u_D: Given = 0.0
-    obstacle: Given | None = None
-    exact: GivenByRegion | None = None
     conditions: Sequence[Law] = ()
 
     def __post_init__(self) -> None:
@@ -84,12 +90,12 @@ class Diffusion:
         laws = [law for law in laws if law is not own]
         parts = [*own.parts, *(part for law in laws for part in law.parts)]
         boundary = Boundary(parts, neumann, [part for part in parts if other_side(part) in domain.parts])
-        data = self.f, self.kappa, u_D, flux, own.psi, own.q_S, self.c, self.obstacle, self.exact
-        return Problem(*data, tuple(laws), boundary)
+        data = {each.name: getattr(self, each.name) for each in fields(Scalar)}
+        return Problem(**data | {"u_D": u_D}, g_N=flux, psi=own.psi, q_S=own.q_S, laws=tuple(laws), boundary=boundary)
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Scalar):
     """−∇·(κ∇u) + cu = f, u = u_D on Γ_D, κ∇u·n = g_N on Γ_N; on Γ_S u ≥ ψ and κ∇u·n ≥ q_S, with equality in one.
 
     On the parts of `laws` these hold instead of ψ and q_S. With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω,
@@ -112,15 +118,9 @@ class Problem:
         InputError: If `laws` is not a list of laws, or `boundary` is something else.
     """
 
-    f: GivenByRegion
-    kappa: GivenMatrix = 1.0
-    u_D: Given = 0.0
     g_N: Given = 0.0
     psi: Given = 0.0
     q_S: Given = 0.0
-    c: GivenByRegion = 0.0
-    obstacle: Given | None = None
-    exact: GivenByRegion | None = None
     laws: Sequence[Law] = ()
     boundary: Boundary = field(default_factory=Boundary)
 
