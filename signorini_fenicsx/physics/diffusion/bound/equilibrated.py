@@ -163,6 +163,8 @@ def _within(spaces: Spaces, limits: Limits, y: fem.Function) -> fem.Function:
     flux = spaces.normal_flux(y)
     allowed = np.clip(flux, *limits)
     beyond = flux != allowed
+    if spaces.degree:
+        beyond &= np.abs(flux - allowed) > ROUNDING * spaces.mesh.comm.allreduce(np.abs(flux).max(initial=0.0), MPI.MAX)
     if not spaces.mesh.comm.allreduce(bool(beyond.any()), MPI.LOR):
         return y
     y = y.copy()

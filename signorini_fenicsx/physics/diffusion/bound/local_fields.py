@@ -192,7 +192,13 @@ def facet_constants(metric: CellMetric, cells: npt.NDArray[np.int32], area: Arra
     return metric.diameter[cells] * np.sqrt(area / metric.volume[cells] * (1 / np.pi**2 + 2 / (np.pi * dim)))
 
 
-def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None, on_facets: list[FacetLoad]) -> Array:
+def load_norms(
+    cell: basix.CellType,
+    metric: CellMetric,
+    load: Projection | None,
+    on_facets: list[FacetLoad],
+    enough: float = 0.0,
+) -> Array:
     """The factor of |w| in the module's estimate, per owned cell.
 
     Args:
@@ -200,6 +206,7 @@ def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None
         metric: Metric of the owned cells.
         load: r per owned cell; None for 0.
         on_facets: r_e, each facet at most once.
+        enough: In cells with less than this no more of a load is projected.
     """
     dim, number = metric.jacobian.shape[1], len(metric.volume)
     determinant = math.factorial(dim) * metric.volume
@@ -224,7 +231,7 @@ def load_norms(cell: basix.CellType, metric: CellMetric, load: Projection | None
         _add_norms(norms, cell, metric, ~loaded, within[:, :dim])
     _add_norms(norms, cell, metric, loaded, within[:, :dim], of_facets)
     norms += higher
-    rough = higher > WORTH * (norms + after)
+    rough = (higher > WORTH * (norms + after)) & (higher > enough)
     _add_norms(better, cell, metric, rough & ~loaded, within)
     _add_norms(better, cell, metric, rough & loaded, within, of_facets)
     norms[rough] = np.minimum(norms, better)[rough]

@@ -87,6 +87,7 @@ def load_oscillation(
     resolution: Resolution,
     of_laws: Projection | None,
     takes_f: Mask,
+    enough: float,
 ) -> Array:
     """osc_T per owned cell (collective).
 
@@ -101,6 +102,7 @@ def load_oscillation(
         resolution: Records what quadrature may have missed.
         of_laws: The load s_T − η of laws in Ω, see `inside`; None without laws.
         takes_f: Mask of the owned cells where f − f_h is no load, as a law takes f as it is.
+        enough: What a cell may have without a sharper look.
     """
     mesh = spaces.mesh
     facet_loads = [*on_signorini]
@@ -119,14 +121,14 @@ def load_oscillation(
         remembered = _remembered(spaces, owned_values(data.memory), metric, memory, resolution, taken)
         load = remembered if load is None else load.plus(remembered)
     if reaction is None:
-        return load_norms(cell, metric, load, facet_loads)
+        return load_norms(cell, metric, load, facet_loads, enough)
     load = reaction.load if load is None else reaction.load.plus(load)
     size = load.norms(math.factorial(mesh.topology.dim) * metric.volume)
     with np.errstate(divide="ignore"):
         by_reaction = load_norms(cell, metric, None, facet_loads) + np.where(
             size > 0, size / np.sqrt(reaction.least), 0.0
         )
-    return np.minimum(load_norms(cell, metric, load, facet_loads), by_reaction)
+    return np.minimum(load_norms(cell, metric, load, facet_loads, enough), by_reaction)
 
 
 def on_facets(

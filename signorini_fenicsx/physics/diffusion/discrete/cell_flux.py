@@ -15,6 +15,7 @@ The components of a flux of RT1 are quadratic on each cell. There c and s are pa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self, cast
 
 import numpy as np
@@ -174,7 +175,7 @@ class LinearFlux(CellFlux):
         slope = sum(each[:, 1 + i] for i, each in enumerate(jets)) / dim
         return cls(spaces, np.stack([each[:, 0] for each in jets], axis=1), np.asarray(slope), components)
 
-    @property
+    @cached_property
     def divergence(self) -> Array:
         """∇·σ in the vertices of the cells, shape (cells, dim + 1)."""
         slopes, vertices = hat_gradients(self.spaces.mesh), np.eye(len(self.components) + 1)[None]
