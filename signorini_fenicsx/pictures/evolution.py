@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from PIL import Image
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.panels import Panel, Steps, Where
 from signorini_fenicsx.pictures.plane import Plane
@@ -79,15 +79,16 @@ def _draw_along(
     for part, column in itertools.product(range(len(parts)), range(len(panels))):
         panel, axes = panels[column], sheet.panel(part, column, aspect=width / 2.4 if values_of else None)
         lines, label = pieces(scene, part)
-        over_time, look = _numbers(scenes) if panel.where is Where.SETS else _values(scenes, panel)
+        here = scene.facets.part == part
+        over_time, look = _numbers(scenes) if panel.where is Where.SETS else _values(scenes, panel, here)
         for line in lines:
             image = axes.pcolormesh(line.ends, ends, over_time[:, line.rows], rasterized=True, **look)
         if panel.where is Where.GAMMA:
             sheet.bar(axes, image, next(iter(panel.curves.values()))[0])
-            blank |= bool(np.isnan(over_time).any())
-            if (here := touched & (scene.facets.part == part)).any():
-                shown = np.concatenate([line.ends[np.r_[here[line.rows], False]] for line in lines])
-                shown = np.concatenate([shown, *(line.ends[np.r_[False, here[line.rows]]] for line in lines)])
+            blank |= bool(np.isnan(over_time[:, here]).any())
+            if (here & touched).any():
+                pairs = [np.stack([line.ends[:-1], line.ends[1:]], axis=1)[touched[line.rows]] for line in lines]
+                shown = np.concatenate(pairs)
                 room = 0.1 * np.ptp(shown)
                 axes.set_xlim(max(shown.min() - room, lines[0].ends[0]), min(shown.max() + room, lines[-1].ends[-1]))
         axes.set_facecolor("0.85")
@@ -106,20 +107,17 @@ def _groups(scenes: Sequence[Scene]) -> dict[str, str]:
 def _numbers(scenes: Sequence[Scene]) -> tuple[Array, dict[str, Any]]:
     """The number of the group of each facet in each step, and their colours."""
     groups = _groups(scenes)
-    names = list(groups)
     numbers = np.zeros((len(scenes), len(scenes[0].facets.part)))
-    for row, scene in zip(numbers, scenes, strict=True):
-        for group in scene.groups:
-            row[group.facets] = names.index(group.name)
-    colours = ListedColormap([to_rgb(colour) for colour in groups.values()])
-    return numbers, {"cmap": colours, "vmin": -0.5, "vmax": len(names) - 0.5}
+    for row, group in ((row, group) for row, scene in zip(numbers, scenes, strict=True) for group in scene.groups):
+        row[group.facets] = list(groups).index(group.name)
+    return numbers, {"cmap": ListedColormap(list(groups.values())), "vmin": -0.5, "vmax": len(groups) - 0.5}
 
 
-def _values(scenes: Sequence[Scene], panel: Panel) -> tuple[Array, dict[str, Any]]:
-    """The means of a column over each facet in each step, and their colours."""
+def _values(scenes: Sequence[Scene], panel: Panel, here: Mask) -> tuple[Array, dict[str, Any]]:
+    """The means of a column over each facet in each step, and their colours for some of them."""
     column = next(iter(panel.curves))
     values = np.array([scene.on_facets(column) for scene in scenes])
-    largest = max(float(np.abs(np.nan_to_num(values)).max(initial=0.0)), 1e-300)
+    largest = max(float(np.abs(np.nan_to_num(values[:, here])).max(initial=0.0)), 1e-300)
     low = -largest if panel.colours == style.SIGNED_MAP else 0.0
     return values, {"cmap": panel.colours, "vmin": low, "vmax": largest}
 

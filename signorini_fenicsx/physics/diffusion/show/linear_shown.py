@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.discrete.site_table import along_parts
-from signorini_fenicsx.meshes.domain import facet_vertices
-from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable, in_vertices
+from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable, in_vertices, of_facets
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.solved import Columns
 
@@ -44,26 +41,18 @@ class VertexTable(GammaTable):
 def table(solution: LinearSolution) -> VertexTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces, data, (kind,) = solution.spaces, solution.data, solution.spaces.site_kinds
-    part = spaces.part_of_facet.astype(np.int64)
     condition = kind.rows_of(solution.outcome.conditions.kind).astype(np.int64)
     segment = data.laws.labels(kind.rows_of(solution.segments().segment))
     strongest = np.argmax(condition, axis=1)[:, None]
     u = solution.u_means[spaces.cells]
     u[spaces.inner.rows] -= solution.u_means[spaces.across.cells]
-    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
     return VertexTable(
-        part=part,
-        along=along_parts(spaces, part, midpoints),
-        x=midpoints,
-        measure=spaces.facet_measure,
+        **of_facets(solution),
         u=u,
         p=solution.p_means,
         flux=solution.flux_at.mean(axis=1),
-        psi=data.psi_h,
-        q_S=data.q_Sh,
         condition=np.take_along_axis(condition, strongest, axis=1)[:, 0],
         segment=np.take_along_axis(segment, strongest, axis=1)[:, 0],
-        vertices=facet_vertices(spaces.mesh, spaces.facets),
         means_at=kind.rows_of(solution.iterate.means),
         p_at=solution.p_at,
         flux_at=solution.flux_at,

@@ -105,7 +105,9 @@ def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
     titles = columns_of_cells(scene.solution)
     in_cells = {name: ([row[key] for row in steps.rows], None) for key, name in titles.items() if key in steps.rows[-1]}
     size = r"cells by the laws in $\Omega$", "area" if scene.dim == 2 else "volume"
-    draw_over_time(folder / "contact.png", scene, steps, [SETS], {size: in_cells} if in_cells else {})
+    draw_over_time(
+        folder / "contact.png", scene, steps, [replace(SETS, title="sets")], {size: in_cells} if in_cells else {}
+    )
     if fronts := steps.kept.get("own"):
         draw_fronts(folder / "fronts.png", scene, {steps.times[step - 1]: each for step, each in fronts.items()})
     if fields := steps.kept.get("u"):

@@ -83,24 +83,26 @@ class GammaTable(FacetTable):
 def table(solution: Solution) -> GammaTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
     spaces = solution.spaces
-    part = spaces.part_of_facet.astype(np.int64)
-    size, u = len(spaces.facets), solution.u.x.array[spaces.cells]
+    u = solution.u.x.array[spaces.cells]
     u[spaces.inner.rows] -= solution.u.x.array[cells_behind(spaces.mesh, spaces.inner.facets)]
-    midpoints = dolfinx.mesh.compute_midpoints(spaces.mesh, spaces.mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
     return GammaTable(
-        part=part,
-        along=along_parts(spaces, part, midpoints),
-        x=midpoints,
-        measure=spaces.facet_measure,
+        **of_facets(solution),
         u=u,
-        p=solution.p.x.array[:size],
+        p=solution.p.x.array[: len(spaces.facets)],
         flux=spaces.normal_flux(solution.sigma),
-        psi=solution.data.psi_h,
-        q_S=solution.data.q_Sh,
         condition=spaces.site_kinds["facet"].of(solution.outcome.conditions.kind).astype(np.int64),
         segment=solution.data.laws.labels(solution.segments().of("facet")),
-        vertices=facet_vertices(spaces.mesh, spaces.facets),
     )
+
+
+def of_facets(solution: Any) -> dict[str, Any]:
+    """The columns of a `GammaTable` that are the same for all elements: places, sizes, ψ and q_S."""
+    spaces = solution.spaces
+    part, mesh = spaces.part_of_facet.astype(np.int64), spaces.mesh
+    x = dolfinx.mesh.compute_midpoints(mesh, mesh.topology.dim - 1, spaces.facets).reshape(-1, 3)
+    places = {"part": part, "along": along_parts(spaces, part, x), "x": x, "measure": spaces.facet_measure}
+    bounds = {"psi": solution.data.psi_h, "q_S": solution.data.q_Sh}
+    return {**places, **bounds, "vertices": facet_vertices(mesh, spaces.facets)}
 
 
 def columns(solution: Solution, table: GammaTable) -> Columns:
