@@ -152,7 +152,7 @@ def test_refined_in_space(folder: Path):
     if COMM.rank == 0:
         cut_cube(folder, 4, IN_SPACE.replace("EXACT", exact))
     COMM.Barrier()
-    case = load_case(str(folder / "4.toml"))
+    case = load_case(str(folder / "4.toml")).with_values({"solve.element": "RT0"})
     first = solve_case(case, COMM)
     adapted, certificate = adapt_case(case, COMM, max_cells=2500, theta=0.3)
     error = adapted.errors()["sigma_L2"]
