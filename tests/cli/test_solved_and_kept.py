@@ -108,7 +108,7 @@ def test_adapt(breaking: Breaking, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert told(breaking({"draw_bounds": curves}, *adapt)) == f"pictures of the refinement: {BROKEN}"
     assert names(tmp_path / "x") >= {"adapt.csv", "summary.json", *FIELDS}
     assert told(breaking({"gap_parts": bound}, *adapt)) == BROKEN
-    assert names(tmp_path / "x") == FIELDS | TABLES | {"summary.json"}
+    assert names(tmp_path / "x") == FIELDS | TABLES | {"summary.json", "vertices.csv"}
     dorfler = adaptive.dorfler
 
     def adaptive_only(values: Any, theta: float, comm: Any) -> Any:

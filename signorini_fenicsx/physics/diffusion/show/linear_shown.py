@@ -67,7 +67,7 @@ def other_tables(solution: LinearSolution) -> dict[str, Columns]:
     spaces, laws = solution.spaces, solution.data.laws
     rows = table(solution).gathered(spaces.mesh.comm)
     if rows is None or not spaces.part_names:
-        return {}
+        return {"vertices": {}} if spaces.part_names else {}  # the name is known on all ranks
     dim = spaces.dim
     return {
         "vertices": {
