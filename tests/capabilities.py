@@ -179,6 +179,10 @@ def _methods() -> Iterator[Capability]:
         yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6", beside={"violation"})
     for case in ("example2", "friction", "sphere"):
         yield solved(case, *STRUCTURED, "--backend", "mixed", h="1/2")
+    for case, h in (("example1", "1/8"), ("transition3d", "1/3"), ("regulator", "1/8")):
+        yield solved(case, *STRUCTURED, "--element", "RT1", h=h, beside=PATH)
+    yield solved("fault", "--element", "RT1", beside=PATH)
+    yield solved("example4", *STRUCTURED, "--element", "RT1", "--algorithm", "alg3", h="1/8", beside=PATH)
     yield solved("fault", "--algorithm", "alg2", "--backend", "mixed")
     yield solved("fault", "--algorithm", "qp")
     yield solved("example4", *STRUCTURED, "--algorithm", "alg4", "--eps", "1e-3", "--for-signorini", h="1/8")
@@ -264,6 +268,11 @@ ON_RANKS = (
 )
 """Cases that are also run on several ranks, each by its first capability."""
 PATHS_ON_RANKS = (
+    *(
+        "transition3d --h 1/3 --set geometry.mesh=structured --element",
+        "regulator --h 1/8 --set geometry.mesh=structured --element",
+    ),
+    "fault --element",
     *("alg3", "snes1", "snes2", "--algorithm vi", "qp", "psor", "mixed-uzawa-h12", "--backend mixed", "--rigorous"),
     *("--for-signorini", "solve.max_iterations=1", "--start-from", "export out", "restart", "restart of a storage"),
     *("adapt", "problem.f=", "problem.obstacle="),
