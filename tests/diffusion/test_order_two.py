@@ -203,7 +203,20 @@ def test_quantities():
     assert flux.width < 0.04
 
 
-@pytest.mark.parallel([1, 2])
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize("algorithm", ["alg1", "alg3"])
+def test_ranks_without_cells(algorithm: str):
+    """Two cells on three ranks, with a kappa that varies within them."""
+    problem = Diffusion(f="-1 - x", kappa="1 + x*y", c="y", conditions=[Signorini("bottom", psi="-x/10")])
+    together, alone = (
+        solve(build_domain(comm, "square", 1.5, mesh="structured"), problem, Options(algorithm, element="RT1"))
+        for comm in (COMM, MPI.COMM_SELF)
+    )
+    assert together.norms() == pytest.approx(alone.norms(), rel=1e-10)
+    assert together.certify().bound == pytest.approx(alone.certify().bound, rel=1e-8)
+
+
+@pytest.mark.parallel(2)
 def test_files(tmp_path: Path):
     """A solution is read as it was written, on any ranks; its tables have the vertices of facets."""
     folder = COMM.bcast(tmp_path)

@@ -81,8 +81,9 @@ class LinearSpaces(LinearTraces, Spaces):
         np.put_along_axis(by_dolfinx, self._places[:, :, None], values, axis=1)
         pulled = by_dolfinx @ pull.transpose(0, 2, 1)
         dofs = np.ascontiguousarray(np.tensordot(pulled, to_dofs, ((1, 2), (0, 1)))).ravel()
-        self.flux_space.element.Tt_inv_apply(dofs, orientations[: len(values)], 1)
-        sigma.x.array[cell_dofs(self.flux_space)] = dofs.reshape(len(values), -1)
+        if len(values) > 0:  # DOLFINx divides by the number of cells
+            self.flux_space.element.Tt_inv_apply(dofs, orientations[: len(values)], 1)
+        sigma.x.array[cell_dofs(self.flux_space)] = dofs.reshape(-1, to_dofs.shape[2])
         sigma.x.scatter_forward()
         return sigma
 

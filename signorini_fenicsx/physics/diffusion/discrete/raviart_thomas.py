@@ -152,9 +152,8 @@ class Cells(Simplices):
         """
         scale = self.determinant[:, None] * weights
         pulled = self.map.transpose(0, 2, 1)[:, None] @ (scale[:, :, None, None] * inverse) @ self.map[:, None]
-        count, basis = len(values), values.shape[3]
-        weighted = (pulled @ values).reshape(count, -1, basis)
-        return values.reshape(count, -1, basis).transpose(0, 2, 1) @ weighted
+        rows = len(values), values.shape[1] * self.dim, values.shape[3]
+        return values.reshape(rows).transpose(0, 2, 1) @ (pulled @ values).reshape(rows)
 
     def at_nodes(self, coefficients: Array) -> Array:
         """The values at the nodes of fluxes by their coefficients, shape (cells, nodes, d)."""

@@ -116,7 +116,7 @@ class LinearBackend(HybridBackend):
         moments, places = np.zeros((len(cells), dim + 1, dim)), (row, contact.local)
         moments[places] = contact.measure[:, None] / dim * added @ mass
         shapes, basis = Cells(spaces.vertices[cells]), reference(dim).nodal[:, : dim * (dim + 1)]
-        change = moments.reshape(len(cells), -1) @ basis.T
+        change = moments.reshape(-1, dim * (dim + 1)) @ basis.T
         sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, cells.astype(np.int32), shapes)
         sigma[cells] += shapes.at_nodes(change)
         moved = np.einsum("nbc,nc->nb", product, change) @ basis
