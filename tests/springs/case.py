@@ -33,6 +33,7 @@ class BedCase(CaseFile):
     boundary: RestingParts
     problem: Stiffness
     exact: DataSection = DataSection()
+    costs: ClassVar = {}
     first_words = ("rests",)
     first_data = (("k = 2", "", ""), ("f = -1", "", ""))
 
