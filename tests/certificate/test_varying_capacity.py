@@ -62,7 +62,7 @@ def test_second_step():
     links = dolfinx.geometry.compute_colliding_cells(coarse.mesh, inside, middles)
     cells = np.array([links.links(row)[0] for row in range(len(middles))], dtype=np.int32)
     points = PartPoints(coarse.mesh, cells, *positive_quadrature(coarse.mesh.basix_cell(), 4), vertices)
-    means, area = points.means(points.quadratic(v)[:, :, 0]), points.scale
+    means, area = points.means(points.bernstein(v)[:, :, 0]), points.scale
     u_h, of_cells = first.solution.u.x.array, np.bincount(cells, area)
     bubbles = 60 * (u_h - np.bincount(cells, area * means) / of_cells)  # 60 is one over the mean of λ_1 λ_2 λ_3
     content = means + bubbles[cells] * points.means(points.barycentric.prod(axis=2))
