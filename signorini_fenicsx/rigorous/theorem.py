@@ -30,6 +30,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
+from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.rigorous.balance import balanced
 from signorini_fenicsx.rigorous.data import Given, deviation
@@ -194,6 +195,8 @@ def _prepared(solution: Solution, v: fem.Function) -> Callable[[], Proven | None
     Raises:
         InputError: If there is no theorem for the problem.
     """
+    if isinstance(solution, LinearSolution):
+        raise InputError("the proof is for RT0 alone")
     if solution.data.laws.listed:
         raise InputError("the proof is for the law of Signorini alone")
     if solution.data.c_h is not None:

@@ -247,6 +247,7 @@ def test_command_line(tmp_path: Path):
         (["example1", "--element", "RT2"], "element"),
         (["dead_core", "--element", "RT1"], "there is no RT1 for laws in Ω; take RT0"),
         (["membrane", "--element", "RT1"], "there is no RT1 for problems in time; take RT0"),
+        (["example1", "--element", "RT1", "--rigorous"], "--rigorous: the proof is for RT0 alone"),
         (["example1", "--element", "RT1", "--backend", "mixed"], "there is no RT1 for this backend"),
         (["example1", "--element", "RT1", "--algorithm", "qp"], "--element: qp has no such option"),
         (["hertz", "--element", "RT1"], "elastic contact has no such key"),

@@ -198,6 +198,8 @@ class Case(CaseFile):
     @property
     def unproved(self) -> str:
         """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
+        if self.solve.element == "RT1":
+            return "the proof is for RT0 alone; leave out the element"
         if self.law or self.problem.by_part:
             return "the proof is for the law of Signorini alone, without [[law]] and data by part"
         if self.problem.c != "0":
