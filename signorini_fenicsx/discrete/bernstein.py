@@ -12,6 +12,9 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.base.small_matrices import times
 
+TWELFTHS = 12
+"""Up to degree 3 coefficients are sums of values times multiples of 1/12."""
+
 
 @cache
 def nodes(cell: basix.CellType, degree: int) -> Array:
@@ -57,8 +60,10 @@ def coefficients_of(values: Array, cell: basix.CellType) -> Array:
     Where a value that it needs is not finite, the value in the node itself stands for a coefficient.
     """
     matrix = _from_values(cell, values.shape[1])
-    with np.errstate(invalid="ignore"):
-        coefficients = np.column_stack([values[:, row != 0] @ row[row != 0] for row in matrix])
+    coefficients = np.zeros(values.shape)
+    with np.errstate(invalid="ignore"):  # entry by entry, so that facets and cells have the same to the last bit
+        for row, column in zip(*np.nonzero(matrix), strict=True):
+            coefficients[:, row] += matrix[row, column] * values[:, column]
     return np.where(np.isfinite(coefficients), coefficients, values)
 
 
