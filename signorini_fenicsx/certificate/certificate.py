@@ -80,7 +80,7 @@ class Certificate:
         unresolved: Data that are not resolved, each with a place; the same on all ranks.
         coarse: Mask of the owned cells where data are not resolved.
         indicator: η_T in P0 with Σ η_T² = 2 gap + oscillation².
-        v: The continuous v in P2, with interpolated u_D and ψ; in elasticity on the split mesh.
+        v: The continuous v in P2, of RT1 in P3, with interpolated u_D and ψ; in elasticity on the split mesh.
         of: To which solution the error is, in words; empty if it is that of the problem.
         about: What a summary says besides.
         lacking: What is missing for the data in `by_quadrature`.
