@@ -155,13 +155,17 @@ class Solution(AnySolution):
 
     @cached_property
     def cell_potential(self) -> Potential:
-        """The potential of one order more than u_h on the cells of this rank (collective when first used)."""
+        """The potential of second order on each cell of this rank."""
         return Potential.of(self.data, self.cell_flux, self.u)
 
     @cached_property
     def potential(self) -> fem.Function:
-        """What is known best of u, see `discrete.potential` (collective when first used)."""
+        """U of second order, quadratic on each cell: its mean is u_h and its gradient κ_h⁻¹σ_h (collective)."""
         return self.cell_potential.function()
+
+    def potential_at(self, points: Points) -> Array:
+        """`potential` in points, shape (n, points)."""
+        return self.cell_potential.at(points)
 
     def u_at(self, points: Points) -> Array:
         """u_h in points, shape (n, points or 1)."""

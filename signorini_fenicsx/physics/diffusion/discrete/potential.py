@@ -8,14 +8,12 @@ m = ξ·κ_h⁻¹ξ, also if κ_h is a matrix. With the mean M of m over T, the 
 u_h is near the mean of u to second order and κ_h⁻¹σ_h near ∇u to first order, so the error of ũ is of second order in
 L², and its jumps are. The linear part alone is of this order too, but where f has one sign it is on one side of u in
 all vertices. Averages over the cells around a node are nearer to u, but no longer have the flux σ_h and the means u_h.
-
-Of RT1 it is the cubic ũ on each cell with the mean of u_h for which ‖κ_h^½(∇ũ − κ⁻¹σ_h)‖ is least, of third order.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 from dolfinx import fem
@@ -25,12 +23,11 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.small_matrices import inverses, inverted, scaled, squares_of, times
-from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet, nodes
+from signorini_fenicsx.discrete.bernstein import basis, jet
 from signorini_fenicsx.discrete.cell_shapes import mean_moments, squared_arms
 from signorini_fenicsx.discrete.points import Points, in_cells
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 DEGREE = 3
 """Of the potential of RT1."""
@@ -41,65 +38,76 @@ class Potential:
     """ũ on the owned cells.
 
     Attributes:
-        spaces: The discrete spaces.
-        coefficients: Its Bernstein coefficients, shape (cells, nodes).
+        centroid: ũ(x_T), shape (cells,).
+        flux: σ_h.
+        inverse: κ_h⁻¹, shape (cells, dim, dim).
     """
 
-    spaces: Spaces
-    coefficients: Array
+    centroid: Array
+    flux: CellFlux
+    inverse: Array
 
     @classmethod
     def of(cls, data: Data, flux: CellFlux, u: fem.Function) -> Self:
-        """The potential of a flux and of u_h (collective)."""
-        return cls(flux.spaces, (_cubic if flux.spaces.degree else _quadratic)(data, flux, u))
+        """The potential of a flux and of means in P0; of RT1 a `CubicPotential` (collective)."""
+        if isinstance(flux, LinearFlux):
+            return cast(Self, CubicPotential.of(data, flux, u))
+        inverse = np.broadcast_to(inverses(data.matrices(flux.spaces)), (len(flux.slope), *flux.centroid.shape[1:] * 2))
+        moment = mean_moments(squared_arms(flux.spaces.mesh, inverse))
+        return cls(owned_values(u) - flux.slope * moment / 2, flux, inverse)
 
     def at(self, points: Points) -> Array:
         """ũ in points, shape (n, points)."""
-        return jet(self.coefficients[points.rows], points.barycentric)[:, :, 0]
+        cells, arms = points.rows, points.arms
+        inverse, slope = self.inverse[cells], self.flux.slope[cells, None]
+        gradient = times(self.flux.centroid[cells, None], inverse)[:, 0]
+        values = np.einsum("npi,ni->np", arms, gradient) + slope / 2 * squares_of(arms, inverse)
+        return np.asarray(self.centroid[cells, None] + values)
 
     def in_nodes(self, nodes: Array) -> Array:
         """ũ in points of the reference cell, by default of all cells, shape (cells, points) (collective)."""
-        mesh = self.spaces.mesh
+        mesh = self.flux.spaces.mesh
         return np.concatenate([self.at(points) for points in in_cells(mesh, owned_cells(mesh), nodes)])
 
     def function(self) -> fem.Function:
-        """ũ as a function, a polynomial on each cell and not continuous (collective)."""
-        u = fem.Function(fenicsx.function_space(self.spaces.mesh, ("DG", self.spaces.degree + 2)), name="u")
+        """ũ as a function, quadratic on each cell and not continuous (collective)."""
+        u = fem.Function(fenicsx.function_space(self.flux.spaces.mesh, ("DG", self.flux.spaces.degree + 2)), name="u")
         u.x.array[cell_dofs(u.function_space)] = self.in_nodes(u.function_space.element.interpolation_points)
         u.x.scatter_forward()
         return u
 
 
-def _quadratic(data: Data, flux: CellFlux, u: fem.Function) -> Array:
-    """The coefficients for a flux of RT0 and means in P0 (collective)."""
-    mesh, (number, dim) = flux.spaces.mesh, flux.centroid.shape
-    inverse = np.broadcast_to(inverses(data.matrices(flux.spaces)), (number, dim, dim))
-    centroid = owned_values(u) - flux.slope * mean_moments(squared_arms(mesh, inverse)) / 2
-    places = nodes(mesh.basix_cell(), 2)
-    values = np.empty((number, len(places)))
-    for points in in_cells(mesh, owned_cells(mesh), places):
-        cells, arms = points.rows, points.arms
-        gradient = times(flux.centroid[cells, None], inverse[cells])[:, 0]
-        values[cells] = centroid[cells, None] + flux.slope[cells, None] / 2 * squares_of(arms, inverse[cells])
-        values[cells] += np.einsum("npi,ni->np", arms, gradient)
-    return coefficients_of(values, mesh.basix_cell())
+@dataclass(frozen=True)
+class CubicPotential(Potential):
+    """The cubic ũ on each owned cell with the mean of u_h for which ‖κ_h^½(∇ũ − κ⁻¹σ_h)‖ is least: for RT1.
 
+    Attributes:
+        coefficients: Its Bernstein coefficients, shape (cells, nodes).
+    """
 
-def _cubic(data: Data, flux: CellFlux, u: fem.Function) -> Array:
-    """The coefficients for a flux of RT1 and a linear u_h (collective)."""
-    mesh, means = flux.spaces.mesh, cell_values(u).mean(axis=1)
-    cell, dim = mesh.basix_cell(), mesh.topology.dim
-    kappa_h = np.broadcast_to(data.matrices(flux.spaces), (len(means), dim, dim))
-    points, weights = positive_quadrature(cell, 2 * DEGREE - 2)
-    slopes = basis(cell, DEGREE, points, slopes=True)
-    products, size = np.einsum("q,iqb,jqc->ijbc", weights, slopes, slopes), slopes.shape[2]
-    coefficients = np.empty((len(means), size))
-    for at in in_cells(mesh, owned_cells(mesh), points, weights):
-        kappa, mapped = kappa_h[at.rows], at.slopes[:, 1:]  # from reference coordinates
-        y = scaled(kappa[:, None], scaled(inverted(data.kappa.values(at)), flux.at(at)))
-        matrix = np.einsum("nij,ijbc->nbc", mapped @ kappa @ mapped.transpose(0, 2, 1), products, optimize=True)
-        right = np.einsum("q,iqb,nij,nqj->nb", weights, slopes, mapped, y, optimize=True)
-        fixed = matrix[:, :1, :1]  # times the sum of the coefficients, which is so many times the mean
-        right += size * fixed[:, 0] * means[at.rows, None]
-        coefficients[at.rows] = np.linalg.solve(matrix + fixed, right[..., None])[..., 0]
-    return coefficients
+    coefficients: Array
+
+    @classmethod
+    def of(cls, data: Data, flux: CellFlux, u: fem.Function) -> Self:
+        """The potential of a flux of RT1 and of a linear u_h (collective)."""
+        mesh, means = flux.spaces.mesh, cell_values(u).mean(axis=1)
+        cell, dim = mesh.basix_cell(), mesh.topology.dim
+        kappa_h = np.broadcast_to(data.matrices(flux.spaces), (len(means), dim, dim))
+        points, weights = positive_quadrature(cell, 2 * DEGREE - 2)
+        slopes = basis(cell, DEGREE, points, slopes=True)
+        products, size = np.einsum("q,iqb,jqc->ijbc", weights, slopes, slopes), slopes.shape[2]
+        coefficients = np.empty((len(means), size))
+        for at in in_cells(mesh, owned_cells(mesh), points, weights):
+            kappa, mapped = kappa_h[at.rows], at.slopes[:, 1:]  # from reference coordinates
+            y = scaled(kappa[:, None], scaled(inverted(data.kappa.values(at)), flux.at(at)))
+            matrix = np.einsum("nij,ijbc->nbc", mapped @ kappa @ mapped.transpose(0, 2, 1), products, optimize=True)
+            right = np.einsum("q,iqb,nij,nqj->nb", weights, slopes, mapped, y, optimize=True)
+            fixed = matrix[:, :1, :1]  # times the sum of the coefficients, which is so many times the mean
+            right += size * fixed[:, 0] * means[at.rows, None]
+            coefficients[at.rows] = np.linalg.solve(matrix + fixed, right[..., None])[..., 0]
+        centroid = jet(coefficients, np.full((1, 1, dim + 1), 1 / (dim + 1)))[:, 0, 0]
+        return cls(centroid, flux, inverses(kappa_h), coefficients)
+
+    def at(self, points: Points) -> Array:
+        """ũ in points, shape (n, points)."""
+        return jet(self.coefficients[points.rows], points.barycentric)[:, :, 0]

@@ -48,7 +48,7 @@ def exact_errors(solution: Solution, exact: Datum) -> dict[str, float]:
             (off**2).sum(axis=2),
             balance**2,
             (jet[:, :, 0] - solution.u_at(points)) ** 2,
-            (jet[:, :, 0] - solution.cell_potential.at(points)) ** 2,
+            (jet[:, :, 0] - solution.potential_at(points)) ** 2,
         ]
         squares[:5] += [points.integrals(error).sum() for error in errors]
     on_signorini = facet_quadrature(mesh, spaces.facets, degree)
