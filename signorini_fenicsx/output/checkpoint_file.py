@@ -326,8 +326,8 @@ def _wrong_value(checkpoint: Checkpoint) -> str:
         if rows.dtype == np.float64 and not may_fail and not np.isfinite(rows).all():
             return f"is damaged: {name} is not finite everywhere"
     for name, number in checkpoint.keeping.codes.items():
-        if not np.isin(checkpoint.arrays[name], range(number)).all():
-            return f"is damaged: {name} has a value that is no {name.removeprefix('facet_')}"
+        if not np.isin(checkpoint.arrays.get(name, np.empty(0)), range(number)).all():
+            return f"is damaged: {name} has a value that is no {name.removeprefix('facet_').removesuffix('_at')}"
     together = checkpoint.arrays.get("together", np.empty(0))
     if not ((together >= 0) & (together < checkpoint.headers["cells"].shape[0])).all():
         return "is damaged: together has a number that is no cell"

@@ -151,6 +151,9 @@ def test_far_values(tmp_path: Path):
         write_solution(far, tmp_path / f"{constant:g}")
         read = load_solution(tmp_path / f"{constant:g}", COMM)
         assert max(vars(read.kkt).values()) < 1e-14 * constant + 1e-11
+    np.save(tmp_path / "0" / "checkpoint" / "facet_condition_at.npy", 99 + 0 * near.touching)
+    with pytest.raises(InputError, match="facet_condition_at has a value that is no condition"):
+        load_solution(tmp_path / "0", COMM)
 
 
 def test_rounding_in_the_facet_system():
