@@ -102,7 +102,8 @@ def test_gap_without_its_matrix(dim: int):
     y, v = fem.Function(fem.functionspace(mesh, ("RT", 1))), fem.Function(space)
     for function in (y, v, kappa):
         function.x.array[:] = random.uniform(1, 2, len(function.x.array))
-    gap = _Gap(space, y, kappa, np.ones(len(v.x.array)), np.zeros(len(v.x.array)), None, None, Jumps.nowhere(space))
+    ones, zeros = np.ones(len(v.x.array)), np.zeros(len(v.x.array))
+    gap = _Gap(space, y, (kappa, ufl.dx), ones, zeros, None, None, Jumps.nowhere(space))
     free = random.uniform(size=len(v.x.array)) < 0.7
     found = [gap.at(v), gap.lowered(np.where(free, gap.at(v)[1], 0.0), free, 3)]
     gap.assemble()

@@ -173,7 +173,7 @@ def test_files_of_a_far_mesh(folder: Path):
         assert signorini(folder, "solve", f"{name}.toml", "--output", name).returncode == 0
         assert signorini(folder, "export", name, "--output", f"{name}-again").returncode == 0
         assert (
-            signorini(folder, "adapt", f"{name}.toml", "--max-cells", "300", "--output", f"{name}-fine").returncode == 0
+            signorini(folder, "adapt", f"{name}.toml", "--max-cells", "200", "--output", f"{name}-fine").returncode == 0
         )
         ended = signorini(folder, "compare", name, f"{name}-fine", "--json")
         (folder / f"{name}.json").write_text(ended.stdout, encoding="utf-8")

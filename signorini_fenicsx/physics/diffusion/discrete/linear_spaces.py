@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
+import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -12,6 +13,7 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.sites import Kind, Sites
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
@@ -45,14 +47,9 @@ class LinearSpaces(LinearTraces, Spaces):
         return fenicsx.function_space(self.mesh, ("DG", 1))
 
     @cached_property
-    def _quadratic(self) -> fem.FunctionSpace:
-        """Vectors that are quadratic on each cell, which fluxes of RT1 are."""
-        return fenicsx.function_space(self.mesh, ("DG", 2, (self.dim,)))
-
-    @cached_property
     def _places(self) -> Indices:
-        """Which node of `_quadratic` in DOLFINx's order each node of the owned cells is, see `raviart_thomas.nodes`."""
-        points, dim = self._quadratic.element.basix_element.points, self.dim
+        """Which of the points of `_quadratic` each node of the owned cells is, see `raviart_thomas.nodes`."""
+        points, dim = _quadratic(self.dim).points, self.dim
         hats = np.column_stack([1 - points.sum(axis=1), points])
         digits = 3 ** np.arange(dim + 1)  # of twice the barycentric coordinates
         place = np.empty(3 ** (dim + 1), dtype=np.int64)
@@ -63,35 +60,42 @@ class LinearSpaces(LinearTraces, Spaces):
         return np.asarray(place[by_dolfinx @ digits])
 
     @cached_property
-    def _to_dofs(self) -> tuple[Array, Array, npt.NDArray[np.uint32]]:
-        """What DOLFINx's interpolation has: coefficients from values at nodes, |det J| J⁻¹ of cells, orientations."""
-        element, quadratic = self.flux_space.element.basix_element, self._quadratic.element.basix_element
-        at_points = quadratic.tabulate(0, element.points)[0, :, :, 0]
-        of_points = element.interpolation_matrix.reshape(-1, self.dim, len(at_points))
-        x = corners(self.mesh)
-        jacobian = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
-        pull = np.linalg.det(jacobian)[:, None, None] * np.linalg.inv(jacobian)
+    def _maps(self) -> tuple[Array, npt.NDArray[np.uint32]]:
+        """F/det F of the owned cells in DOLFINx's order, and how DOLFINx turns their facets."""
+        x = corners(self.mesh)  # differences of vertices: DOLFINx rounds F where coordinates are far from 0
+        derivative = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
         self.mesh.topology.create_entity_permutations()
-        return np.einsum("biq,qa->aib", of_points, at_points), pull, self.mesh.topology.get_cell_permutation_info()
+        turned = self.mesh.topology.get_cell_permutation_info()[: len(x)]
+        return derivative / np.linalg.det(derivative)[:, None, None], turned
 
     def flux(self, values: Array) -> fem.Function:
         """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
-        sigma, by_dolfinx = fem.Function(self.flux_space, name="sigma"), np.empty_like(values)
-        to_dofs, pull, orientations = self._to_dofs
+        element, quadratic = self.flux_space.element.basix_element, _quadratic(self.dim)
+        at_points = quadratic.tabulate(0, element.points)[0, :, :, 0]
+        to_dofs = np.einsum(
+            "biq,qa->aib", element.interpolation_matrix.reshape(-1, self.dim, len(at_points)), at_points
+        )
+        sigma, by_dolfinx, (push, turned) = (
+            fem.Function(self.flux_space, name="sigma"),
+            np.empty_like(values),
+            self._maps,
+        )
         np.put_along_axis(by_dolfinx, self._places[:, :, None], values, axis=1)
-        pulled = by_dolfinx @ pull.transpose(0, 2, 1)
+        pulled = by_dolfinx @ np.linalg.inv(push).transpose(0, 2, 1)
         dofs = np.ascontiguousarray(np.tensordot(pulled, to_dofs, ((1, 2), (0, 1)))).ravel()
         if len(values) > 0:  # DOLFINx divides by the number of cells
-            self.flux_space.element.Tt_inv_apply(dofs, orientations[: len(values)], 1)
+            self.flux_space.element.Tt_inv_apply(dofs, turned, 1)
         sigma.x.array[cell_dofs(self.flux_space)] = dofs.reshape(-1, to_dofs.shape[2])
         sigma.x.scatter_forward()
         return sigma
 
     def flux_values(self, sigma: fem.Function) -> Array:
-        """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes` (collective)."""
-        quadratic = fem.Function(self._quadratic)
-        quadratic.interpolate(sigma)
-        by_dolfinx = quadratic.x.array.reshape(-1, self.dim)[cell_dofs(self._quadratic)]
+        """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes`."""
+        basis = self.flux_space.element.basix_element.tabulate(0, _quadratic(self.dim).points)[0]
+        dofs, (push, turned) = sigma.x.array[cell_dofs(self.flux_space)].ravel(), self._maps
+        if len(push) > 0:  # DOLFINx divides by the number of cells
+            self.flux_space.element.Tt_apply(dofs, turned, 1)
+        by_dolfinx = np.tensordot(dofs.reshape(-1, basis.shape[1]), basis, (1, 1)) @ push.transpose(0, 2, 1)
         return np.asarray(np.take_along_axis(by_dolfinx, self._places[:, :, None], axis=1), dtype=np.float64)
 
     def scalar(self, values: Array) -> fem.Function:
@@ -140,3 +144,9 @@ class LinearSpaces(LinearTraces, Spaces):
 def linear_spaces(spaces: Spaces) -> LinearSpaces:
     """The spaces of RT1 on the mesh of those of RT0 (collective)."""
     return LinearSpaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)) | {"degree": 1})
+
+
+@cache
+def _quadratic(dim: int) -> basix.finite_element.FiniteElement:
+    """The quadratic functions on a reference simplex, by their values at its vertices and midpoints of edges."""
+    return basix.create_element(basix.ElementFamily.P, SIMPLEX[dim], 2, basix.LagrangeVariant.gll_warped)
