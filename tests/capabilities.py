@@ -235,10 +235,9 @@ def _rare() -> Iterator[Capability]:
         yield Capability(f"compare {case}", (*twice.commands, other, ("compare", "out", "finer", "--output", "out2")))
     bounded = ("--max-cells", "600", "--output", "out")
     for case, h in (("example5", "1/2"), ("hertz", "1/4"), ("cube", "1/2"), ("friction", "1/4")):
-        command = ("adapt", case, *STRUCTURED, "--h", h, *bounded)
-        # Of edges that are equally long the number decides which one is halved; a flux is below q_S by rounding alone.
+        # of edges that are equally long the number decides which one is halved, and rounding where the flux is q_S
         beside = frozenset({"checkpoint", "violation"})
-        yield Capability(f"adapt {case}", (command,), beside=beside)
+        yield Capability(f"adapt {case}", (("adapt", case, *STRUCTURED, "--h", h, *bounded),), beside=beside)
     levels = ("--levels", "1:2", "--reference", "4", "--output", "out")
     yield Capability("convergence example1", (("convergence", "example1", *STRUCTURED, *levels),))
     by_eps = ("--vary", "eps", "--levels", "1:3", "--h", "1/8", "--output", "out")
