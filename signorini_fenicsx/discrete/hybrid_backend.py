@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,14 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.tolerances import TIE
+from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate, PlainBackend
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import HybridSystem
 from signorini_fenicsx.discrete.linear_traces import LinearTraces
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
-from signorini_fenicsx.discrete.trace_multigrid import TraceCoarse
+from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, DIRECT_UP_TO, of_facets
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.corrections import corrected, stepped
@@ -69,10 +71,11 @@ class HybridBackend(PlainBackend):
         system: HybridSystem,
         spaces: LinearTraces,
         fixed: npt.NDArray[np.int32],
-        make: Callable[[ConstrainedMatrix, PETSc.PC], TraceCoarse] | None,
-        defaults: dict[str, str],
-        prefix: str = "facet_",
-        near: tuple[Indices | None, Indices | None] = (None, None),
+        tuning: Tuning | None,
+        near: tuple[Indices, Indices],
+        *,
+        direct: bool = False,
+        with_normals: Callable[[], bool] = lambda: False,
     ):
         """Choose the solver (collective).
 
@@ -80,10 +83,10 @@ class HybridBackend(PlainBackend):
             system: The system.
             spaces: Its spaces.
             fixed: Owned unknowns that are given under all conditions.
-            make: Makes a preconditioner the multigrid; None if a factorisation is the default.
-            defaults: Options of multigrid.
-            prefix: Prefix of its PETSc options.
+            tuning: Has the size from which CG with multigrid is the default.
             near: What springs and shares couple, see `KeptFactors`.
+            direct: Whether to factorise in any case, without the user's options for the facet system.
+            with_normals: Whether the coarse space of multigrid has the normals, see `trace_multigrid` (collective).
 
         Raises:
             InputError: If PETSc refuses an option.
@@ -93,15 +96,37 @@ class HybridBackend(PlainBackend):
         self.sites, self._unknowns, self.measure, self._signs = len(sites), sites.unknown, sites.measure, sites.sign
         operator = ConstrainedMatrix(system.matrix, PETSc.Mat.Option.SPD)
         self._operator, self.dofs = operator, operator.matrix.getSize()[0]
-        coarse = None if make is None else lambda pc: make(operator, pc)
-        self._solver = FacetSolver(operator.matrix, prefix, defaults, coarse, MOST_ITERATIONS)
+        large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
+        coarse = partial(of_facets, spaces, with_normals(), operator) if large else None
+        prefix = "certificate_" if direct else "facet_"
+        self._solver = FacetSolver(operator.matrix, prefix, DEFAULTS[spaces.dim], coarse, MOST_ITERATIONS)
         self._factors = KeptFactors(self._solver, operator, fixed, self._unknowns, spaces.dim, *near)
-        self._near = np.arange(self.sites)[:, None] if near[0] is None else near[0]
+        self._near, self._pressing = near
         self._x, self._held = operator.matrix.createVecs()
         self._x.set(0.0)
         self._last: Posed | None = None
         self._state, self._iterations = State.START, 0
         self.stiffness = system.matrix.getDiagonal().array_r[self._unknowns] / self.measure
+
+    @abstractmethod
+    def _take(self, data: Any) -> None:
+        """Take data with this matrix (collective)."""
+
+    def renew(self, data: Any) -> bool:
+        """Go on with other data, see `Renewable`; False if the matrix is another one (collective)."""
+        if not self.system.renew(data):
+            return False
+        self.before_solve()
+        self._take(data)
+        if self.iterates and self.by_sets:
+            self._factors.earlier.add(self._x)
+        self._factors.serve_more()
+        return True
+
+    @property
+    def by_sets(self) -> bool:
+        """Whether the conditions say all about the laws at the sites."""
+        return True
 
     @abstractmethod
     def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
@@ -281,7 +306,7 @@ class HybridBackend(PlainBackend):
 
     def pulls(self, posed: Posed, load: Array) -> Array:
         """What shares of other sites' forces take from this right side, see `Imposed.shares`."""
-        return np.zeros(self.sites)
+        return np.asarray(posed.imposed.shares * load[self._unknowns[self._pressing]])
 
     def response(self, conditions: SiteConditions, load: Array) -> Array:
         """What a load changes of the flux at the sites, as `solve_homogeneous` solves (collective).

@@ -222,6 +222,10 @@ class HybridSystem(ABC):
     def forces(self, sigma: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown q, from σ as `recover` gives it (collective)."""
 
+    @abstractmethod
+    def renew(self, data: Any) -> bool:
+        """Go on with other data; False if these have another matrix (collective)."""
+
     def eliminate_again(self) -> None:
         """Eliminate with other data and the same matrix (collective)."""
         self._blocks = []  # both would take twice the memory

@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.discrete.hybrid_system import Sides
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs
 from signorini_fenicsx.discrete.simplices import facet_normals, opposite
@@ -117,6 +117,32 @@ class LinearTraces(MeshSpaces):
         These are matrices from the unknowns of a facet to values, shape (facets, block, block).
         """
         raise NotImplementedError
+
+    def to_unknowns(self, of_facets: Array, numbers: npt.NDArray[np.int32]) -> None:
+        """Let what belongs to values on the facets of cells belong to the unknowns of `frames`, in place.
+
+        Args:
+            of_facets: The rows of each cell are facet by facet, shape (cells, n, …).
+            numbers: The numbers of the cells, which follow one another.
+        """
+        for facets, matrices in self.frames:
+            mine, size = np.flatnonzero(np.isin(facets.cells, numbers)), matrices.shape[1]
+            rows = facets.local[mine, None] * size + np.arange(size)
+            places = (facets.cells[mine] - numbers[:1])[:, None], rows
+            of_facets[places] = matrices[mine].transpose(0, 2, 1) @ of_facets[places]
+
+    def forces(self, through: Array) -> Array:
+        """⟨σn, q⟩ summed over the cells for each owned unknown q (collective).
+
+        Args:
+            through: |e| σn at the vertices of the facets of the owned cells, shape (cells, d + 1, d, components).
+        """
+        numbers, mass = self.traces.dofmap.index_map, (1 + np.eye(self.dim)) / (self.dim * (self.dim + 1))
+        size = self.dim * through.shape[3]
+        by_block = sums_at(numbers, self.dofs, mass @ through).reshape(-1, size)
+        for facets, matrices in self.frames:
+            by_block[facets.blocks] = np.einsum("nij,ni->nj", matrices, by_block[facets.blocks])
+        return self.sides.forces(by_block.ravel()[: size * numbers.size_local])
 
     @property
     def places(self) -> Array:

@@ -60,13 +60,14 @@ class LinearSpaces(LinearTraces, Spaces):
         return np.asarray(place[by_dolfinx @ digits])
 
     @cached_property
-    def _maps(self) -> tuple[Array, npt.NDArray[np.uint32]]:
-        """F/det F of the owned cells in DOLFINx's order, and how DOLFINx turns their facets."""
+    def _maps(self) -> tuple[Array, Array, npt.NDArray[np.uint32]]:
+        """F/det F of the owned cells in DOLFINx's order, its inverse, and how DOLFINx turns their facets."""
         x = corners(self.mesh)  # differences of vertices: DOLFINx rounds F where coordinates are far from 0
         derivative = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
         self.mesh.topology.create_entity_permutations()
         turned = self.mesh.topology.get_cell_permutation_info()[: len(x)]
-        return derivative / np.linalg.det(derivative)[:, None, None], turned
+        push = derivative / np.linalg.det(derivative)[:, None, None]
+        return push, np.linalg.inv(push), turned
 
     def flux(self, values: Array) -> fem.Function:
         """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
@@ -75,13 +76,10 @@ class LinearSpaces(LinearTraces, Spaces):
         to_dofs = np.einsum(
             "biq,qa->aib", element.interpolation_matrix.reshape(-1, self.dim, len(at_points)), at_points
         )
-        sigma, by_dolfinx, (push, turned) = (
-            fem.Function(self.flux_space, name="sigma"),
-            np.empty_like(values),
-            self._maps,
-        )
+        sigma, (_, pull, turned) = fem.Function(self.flux_space, name="sigma"), self._maps
+        by_dolfinx = np.empty_like(values)
         np.put_along_axis(by_dolfinx, self._places[:, :, None], values, axis=1)
-        pulled = by_dolfinx @ np.linalg.inv(push).transpose(0, 2, 1)
+        pulled = by_dolfinx @ pull.transpose(0, 2, 1)
         dofs = np.ascontiguousarray(np.tensordot(pulled, to_dofs, ((1, 2), (0, 1)))).ravel()
         if len(values) > 0:  # DOLFINx divides by the number of cells
             self.flux_space.element.Tt_inv_apply(dofs, turned, 1)
@@ -92,7 +90,7 @@ class LinearSpaces(LinearTraces, Spaces):
     def flux_values(self, sigma: fem.Function) -> Array:
         """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes`."""
         basis = self.flux_space.element.basix_element.tabulate(0, _quadratic(self.dim).points)[0]
-        dofs, (push, turned) = sigma.x.array[cell_dofs(self.flux_space)].ravel(), self._maps
+        dofs, (push, _, turned) = sigma.x.array[cell_dofs(self.flux_space)].ravel(), self._maps
         if len(push) > 0:  # DOLFINx divides by the number of cells
             self.flux_space.element.Tt_apply(dofs, turned, 1)
         by_dolfinx = np.tensordot(dofs.reshape(-1, basis.shape[1]), basis, (1, 1)) @ push.transpose(0, 2, 1)

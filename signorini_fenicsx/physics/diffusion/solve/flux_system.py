@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals, opposite
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
@@ -52,11 +51,7 @@ class FluxSystem(HybridSystem):
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             tractions = np.broadcast_to(element.tractions, (len(numbers), *element.tractions.shape)).copy()
-            for facets, matrices in spaces.frames:
-                chosen = np.flatnonzero(np.isin(facets.cells, numbers))
-                rows = facets.local[chosen, None] * spaces.dim + np.arange(spaces.dim)
-                places = (facets.cells[chosen] - numbers[0])[:, None], rows
-                tractions[places] = matrices[chosen].transpose(0, 2, 1) @ tractions[places]
+            spaces.to_unknowns(tractions, numbers)
             yield eliminate(numbers, cells, tractions, product, -of_f, reaction=reaction)
 
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
@@ -70,10 +65,6 @@ class FluxSystem(HybridSystem):
 
     def forces(self, sigma: Array) -> Array:
         """⟨σ·n, q⟩ summed over the cells for each owned unknown, see `HybridSystem.forces` (collective)."""
-        spaces, dim = self.spaces, self.spaces.dim
-        mass = (1 + np.eye(dim)) / (dim * (dim + 1))
-        through = np.einsum("nsaj,nsj->nsa", sigma[:, opposite(dim)], facet_normals(spaces.vertices))
-        by_block = sums_at(spaces.traces.dofmap.index_map, spaces.dofs, through @ mass).reshape(-1, dim)
-        for facets, matrices in spaces.frames:
-            by_block[facets.blocks] = np.einsum("nij,ni->nj", matrices, by_block[facets.blocks])
-        return self._sides.forces(by_block.ravel()[: len(self.load)])
+        spaces = self.spaces
+        through = np.einsum("nsaj,nsj->nsa", sigma[:, opposite(spaces.dim)], facet_normals(spaces.vertices))
+        return spaces.forces(through[:, :, :, None])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -19,7 +19,6 @@ from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.hybrid_backend import HybridBackend
 from signorini_fenicsx.discrete.posed import State
 from signorini_fenicsx.discrete.sizes import Sizes
-from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, DIRECT_UP_TO, of_facets
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
@@ -50,11 +49,9 @@ class LinearBackend(HybridBackend):
         Raises:
             InputError: If PETSc refuses an option.
         """
-        system, dim = FluxSystem(spaces, data), spaces.dim
-        large = (tuning or Tuning()).is_large(system.matrix.getSize()[0], DIRECT_UP_TO[dim])
-        make = partial(of_facets, spaces, False) if large else None
-        near = np.arange(len(spaces.site_kinds)).reshape(-1, dim).repeat(dim, axis=0)
-        super().__init__(system, spaces, data.fixed, make, DEFAULTS[dim], near=(near, None))
+        sites = np.arange(len(spaces.site_kinds))
+        near = sites.reshape(-1, spaces.dim).repeat(spaces.dim, axis=0)
+        super().__init__(FluxSystem(spaces, data), spaces, data.fixed, tuning, (near, sites))
         self.precise = self._corrected_to_rounding
         self._take(data)
 
@@ -69,16 +66,6 @@ class LinearBackend(HybridBackend):
         loads = (self.system.load, data.load)
         loaded = self.comm.allreduce(any(bool(load.any()) for load in loads), MPI.LOR)
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=loaded)
-
-    def renew(self, data: LinearData) -> bool:
-        """Go on with other data, see `Renewable`; False if the matrix is another one (collective)."""
-        if not self.system.renew(data):
-            return False
-        if self.iterates:
-            self._factors.earlier.add(self._x)
-        self._factors.serve_more()
-        self._take(data)
-        return True
 
     @property
     def chains(self) -> Chains:

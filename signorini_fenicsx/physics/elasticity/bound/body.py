@@ -48,7 +48,6 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells,
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
 from signorini_fenicsx.physics.elasticity.solve.rigid_motions import Bodies
-from signorini_fenicsx.physics.elasticity.solve.system import transform
 
 ON_FACETS = 1 / 8
 """l is this share of |Ω|^(1/d)."""
@@ -142,10 +141,8 @@ def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, the
         cells = Cells(spaces.vertices[numbers])
         matrices, positive = _on_cells(cells, compliance[numbers], of_facets[numbers], theta)
         inside &= positive
-        for facets, frames in spaces.frames:
-            mine = np.flatnonzero(np.isin(facets.cells, numbers))
-            for each in (matrices, matrices.swapaxes(1, 2)):
-                transform(each, facets.cells[mine] - numbers[:1], facets.local[mine], frames[mine])
+        for each in (matrices, matrices.swapaxes(1, 2)):
+            spaces.to_unknowns(each, numbers)
         parts.append((spaces.dofs[numbers], matrices))
     if not comm.allreduce(inside, MPI.LAND):
         return False

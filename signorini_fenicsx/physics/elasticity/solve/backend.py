@@ -6,7 +6,7 @@ under the load they give way so far that the next set is larger. No result has s
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
@@ -21,7 +21,7 @@ from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.hybrid_backend import HybridBackend
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
-from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, DIRECT_UP_TO, STIFF, of_facets
+from signorini_fenicsx.discrete.trace_multigrid import STIFF
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, law_of_sites
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import neighbours
@@ -69,12 +69,15 @@ class ElasticBackend(HybridBackend):
             InputError: If PETSc refuses an option.
         """
         self._normal, self._slip = spaces.site_kinds
-        system, near = ElasticSystem(spaces, data), neighbours(spaces)
-        self._pressing = near[1]
-        large = not direct and (tuning or Tuning()).is_large(system.matrix.getSize()[0], DIRECT_UP_TO[spaces.dim])
-        make = partial(of_facets, spaces, data.stiffness_of_volume(spaces) >= STIFF) if large else None
-        prefix = "certificate_" if direct else "facet_"
-        super().__init__(system, spaces, data.fixed, make, DEFAULTS[spaces.dim], prefix, near)
+        super().__init__(
+            ElasticSystem(spaces, data),
+            spaces,
+            data.fixed,
+            tuning,
+            neighbours(spaces),
+            direct=direct,
+            with_normals=lambda: data.stiffness_of_volume(spaces) >= STIFF,
+        )
         self._take(data)
 
     def _take(self, data: ElasticData) -> None:
@@ -85,16 +88,10 @@ class ElasticBackend(HybridBackend):
         self._state, self._iterations = State.START, 0
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=self.system.loaded or bool(self.tools))
 
-    def renew(self, data: ElasticData) -> bool:
-        """Go on with other data, see `Renewable`; False if the matrix is another one (collective)."""
-        if not self.system.renew(data):
-            return False
-        self._x.array_w[:] = self._x.array_r - self.tools.forget()
-        if self.iterates and data.friction.slipping is None:
-            self._factors.earlier.add(self._x)
-        self._factors.serve_more()
-        self._take(data)
-        return True
+    @property
+    def by_sets(self) -> bool:
+        """Whether the law of friction is not that of space, which turns."""
+        return self.friction.slipping is None
 
     @property
     def chains(self) -> Chains:
@@ -109,12 +106,12 @@ class ElasticBackend(HybridBackend):
     def inexact(self) -> Inexact | None:
         """The backend itself, as traces cost less than fields; with tools by rough solves, never where laws turn."""
         rough = self.iterates and not self.friction.by_pressure
-        return self if self.friction.slipping is None and (rough or not self.tools) else None
+        return self if self.by_sets and (rough or not self.tools) else None
 
     @property
     def anchored(self) -> Anchored[Iterate] | None:
         """The backend itself, but in space with friction, whose law turns."""
-        return self if self.friction.slipping is None else None
+        return self if self.by_sets else None
 
     def anchor(self) -> bool:
         """Let weak springs pull as `Anchored.anchor` says (collective)."""
@@ -248,10 +245,6 @@ class ElasticBackend(HybridBackend):
     def turn(self, friction: FrictionBounds) -> None:
         """Take another law of friction."""
         self.friction, self._state = friction, State.START
-
-    def pulls(self, posed: Posed, load: Array) -> Array:
-        """What the linear law in space takes from this right side, of which the pressure is what is left."""
-        return np.asarray(posed.imposed.shares * load[self._unknowns[self._pressing]])
 
     def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
         """The iterate from the values of σ and u (collective)."""

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
@@ -91,7 +90,6 @@ class ElasticSystem(HybridSystem):
             moments: (f, φ_v) of each cell, shape (cells, d + 1, d).
         """
         spaces, data = self.spaces, self._data
-        framed = [(facets.cells, facets.local, matrices) for facets, matrices in spaces.frames]
         for numbers in blocks_of_cells(spaces.mesh):
             cells = Cells(spaces.vertices[numbers])
             if stresses is None or moments is None:
@@ -108,9 +106,7 @@ class ElasticSystem(HybridSystem):
                 functional = np.einsum("nve,nveb->nb", given.reshape(basis.shape[:3]), basis)
             product = compliance_product(basis, masses)
             tractions = cells.tractions(self.element.tractions)
-            for facets, local, matrices in framed:
-                mine = np.flatnonzero(np.isin(facets, numbers))
-                transform(tractions, facets[mine] - numbers[0], local[mine], matrices[mine])
+            spaces.to_unknowns(tractions, numbers)
             balance = -np.linalg.solve(cells.derivative, of_f.transpose(0, 2, 1)).transpose(0, 2, 1)
             balance = balance.reshape(len(numbers), -1)
             eliminated = eliminate(numbers, cells, tractions, product, balance, functional)
@@ -142,13 +138,8 @@ class ElasticSystem(HybridSystem):
 
     def forces(self, stresses: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown, from values as `recover` gives them (collective)."""
-        spaces, dim = self.spaces, self.spaces.dim
-        mass = (1 + np.eye(dim)) / (dim * (dim + 1))
-        pulls = np.einsum("nsaij,nsj->nsai", stresses[:, :, :dim], facet_normals(spaces.vertices))
-        by_block = sums_at(spaces.traces.dofmap.index_map, spaces.dofs, mass @ pulls).reshape(-1, dim**2)
-        for facets, matrices in spaces.frames:
-            by_block[facets.blocks] = np.einsum("nij,ni->nj", matrices, by_block[facets.blocks])
-        return self._sides.forces(by_block.ravel()[: len(self.load)])
+        spaces = self.spaces
+        return spaces.forces(np.einsum("nsaij,nsj->nsai", stresses[:, :, : spaces.dim], facet_normals(spaces.vertices)))
 
 
 def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.int32]) -> None:
@@ -158,10 +149,3 @@ def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.i
     rows = facets.local[mine, None] * size + np.arange(size)
     cells = (facets.cells[mine] - numbers[0])[:, None, None]
     np.add.at(matrices, (cells, rows[:, :, None], rows[:, None]), supports.masses[mine])
-
-
-def transform(tractions: Array, cells: Indices, local: Indices, matrices: Array) -> None:
-    """Let tractions be those of the unknowns of a frame on some facets."""
-    size = matrices.shape[1]
-    rows = local[:, None] * size + np.arange(size)
-    tractions[cells[:, None], rows] = matrices.transpose(0, 2, 1) @ tractions[cells[:, None], rows]
