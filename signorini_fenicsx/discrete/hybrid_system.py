@@ -155,11 +155,12 @@ def _with_reaction(
     Without c they are b, and u = u_x x + u_0 − Sb with S from the fluxes that b brings. With c they are b + Cu, so that
     u = (I + SC)⁻¹ (u_x x + u_0 − Sb).
     """
-    none, units = np.zeros_like(balance), np.eye(balance.shape[1])
-    without = eliminate(cells, geometry, tractions, product, none, functional)
-    by_unit = [eliminate(cells, geometry, tractions, product, np.broadcast_to(e, balance.shape)) for e in units]
-    of_flux = np.stack([each.flux_of_f for each in by_unit], axis=2)
-    compliance = -np.stack([each.u_of_f for each in by_unit], axis=2)  # S
+    units, free = np.eye(balance.shape[1]), product.shape[1] - balance.shape[1]
+    without = eliminate(cells, geometry, tractions, product, np.zeros_like(balance), functional)
+    coupled = product[:, free:, :free]
+    by_unit = -np.linalg.solve(product[:, :free, :free], coupled.transpose(0, 2, 1))
+    of_flux = np.concatenate([by_unit, np.broadcast_to(units, (len(balance), *units.shape))], axis=1)
+    compliance = product[:, free:, free:] + coupled @ by_unit  # S
     moved = np.linalg.inv(units + compliance @ reaction)
     u = moved @ without.u
     u_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - np.einsum("nml,nl->nm", compliance, balance))

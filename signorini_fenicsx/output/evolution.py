@@ -163,7 +163,8 @@ def _draw(
     from signorini_fenicsx.pictures.scene import gathered_scene
 
     spaces, comm = solution.spaces, solution.spaces.mesh.comm
-    scene, sample = gathered_scene(solution), sample_of(spaces)
+    sample = sample_of(spaces)
+    scene = gathered_scene(solution, sample=sample)
     wanted = PHYSICS[solution.physics].pictures.kept(solution, len(times))
     kept = {key: {step: sample.in_cells(steps.kept(spaces, step, key)) for step in of} for key, of in wanted.items()}
 

@@ -18,7 +18,7 @@ from signorini_fenicsx.pictures.sheet import Sheet
 def draw_all(folder: Path, scene: Scene) -> None:
     """Draw all files of a scene that have a panel (rank 0)."""
     sheets = _sheets(scene)
-    for name, (title, panels) in scene.pictures.files(scene).items():
+    for name, (title, panels) in scene.files.items():
         if panels:
             sheets.sheet(panels, title).save(folder / f"{name}.png")
 
@@ -26,7 +26,7 @@ def draw_all(folder: Path, scene: Scene) -> None:
 @mpl.rc_context(style.STYLE)
 def overview(scene: Scene) -> Sheet:
     """The first file as a figure, which a notebook shows (rank 0)."""
-    title, panels = next(iter(scene.pictures.files(scene).values()))
+    title, panels = next(iter(scene.files.values()))
     figure = _sheets(scene).sheet(panels, title)
     figure.draw_without_rendering()  # ticks are made here, in this style
     return figure

@@ -1,11 +1,14 @@
 """`solution.html`: one file with pictures that the mouse can turn; the browser needs no network."""
 
+from __future__ import annotations
+
 import html
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -18,6 +21,9 @@ from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.geometry import creases, thinned
 from signorini_fenicsx.pictures.panels import Panel, Where
 from signorini_fenicsx.pictures.scene import Scene
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.pictures.space import Space
 
 MOST_TRIANGLES = 40_000
 """Most triangles of a surface, which then takes one or two megabytes."""
@@ -43,7 +49,7 @@ SYMBOLS = {
 
 def write_page(path: Path, scene: Scene) -> None:
     """Write the page: one picture for each panel that can be turned, chosen with a button (rank 0)."""
-    panels = [each for _, of_file in scene.pictures.files(scene).values() for each in of_file]
+    panels = [each for _, of_file in scene.files.values() for each in of_file]
     page = Page(scene, _origin(scene.fields.points))
     common, sheets = page.common(), dict[str, list]()
     for panel in panels:
@@ -100,6 +106,13 @@ class Page:
 
     scene: Scene
     origin: Array
+
+    @cached_property
+    def space(self) -> Space:
+        """The views of the solution in space."""
+        from signorini_fenicsx.pictures.space import Space  # imports VTK
+
+        return Space(self.scene)
 
     def axes(self) -> dict[str, Any]:
         """Axes with equal scales; a surface over the plane is half as high as the shorter side of the domain."""
@@ -183,9 +196,7 @@ class Page:
         if panel.where is Where.GAMMA:
             values = self.scene.on_facets(panel.what)
             return [self.surface(points, facets, panel, values if values.ndim == 1 else np.linalg.norm(values, axis=1))]
-        from signorini_fenicsx.pictures.space import Space
-
-        space = Space(scene)
+        space = self.space.of(panel.scene) if panel.scene else self.space
         if panel.where is Where.STREAMS:
             return self._streamlines(panel, space.streamlines)
         grid = space.with_values(panel)

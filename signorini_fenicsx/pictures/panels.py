@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from pathlib import Path
@@ -109,7 +109,7 @@ class Overlay:
         return Line2D([], [], label=self.label, **self.look | {"linewidth": max(self.look["linewidth"], 1.0)})
 
 
-type File = tuple[str, Iterable[Panel]]
+type File = tuple[str, Sequence[Panel]]
 """Title and panels of a picture."""
 
 

@@ -26,7 +26,8 @@ from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.gather import Boundary, Fields, boundary_of, fields_of, sample_of
 from signorini_fenicsx.pictures.geometry import chains
-from signorini_fenicsx.pictures.panels import Overlay, Pictures
+from signorini_fenicsx.pictures.panels import File, Overlay, Pictures
+from signorini_fenicsx.pictures.sample import Sample
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
@@ -97,6 +98,11 @@ class Scene:
         """Dimension, 2 or 3."""
         return int(self.fields.points.shape[1])
 
+    @cached_property
+    def files(self) -> Mapping[str, File]:
+        """The panels of each file, see `Pictures.files`."""
+        return self.pictures.files(self)
+
     @property
     def labels(self) -> dict[str, str]:
         """For each part of Γ_S the name of the coordinate along it."""
@@ -125,7 +131,7 @@ class Scene:
             np.lexsort((*in_digits(x).T, part))
             for x, part in ((self.facets.x, self.facets.part), (self.sites.middles, self.sites.part))
         )
-        rows = np.empty((len(order), len(of_sites) // max(len(order), 1)), dtype=np.int64)
+        rows = np.empty((len(order), len(of_sites) // len(order) if len(order) else 1), dtype=np.int64)
         rows[order] = of_sites.reshape(rows.shape)
         return rows
 
@@ -243,7 +249,10 @@ class Scene:
 
 
 def gathered_scene(
-    solution: Solved, certificate: Certificate | None = None, indicator: fem.Function | None = None
+    solution: Solved,
+    certificate: Certificate | None = None,
+    indicator: fem.Function | None = None,
+    sample: Sample | None = None,
 ) -> Scene | None:
     """The scene of a solution on rank 0; None elsewhere (collective).
 
@@ -251,8 +260,10 @@ def gathered_scene(
         solution: The solution.
         certificate: Its error bound, if there is one.
         indicator: η_T of another bound.
+        sample: The sample of its mesh, if that is known.
     """
-    drawn, spaces, sample = solution.drawn(), solution.spaces, sample_of(solution.spaces)
+    drawn, spaces = solution.drawn(), solution.spaces
+    sample = sample or sample_of(spaces)
     indicator = certificate.indicator if certificate is not None else indicator
     cells = {**drawn.cells, **({} if indicator is None else {"indicator": owned_values(indicator)})}
     if spaces.domain.regions:

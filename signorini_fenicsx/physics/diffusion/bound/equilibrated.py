@@ -68,11 +68,10 @@ def admissible_flux(
     sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     flux = solution.cell_flux if sigma is solution.sigma else CellFlux.of(spaces, sigma)
     if not isinstance(flux, LinearFlux):
-        y, u, rounding, why = _balanced(solution, metric, goal, sigma, u)
-        flux = flux if y is sigma else CellFlux.of(spaces, y)
+        y, flux, u, rounding, why = _balanced(solution, metric, goal, sigma, flux, u)
     else:
         y, lowest, level = sigma, flux.function(), function_of(spaces.Q, _level(solution.data, flux, u))
-        near, u, rounding, why = _balanced(solution, metric, goal, lowest, level)
+        near, _, u, rounding, why = _balanced(solution, metric, goal, lowest, CellFlux.of(spaces, lowest), level)
         if near is not lowest:
             change, added = near.copy(), fem.Function(sigma.function_space)
             change.x.array[:] -= lowest.x.array
@@ -95,16 +94,16 @@ def _level(data: Data, flux: LinearFlux, u: fem.Function) -> Array:
 
 
 def _balanced(
-    solution: Solution, metric: CellMetric, goal: Goal, sigma: fem.Function, u: fem.Function
-) -> tuple[fem.Function, fem.Function, float, str]:
-    """Y in RT0 near σ, u* near u in P0, the term for rounding, infinite if there is none, and why (collective)."""
+    solution: Solution, metric: CellMetric, goal: Goal, sigma: fem.Function, flux: CellFlux, u: fem.Function
+) -> tuple[fem.Function, CellFlux, fem.Function, float, str]:
+    """Y in RT0 near σ, and cell by cell, u* near u in P0, the term for rounding, infinite without, why (collective)."""
     spaces, data = solution.spaces, solution.data
     comm, volume = spaces.mesh.comm, metric.volume
     kappa_min = comm.allreduce(metric.kappa_min.min(initial=np.inf), MPI.MIN)
     constant = comm.allreduce(volume.sum()) ** (1 / spaces.mesh.topology.dim) / np.sqrt(kappa_min)
     limits = tuple(data.q_Sh + end for end in goal.chains.extent()[2:])
     y = _within(spaces, limits, sigma)
-    flux = solution.cell_flux if y is solution.sigma else CellFlux.of(spaces, y)
+    flux = flux if y is sigma else CellFlux.of(spaces, y)
     c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
     loads = np.abs(owned_values(data.f_h)) + c_h * np.abs(owned_values(u))
     squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ loads**2]))
@@ -118,16 +117,16 @@ def _balanced(
             may = room(data.inside, cells, s, owned_values(u))
         left = constant * np.sqrt(comm.allreduce(volume @ off**2))
         if left <= rounding:
-            return y, u, rounding, ""
+            return y, flux, u, rounding, ""
         try:
             correction = balancing_flux(spaces, data, y, function_of(spaces.Q, off), limits, may)
         except LinearSolveFailure:
-            return y, u, np.inf, FAILED
+            return y, flux, u, np.inf, FAILED
         correction.sigma.x.array[:] += y.x.array
         correction.u.x.array[:] += u.x.array
         y, u = _within(spaces, limits, correction.sigma), correction.u
         flux = CellFlux.of(spaces, y)
-    return y, u, np.inf, LEFT if kappa_min > 0 else _without_ellipticity(spaces, metric)
+    return y, flux, u, np.inf, LEFT if kappa_min > 0 else _without_ellipticity(spaces, metric)
 
 
 def _without_ellipticity(spaces: Spaces, metric: CellMetric) -> str:

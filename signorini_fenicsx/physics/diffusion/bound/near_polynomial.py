@@ -231,9 +231,8 @@ def _beside(own: Admissible, p: Array, tolerance: float) -> tuple[Array, Array, 
             if level is bound.datum:  # v is b but for (1 − χ)(b − I_hb) and what p is beside I_hb
                 free -= _of_linear(chi, order)[cells]
         for tree, rows in with_trees(bound.datum, bound.near):
-            rho, quadratic = (
-                BESIDE * distances(tree, x[rows], frame, enough[rows], least)[:, None] for least in (order, 2)
-            )
+            rho = BESIDE * distances(tree, x[rows], frame, enough[rows], order)[:, None]
+            quadratic = rho if order == 2 else BESIDE * distances(tree, x[rows], frame, enough[rows], 2)[:, None]
             nearest = (
                 (raised(as_basix(interpolated(tree, x[rows]), x[rows]), cell, order), quadratic),
                 (coefficients_of(in_nodes(tree, x[rows], order), cell), free[rows] * rho),

@@ -22,12 +22,13 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
-from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet, nodes
+from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet
 from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
-from signorini_fenicsx.discrete.points import FacetPoints, Points, in_cells
+from signorini_fenicsx.discrete.points import FacetPoints, Points
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 type Weight = Array | float
@@ -167,10 +168,9 @@ class LinearFlux(CellFlux):
     @classmethod
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
         """The flux on cells of a function with up-to-date ghost values (collective)."""
+        assert isinstance(spaces, LinearSpaces)
         mesh, cell, dim = spaces.mesh, spaces.mesh.basix_cell(), spaces.mesh.topology.dim
-        at_nodes = [points.of_ufl(sigma) for points in in_cells(mesh, owned_cells(mesh), nodes(cell, 2))]
-        values = np.concatenate(at_nodes).transpose(2, 0, 1)
-        components = np.stack([coefficients_of(component, cell) for component in values])
+        components = np.stack([coefficients_of(each, cell) for each in np.moveaxis(spaces.by_dolfinx(sigma), 2, 0)])
         jets = [jet(each, np.full((1, 1, dim + 1), 1 / (dim + 1)), hat_gradients(mesh))[:, 0] for each in components]
         slope = sum(each[:, 1 + i] for i, each in enumerate(jets)) / dim
         return cls(spaces, np.stack([each[:, 0] for each in jets], axis=1), np.asarray(slope), components)

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.arrays import AnyIndices, Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values, means_of_linear
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
@@ -136,8 +136,8 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     lift.x.array[sites.unknown] = laws.p_h
     lift.x.scatter_forward()
     given_flux = _linear(spaces, data.g_N, spaces.neumann)
-    mass = (1 + np.eye(spaces.dim)) / (spaces.dim * (spaces.dim + 1))
-    load.array[spaces.unknowns(spaces.neumann)] = spaces.neumann.measure[:, None] * given_flux @ mass
+    share = spaces.neumann.measure[:, None] / spaces.dim
+    load.array[spaces.unknowns(spaces.neumann)] = share * means_of_linear(given_flux)
     load.array[sites.unknown] = sites.measure * laws.flux_h
     owned = spaces.dim * spaces.traces.dofmap.index_map.size_local
     given = {name: getattr(data, name) for name in data.__dataclass_fields__}

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
-import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -15,6 +14,8 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.discrete.bernstein import exponents, interpolation
+from signorini_fenicsx.discrete.bernstein import nodes as bernstein_nodes
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
 from signorini_fenicsx.discrete.simplices import opposite
@@ -48,12 +49,11 @@ class LinearSpaces(LinearTraces, Spaces):
 
     @cached_property
     def _places(self) -> Indices:
-        """Which of the points of `_quadratic` each node of the owned cells is, see `raviart_thomas.nodes`."""
-        points, dim = _quadratic(self.dim).points, self.dim
-        hats = np.column_stack([1 - points.sum(axis=1), points])
-        digits = 3 ** np.arange(dim + 1)  # of twice the barycentric coordinates
+        """Which of `bernstein.nodes` of degree 2 each node of the owned cells is, see `raviart_thomas.nodes`."""
+        dim, twice = self.dim, exponents(SIMPLEX[self.dim], 2)  # the barycentric coordinates
+        digits = 3 ** np.arange(dim + 1)
         place = np.empty(3 ** (dim + 1), dtype=np.int64)
-        place[np.rint(2 * hats).astype(np.int64) @ digits] = np.arange(len(hats))
+        place[twice @ digits] = np.arange(len(twice))
         in_order = np.rint(2 * nodes(dim)).astype(np.int64)
         by_dolfinx = np.zeros((len(self.order), *in_order.shape), dtype=np.int64)
         np.put_along_axis(by_dolfinx, np.broadcast_to(self.order[:, None], by_dolfinx.shape), in_order[None], axis=2)
@@ -71,8 +71,8 @@ class LinearSpaces(LinearTraces, Spaces):
 
     def flux(self, values: Array) -> fem.Function:
         """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
-        element, quadratic = self.flux_space.element.basix_element, _quadratic(self.dim)
-        at_points = quadratic.tabulate(0, element.points)[0, :, :, 0]
+        element = self.flux_space.element.basix_element
+        at_points = interpolation(SIMPLEX[self.dim], 2, element.points)
         to_dofs = np.einsum(
             "biq,qa->aib", element.interpolation_matrix.reshape(-1, self.dim, len(at_points)), at_points
         )
@@ -89,12 +89,15 @@ class LinearSpaces(LinearTraces, Spaces):
 
     def flux_values(self, sigma: fem.Function) -> Array:
         """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes`."""
-        basis = self.flux_space.element.basix_element.tabulate(0, _quadratic(self.dim).points)[0]
+        return np.asarray(np.take_along_axis(self.by_dolfinx(sigma), self._places[:, :, None], axis=1))
+
+    def by_dolfinx(self, sigma: fem.Function) -> Array:
+        """The values of a flux in `bernstein.nodes` of degree 2 of the owned cells, shape (cells, nodes, d)."""
+        basis = self.flux_space.element.basix_element.tabulate(0, bernstein_nodes(SIMPLEX[self.dim], 2))[0]
         dofs, (push, _, turned) = sigma.x.array[cell_dofs(self.flux_space)].ravel(), self._maps
         if len(push) > 0:  # DOLFINx divides by the number of cells
             self.flux_space.element.Tt_apply(dofs, turned, 1)
-        by_dolfinx = np.tensordot(dofs.reshape(-1, basis.shape[1]), basis, (1, 1)) @ push.transpose(0, 2, 1)
-        return np.asarray(np.take_along_axis(by_dolfinx, self._places[:, :, None], axis=1), dtype=np.float64)
+        return np.asarray(np.tensordot(dofs.reshape(-1, basis.shape[1]), basis, (1, 1)) @ push.transpose(0, 2, 1))
 
     def scalar(self, values: Array) -> fem.Function:
         """The function with these values at the vertices of the owned cells, shape (cells, d + 1) (collective)."""
@@ -142,9 +145,3 @@ class LinearSpaces(LinearTraces, Spaces):
 def linear_spaces(spaces: Spaces) -> LinearSpaces:
     """The spaces of RT1 on the mesh of those of RT0 (collective)."""
     return LinearSpaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)) | {"degree": 1})
-
-
-@cache
-def _quadratic(dim: int) -> basix.finite_element.FiniteElement:
-    """The quadratic functions on a reference simplex, by their values at its vertices and midpoints of edges."""
-    return basix.create_element(basix.ElementFamily.P, SIMPLEX[dim], 2, basix.LagrangeVariant.gll_warped)

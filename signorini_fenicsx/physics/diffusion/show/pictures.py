@@ -97,7 +97,7 @@ def kept(solution: Any, steps: int) -> Mapping[str, Sequence[int]]:
     """Steps whose u is in the animation, and whose fronts are drawn."""
     if solution.spaces.mesh.topology.dim == 3:
         return {}
-    return {"u": shown(steps)} | ({"own": chosen_for_fronts(steps)} if "states" in solution.drawn().cells else {})
+    return {"u": shown(steps)} | ({"own": chosen_for_fronts(steps)} if columns_of_cells(solution) else {})
 
 
 def in_time(folder: Path, scene: Scene, steps: Steps) -> None:

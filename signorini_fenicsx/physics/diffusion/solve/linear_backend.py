@@ -17,6 +17,7 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.hybrid_backend import HybridBackend
+from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.posed import State
 from signorini_fenicsx.discrete.sizes import Sizes
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
@@ -98,16 +99,15 @@ class LinearBackend(HybridBackend):
         """
         spaces, dim, contact = self.spaces, self.spaces.dim, self.spaces.contact
         added = np.where(where, -iterate.flux, 0.0).reshape(-1, dim)
-        mass = (1 + np.eye(dim)) / (dim + 1)
         cells, row = np.unique(contact.cells, return_inverse=True)
         moments, places = np.zeros((len(cells), dim + 1, dim)), (row, contact.local)
-        moments[places] = contact.measure[:, None] / dim * added @ mass
+        moments[places] = contact.measure[:, None] / dim * means_of_linear(added)
         shapes, basis = Cells(spaces.vertices[cells]), reference(dim).nodal[:, : dim * (dim + 1)]
         change = moments.reshape(-1, dim * (dim + 1)) @ basis.T
         sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, cells.astype(np.int32), shapes)
         sigma[cells] += shapes.at_nodes(change)
         moved = np.einsum("nbc,nc->nb", product, change) @ basis
-        means = (moved.reshape(-1, dim + 1, dim)[places] @ mass).ravel()
+        means = means_of_linear(moved.reshape(-1, dim + 1, dim)[places]).ravel()
         flux = np.where(where, 0.0, iterate.flux)
         return replace(iterate, sigma=spaces.flux(sigma), p=iterate.p + means, means=iterate.means + means, flux=flux)
 

@@ -87,9 +87,8 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
         residual = np.einsum("nbc,nc->nb", product, of_sigma)
         residual[:, free:] += u[numbers]  # the moments of ∇· of the basis are 1
         residual = residual @ element.nodal
-        masses = [element.nodal.T @ each @ element.nodal for each in (cells.product(identity), product)]
         trace[numbers] = residual[:, :traces]
-        M, W = (np.einsum("nbb->nb", mass) for mass in masses)
+        M, W = (((each @ element.nodal) * element.nodal).sum(axis=1) for each in (cells.product(identity), product))
         sizes[numbers] = np.stack([M, W], axis=2)[:, :traces]
         inner, m, w = (each[:, traces:] for each in (residual, M, W))
         squares[0] += (inner**2 / m).sum(), (m * (inner / w) ** 2).sum()
