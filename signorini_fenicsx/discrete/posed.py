@@ -12,7 +12,7 @@ from signorini_fenicsx.linear.kept_factors import Imposed
 
 
 class State(Enum):
-    """What the last solution x is to a `HybridBackend`."""
+    """What the last solution x is to a `TraceBackend`."""
 
     START = auto()
     POSED = auto()

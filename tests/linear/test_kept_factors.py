@@ -8,7 +8,7 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.discrete import hybrid_backend as elastic
+from signorini_fenicsx.discrete import trace_backend as elastic
 from signorini_fenicsx.linear import kept_factors
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.problem import (

@@ -16,10 +16,10 @@ from signorini_fenicsx.contact.backend import Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
-from signorini_fenicsx.discrete.hybrid_backend import HybridBackend
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.posed import State
 from signorini_fenicsx.discrete.sizes import Sizes
+from signorini_fenicsx.discrete.trace_backend import TraceBackend
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
@@ -28,7 +28,7 @@ from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 
 
-class LinearBackend(HybridBackend):
+class LinearBackend(TraceBackend):
     """Solves under one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
 
     The flux is the value of σ·n − Π₁q_S at the vertex.

@@ -18,9 +18,9 @@ from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
-from signorini_fenicsx.discrete.hybrid_backend import HybridBackend
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
+from signorini_fenicsx.discrete.trace_backend import TraceBackend
 from signorini_fenicsx.discrete.trace_multigrid import STIFF
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, law_of_sites
@@ -35,7 +35,7 @@ ROUGH = 1e-2
 """What a rough solve with tools leaves, as a share of what there was at its start."""
 
 
-class ElasticBackend(HybridBackend):
+class ElasticBackend(TraceBackend):
     """Solves under one condition per facet vertex of Γ_C: p = g − u_n there, and the flux is the pressure −σ_nn.
 
     ZERO_TRACE is contact, NO_FLUX a free vertex. Under other laws both are measured from a point of the graph, p is as
@@ -198,13 +198,13 @@ class ElasticBackend(HybridBackend):
         self.tools.respond(response, self._factors.forces)
 
     def given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
-        """The forces of the laws at the sites, see `HybridBackend.given_forces`, those of friction in space as well."""
+        """The forces of the laws at the sites, see `TraceBackend.given_forces`, those of friction in space as well."""
         forces, slip = super().given_forces(posed, p), self._slip
         slip.of(forces)[:] -= slip.measure * self.friction.resisted(slip.of(np.broadcast_to(p, self.sites)))
         return forces
 
     def solve_homogeneous(self, conditions: SiteConditions, load: Array, lift: Array | float = 0.0) -> PETSc.Vec:
-        """Solve as `HybridBackend.solve_homogeneous`; nothing acts on tools but the body (collective).
+        """Solve as `TraceBackend.solve_homogeneous`; nothing acts on tools but the body (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
@@ -218,7 +218,7 @@ class ElasticBackend(HybridBackend):
         return x
 
     def response(self, conditions: SiteConditions, load: Array) -> Array:
-        """What a load changes of the flux at the sites, see `HybridBackend.response` (collective).
+        """What a load changes of the flux at the sites, see `TraceBackend.response` (collective).
 
         Raises:
             LinearSolveFailure: If the linear solver fails.
@@ -253,7 +253,7 @@ class ElasticBackend(HybridBackend):
         return Iterate(p, flux, self._iterations, spaces.split.stress(sigma), spaces.displacement(u))
 
     def left_at_sites(self, posed: Posed, x: PETSc.Vec, left: Array) -> None:
-        """Add what supports, laws, weak springs and pressure do, see `HybridBackend.left_at_sites`."""
+        """Add what supports, laws, weak springs and pressure do, see `TraceBackend.left_at_sites`."""
         left -= self.system.of_supports(x.array_r)
         super().left_at_sites(posed, x, left)
         left[self._unknowns] += self._signs * self._weak.pull(posed.conditions, self.openings(x))

@@ -34,7 +34,7 @@ MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
 
 
-class HybridBackend(PlainBackend):
+class TraceBackend(PlainBackend):
     """Solves under one condition per facet vertex, for the p and the flux of the kinds of sites in `site_kinds`.
 
     The laws of the first kind of sites are `VertexLaws`. Subclasses say what the fields are (`iterate`), and what else
