@@ -112,13 +112,19 @@ class Linearised(ABC):
     def by(self, J: Form, more: Any) -> dict[str, Array]:
         """The derivatives of J by what is seen and plain, and by the numbers that are made, see `adjoint`."""
 
+    def largest(self, p: Array, flux: Array) -> tuple[Array, Array]:
+        """The largest sizes of what are like p and σ·n, for all sites; 1 where it is 0 (collective)."""
+        comm, sites = self._spaces.mesh.comm, self._backend.sites
+        of_p, of_flux = (comm.allreduce(np.abs(each).max(initial=0.0), MPI.MAX) for each in (p, flux))
+        return np.full(sites, of_p if of_p > 0 else 1.0), np.full(sites, of_flux if of_flux > 0 else 1.0)
+
     @abstractmethod
     def scales(self) -> tuple[Array, Array]:
         """Sizes > 0 of p and σ·n at the sites (collective)."""
 
-    @abstractmethod
     def places(self) -> Array:
-        """Where the biactive sites of this rank are, shape (sites, dim)."""
+        """Where the biactive sites of this rank are, shape (sites, dim): by default vertices of facets."""
+        return np.asarray(self._backend.places()[self.biactive, : self._spaces.mesh.geometry.dim])
 
     def refused(self, _chains: Chains) -> Mask:
         """The biactive sites that have no derivative along these rays."""

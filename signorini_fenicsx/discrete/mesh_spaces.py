@@ -192,7 +192,22 @@ class MeshSpaces:
         return function
 
     def set_linear(self, function: fem.Function, values: npt.NDArray) -> None:
-        """Set such a function by its values, ghosts updated (collective).
+        """Set such a function by its values, ghosts updated (collective)."""
+        places, rows = self._linear_places
+        by_node = function.x.array.reshape(-1, *values.shape[2:])
+        by_node[function.function_space.dofmap.list[: len(rows)]] = values[rows[:, None], places]
+        function.x.scatter_forward()
+
+    def linear_values(self, function: fem.Function) -> npt.NDArray:
+        """The values, or other coefficients, of such a scalar function at `corners`, shape (facets, d)."""
+        places, rows = self._linear_places
+        values = np.empty(places.shape)
+        values[rows[:, None], places] = function.x.array[function.function_space.dofmap.list[: len(rows)]]
+        return values
+
+    @property
+    def _linear_places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int32]]:
+        """For each cell of the mesh of Γ_S which of `corners` its vertices are, and its facet.
 
         Vertices are found by their places: the mesh of Γ_S may have those of a facet in another order.
         """
@@ -202,9 +217,7 @@ class MeshSpaces:
         nodes = dolfinx.mesh.entities_to_geometry(gamma, dim - 1, np.arange(size, dtype=np.int32))
         x = gamma.geometry.x[nodes, :dim]
         distances = np.square(x[:, :, None] - self.corners[facets][:, None]).sum(axis=3)
-        by_node = function.x.array.reshape(-1, *values.shape[2:])
-        by_node[function.function_space.dofmap.list[:size]] = values[facets[:, None], distances.argmin(axis=2)]
-        function.x.scatter_forward()
+        return distances.argmin(axis=2), facets
 
     @collector_off()
     def form(self, ufl_form: ufl.Form | fem.Form) -> fem.Form:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
+import basix.ufl
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,9 @@ from ufl import Form
 from ufl.algorithms.analysis import extract_coefficients, extract_constants
 from ufl.core.expr import Expr
 
+from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.expressions import TREES
@@ -74,6 +77,26 @@ def seen_in_cells(space: fem.FunctionSpace, datum: Datum, cells: npt.NDArray[np.
     dofs = (size * cells[:, None] + np.arange(size)).ravel().astype(np.int32)
     dx = ufl.dx(degree=quadrature_degree(datum))
     return Seen(lambda v: ufl.inner(datum.ufl, v) * dx, space, dofs, np.repeat(measures, size))
+
+
+def seen_in_points(
+    mesh: dolfinx.mesh.Mesh, number: Expr, rule: tuple[Array, Array], scale: Array, degree: int | None = None
+) -> Seen:
+    """The values of a number or a matrix in points of the owned cells.
+
+    Args:
+        mesh: The mesh.
+        number: It, in UFL.
+        rule: The points on the reference cell and their weights.
+        scale: The weights of the points in the cells, shape (cells, points) or any other of this size.
+        degree: That of the rule, where forms with points of other rules may be added.
+    """
+    points, weights = rule
+    element = basix.ufl.quadrature_element(mesh.basix_cell(), number.ufl_shape, points=points, weights=weights)
+    space, size = fenicsx.function_space(mesh, element), int(np.prod(number.ufl_shape, dtype=int))
+    dofs = size * cell_dofs(space).reshape(-1, 1) + np.arange(size)
+    dx = ufl.dx(degree=degree)
+    return Seen(lambda v: ufl.inner(number, v) * dx, space, dofs.ravel().astype(np.int32), np.repeat(scale, size))
 
 
 def values_in(given: Any) -> Values:

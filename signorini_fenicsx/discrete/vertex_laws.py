@@ -16,7 +16,7 @@ has a slope or a vertical segment for neighbour, the function would not be conve
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from signorini_fenicsx.contact.law import Graph
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_values
-from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of
+from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw, chains_of
 from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
 
 
@@ -195,6 +195,50 @@ def vertex_graphs(facets: BoundaryFacets, points: FacetPoints, graph: Graph) -> 
     ends = np.ndim(graph.before) == np.ndim(graph.beyond) == 0 and (graph.before, graph.beyond)
     signorini = chains.plain and ends == (np.inf, 0.0)  # on others p' is not p
     return replace(chains, plain=signorini), *reference
+
+
+def lines_by_data(
+    spaces: LinearTraces,
+    part: PartLaw,
+    points: FacetPoints,
+    directions: Array,
+    present: tuple[Indices, Array],
+    penalty: Callable[[Chains], Chains] = lambda chains: chains,
+) -> Iterator[tuple[str, Array]]:
+    """How the lines of a law move with its data that are given in UFL (collective).
+
+    On a vertical segment it is p, on another the flux under the present means of p; by a complex step, which has no
+    error but rounding.
+
+    Args:
+        spaces: The spaces.
+        part: A law.
+        points: Those in which it is taken, see `law_points`.
+        directions: Changes of a datum there, shape (facets, points, directions).
+        present: The segment of each vertex of the facets of Γ_S, and p there, in means.
+        penalty: What a penalty makes of the graphs.
+
+    Yields:
+        A name, and the derivatives in these directions, shape (facets, d, directions).
+    """
+    dim, facets = spaces.dim, spaces.contact.take(part.rows)
+    sites = (dim * part.rows[:, None] + np.arange(dim)).ravel()
+    segment, p = (each[sites] for each in present)
+    values = {name: datum.values(points).ravel() for name, datum in part.data.items()}
+    for name in [name for name, datum in part.data.items() if datum.pieces is None]:
+        changes = np.empty((len(part.rows), dim, directions.shape[2]))
+        for number in range(directions.shape[2]):
+            step = 1j * COMPLEX_STEP * directions[:, :, number].ravel()
+            graph = part.law.falling(values | {name: values[name] + step})
+            chains, of_p, of_flux = vertex_graphs(facets, points, graph)
+            chains = penalty(chains)
+            moved = VertexLaws((), chains, of_p, of_flux, shared_compliance(chains, dim), dim)
+            conditions = chains.conditions(segment)
+            kind = conditions.kind
+            line = np.where(kind == Condition.ZERO_TRACE, of_p, of_flux) + conditions.value
+            sprung = of_flux + moved.springs(conditions).pressure(p - of_p)
+            changes[:, :, number] = np.where(kind == Condition.ROBIN, sprung, line).imag.reshape(-1, dim) / COMPLEX_STEP
+        yield name, changes
 
 
 def shared_compliance(chains: Chains, dim: int) -> Array:

@@ -210,6 +210,11 @@ class Solved(ABC):
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         raise InputError(f"solutions of {self.physics} have no derivatives")
 
+    def kept_backend[B](self, kind: type[B]) -> B | None:
+        """The backend of what has solved it, if it is still set up for this solution and of this kind; else None."""
+        system = None if self.system is None else self.system()
+        return None if system is None else system.kept.of(self.outcome, kind)
+
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, which knows the change with its data (collective).
 

@@ -46,12 +46,16 @@ class LinearSolution(Solution):
         return replace(self, problem=problem, data=linear_data(self.spaces, project_data(self.spaces, problem)))
 
     def linearised(self, tolerance: float) -> Any:
-        """Refused.
+        """The problem linearised at this solution, see `linearised.Linearised` (collective).
 
         Raises:
-            InputError: Always.
+            InputError: If it is a step in time.
         """
-        raise InputError("element: there are no derivatives of solutions with RT1; take RT0")
+        from signorini_fenicsx.physics.diffusion.derivative.linear_fluxes import linearised  # which knows solutions
+
+        if self.step is not None:
+            raise InputError("element: there are no derivatives of steps in time with RT1; take RT0")
+        return linearised(self, tolerance)
 
     @property
     def p_at(self) -> Array:

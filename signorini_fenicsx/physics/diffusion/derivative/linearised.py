@@ -249,7 +249,7 @@ def linearised(solution: Solution, tolerance: float) -> LinearisedDiffusion:
         raise InputError(
             f"{solution.options.algorithm_name} solves another discrete problem; alg1 to alg4 have derivatives"
         )
-    system = None if solution.system is None else solution.system()
-    backend = None if system is None else system.kept.of(solution.outcome, HybridBackend)
-    backend = backend or HybridBackend(solution.spaces, solution.data, tuning=solution.options.tuning)
+    backend = solution.kept_backend(HybridBackend) or HybridBackend(
+        solution.spaces, solution.data, tuning=solution.options.tuning
+    )
     return LinearisedDiffusion(solution, backend, solution.law, tolerance)

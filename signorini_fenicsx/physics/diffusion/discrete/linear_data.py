@@ -51,9 +51,10 @@ class LinearData(Data):
     def products(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(κ⁻¹τ, τ') for all pairs of the basis on cells, shape (cells, basis, basis) (collective)."""
         if self.kappa.polynomial == 0:
-            return cells.product(_inverses(self.kappa.values(_points(spaces, numbers, 0).first), spaces.dim)[:, 0])
-        points = _points(spaces, numbers, quadrature_degree(self.kappa))
-        inverse = _inverses(self.kappa.values(points), spaces.dim)
+            kappa = self.kappa.values(data_points(spaces, numbers, 0).first)
+            return cells.product(np.linalg.inv(as_matrices(kappa, spaces.dim)[:, 0]))
+        points = data_points(spaces, numbers, quadrature_degree(self.kappa))
+        inverse = np.linalg.inv(as_matrices(self.kappa.values(points), spaces.dim))
         basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
         return cells.product_in_points(inverse, basis, points.weights)
 
@@ -62,17 +63,17 @@ class LinearData(Data):
         if self.c_h is None:
             return None
         if self.c.polynomial == 0:
-            return cells.hat_masses(self.c.values(_points(spaces, numbers, 0).first)[:, 0])
-        points = _points(spaces, numbers, quadrature_degree(self.c))
-        hats = _hats(spaces, numbers, points)
+            return cells.hat_masses(self.c.values(data_points(spaces, numbers, 0).first)[:, 0])
+        points = data_points(spaces, numbers, quadrature_degree(self.c))
+        hats = hats_in(spaces, numbers, points)
         scale = cells.determinant[:, None] * points.weights * self.c.values(points)
         return np.einsum("nq,qnv,qnw->nvw", scale, hats, hats, optimize=True)
 
     def moments_of_f(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
-        points = _points(spaces, numbers, quadrature_degree(self.f) - 2)  # the rule of the means
+        points = data_points(spaces, numbers, quadrature_degree(self.f) - 2)  # the rule of the means
         values = cells.determinant[:, None] * points.weights * self.f.values(points)
-        moments: Array = np.einsum("nq,qnv->nv", values, _hats(spaces, numbers, points))
+        moments: Array = np.einsum("nq,qnv->nv", values, hats_in(spaces, numbers, points))
         if self.constant == 0 or (reactions := self.reactions(spaces, numbers, cells)) is None:
             return moments
         return moments - self.constant * reactions.sum(axis=2)
@@ -108,23 +109,21 @@ class LinearData(Data):
         return replace(self, lift=lift.array.copy(), laws_at=replace(self.laws_at, p_h=p_h))
 
 
-def _points(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], degree: int) -> CellPoints:
+def data_points(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], degree: int) -> CellPoints:
     """Points in cells for data of this degree against two linear functions."""
     rule = basix.make_quadrature(SIMPLEX[spaces.dim], min(degree + 2, DEGREES[1]))
     return CellPoints(spaces.mesh, numbers, *rule)
 
 
-def _hats(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], points: CellPoints) -> Array:
+def hats_in(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], points: CellPoints) -> Array:
     """The hats of the vertices of cells, in their order, in points, shape (points, cells, d + 1)."""
     hats: Array = points.barycentric[0][:, spaces.order[numbers]]
     return hats
 
 
-def _inverses(kappa: Array, dim: int) -> Array:
-    """κ⁻¹ in points as matrices, of scalars or matrices in points, shape (cells, points, d, d)."""
-    if kappa.ndim == 2:
-        return np.asarray(np.eye(dim) / kappa[:, :, None, None])
-    return np.linalg.inv(kappa)
+def as_matrices(kappa: Array, dim: int) -> Array:
+    """κ in points as matrices, of scalars or matrices in points, shape (cells, points, d, d)."""
+    return np.asarray(np.eye(dim) * kappa[:, :, None, None]) if kappa.ndim == 2 else kappa
 
 
 def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:

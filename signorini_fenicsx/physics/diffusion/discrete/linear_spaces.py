@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.sites import Kind, Sites
 from signorini_fenicsx.discrete.bernstein import exponents, interpolation
@@ -19,7 +19,7 @@ from signorini_fenicsx.discrete.bernstein import nodes as bernstein_nodes
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
 from signorini_fenicsx.discrete.simplices import opposite
-from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import nodes
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, nodes, reference
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 
@@ -71,21 +71,46 @@ class LinearSpaces(LinearTraces, Spaces):
 
     def flux(self, values: Array) -> fem.Function:
         """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
+        sigma = fem.Function(self.flux_space, name="sigma")
+        sigma.x.array[cell_dofs(self.flux_space)] = self._coefficients(values)
+        sigma.x.scatter_forward()
+        return sigma
+
+    def _coefficients(self, values: Array) -> Array:
+        """DOLFINx's coefficients of a flux with these values at the nodes of the owned cells, cell by cell."""
         element = self.flux_space.element.basix_element
         at_points = interpolation(SIMPLEX[self.dim], 2, element.points)
         to_dofs = np.einsum(
             "biq,qa->aib", element.interpolation_matrix.reshape(-1, self.dim, len(at_points)), at_points
         )
-        sigma, (_, pull, turned) = fem.Function(self.flux_space, name="sigma"), self._maps
+        _, pull, turned = self._maps
         by_dolfinx = np.empty_like(values)
         np.put_along_axis(by_dolfinx, self._places[:, :, None], values, axis=1)
         pulled = by_dolfinx @ pull.transpose(0, 2, 1)
         dofs = np.ascontiguousarray(np.tensordot(pulled, to_dofs, ((1, 2), (0, 1)))).ravel()
         if len(values) > 0:  # DOLFINx divides by the number of cells
             self.flux_space.element.Tt_inv_apply(dofs, turned, 1)
-        sigma.x.array[cell_dofs(self.flux_space)] = dofs.reshape(-1, to_dofs.shape[2])
-        sigma.x.scatter_forward()
-        return sigma
+        return dofs.reshape(-1, to_dofs.shape[2])
+
+    def by_basis(self, functional: fem.Function) -> Array:
+        """A functional of fluxes as the sum of one on each owned cell, by its values at the basis there.
+
+        Args:
+            functional: Its values at the basis of `flux_space`, ghosts updated.
+        """
+        cells, dofs = Cells(self.vertices), cell_dofs(self.flux_space)
+        shares = (functional.x.array / sums_at(self.flux_space.dofmap.index_map, dofs))[dofs]
+        units = np.eye(len(reference(self.dim).basis))
+        return np.column_stack(
+            [
+                np.einsum(
+                    "nd,nd->n",
+                    shares,
+                    self._coefficients(cells.at_nodes(np.broadcast_to(unit, (len(dofs), len(unit))))),
+                )
+                for unit in units
+            ]
+        )
 
     def flux_values(self, sigma: fem.Function) -> Array:
         """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes`."""

@@ -41,18 +41,24 @@ class FluxSystem(HybridSystem):
         self._take_loads()
         return True
 
-    def eliminated(self) -> Iterator[Eliminated]:
-        """The cells after elimination (collective)."""
+    def eliminated(self, functional: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
+        """The cells after elimination, with the data or another right side (collective).
+
+        Args:
+            functional: A functional of σ: its values at the basis of each cell, shape (cells, basis).
+            moments: (f, φ_v) of each cell, shape (cells, d + 1).
+        """
         spaces, data, element = self.spaces, self._data, reference(self.spaces.dim)
         for numbers in blocks_of_cells(spaces.mesh):
             cells = Cells(spaces.vertices[numbers])
-            product, of_f = data.products(spaces, numbers, cells), data.moments_of_f(spaces, numbers, cells)
-            reaction = data.reactions(spaces, numbers, cells)
+            product, reaction = data.products(spaces, numbers, cells), data.reactions(spaces, numbers, cells)
+            of_f = data.moments_of_f(spaces, numbers, cells) if moments is None else moments[numbers]
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             tractions = np.broadcast_to(element.tractions, (len(numbers), *element.tractions.shape)).copy()
             spaces.to_unknowns(tractions, numbers)
-            yield eliminate(numbers, cells, tractions, product, -of_f, reaction=reaction)
+            of_sigma = 0.0 if functional is None else functional[numbers]
+            yield eliminate(numbers, cells, tractions, product, -of_f, of_sigma, reaction)
 
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
         """σ at the nodes and u at the vertices of the cells, shapes (cells, nodes, d) and (cells, d + 1)."""

@@ -16,27 +16,23 @@ the reactions, so wμ/|e| with its sign is what λ_û is at the sites in contact
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property, partial
 
 import basix
 import basix.ufl
 import numpy as np
-import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from petsc4py import PETSc
 from ufl import Form
-from ufl.core.expr import Expr
 
-from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
-from signorini_fenicsx.discrete.seen import Seen, derivative_by
+from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.derivative.moments import of_friction, of_laws, on_boundary
@@ -54,12 +50,7 @@ class LinearisedElasticity(Linearised):
 
     def scales(self) -> tuple[Array, Array]:
         """The largest u and the largest stress, for all sites (collective)."""
-        solution, comm = self._solution, self._spaces.mesh.comm
-        sizes = [
-            comm.allreduce(np.abs(each).max(initial=0.0), MPI.MAX) for each in (solution.u.x.array, solution.stresses)
-        ]
-        u, stress = (np.full(self._backend.sites, size if size > 0 else 1.0) for size in sizes)
-        return u, stress
+        return self.largest(self._solution.u.x.array, self._solution.stresses)
 
     def _sides(self, tolerance: float) -> Indices:
         """See `Linearised`; in space a vertex that slips by little, or sticks with a shear near its bound, is biactive.
@@ -91,10 +82,8 @@ class LinearisedElasticity(Linearised):
         if numbers:
             whole = basix.make_quadrature(mesh.basix_cell(), 0)[1].sum()  # the measure of the reference cell
             weights = np.tile(rule.weights, self._spaces.dim + 1) * whole / (self._spaces.dim + 1)
-            element = basix.ufl.quadrature_element(mesh.basix_cell(), points=rule.points, weights=weights)
-            space = fenicsx.function_space(mesh, element)
             for name, number in numbers.items():
-                yield name, Seen(_in_points(number), space, cell_dofs(space).ravel(), self._weights.ravel())
+                yield name, seen_in_points(mesh, number, (rule.points, weights), self._weights)
 
     def effects(self) -> Iterator[tuple[str, Effect]]:
         """See `on_boundary` (collective)."""
@@ -106,10 +95,6 @@ class LinearisedElasticity(Linearised):
         directions = self._backend.friction.directions(slip.of(segment))
         yield from of_laws(self._spaces, self._data.laws, normal.of(segment), self._solution.gap.ravel())
         yield from of_friction(self._spaces, self._solution.problem, directions)
-
-    def places(self) -> Array:
-        """The vertices of the biactive sites of this rank, shape (sites, dim)."""
-        return np.asarray(self._backend.places()[self.biactive, : self._spaces.dim])
 
     def refused(self, chains: Chains) -> Mask:
         """The biactive sites that turn in space, or at the end of a slope, where neighbours change the rays."""
@@ -288,11 +273,6 @@ def stiffness_times(data: ElasticData, conditions: SiteConditions, p: Array) -> 
     return np.asarray(np.einsum("nij,nj->ni", springs.stiffness, p.reshape(springs.rest.shape)).ravel())
 
 
-def _in_points(number: Expr) -> Callable[[Expr], Form]:
-    """∫ number · v, v in a quadrature element, whose points are taken."""
-    return lambda v: number * v * ufl.dx
-
-
 def linearised(solution: ElasticSolution, tolerance: float) -> LinearisedElasticity:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
@@ -301,8 +281,7 @@ def linearised(solution: ElasticSolution, tolerance: float) -> LinearisedElastic
     """
     if solution.data.tools:
         raise InputError("derivatives are not there where a tool moves under a given force")
-    system = None if solution.system is None else solution.system()
-    backend = None if system is None else system.kept.of(solution.outcome, ElasticBackend)
+    backend = solution.kept_backend(ElasticBackend)
     if backend is None:
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning)
     if backend.friction.slipping is not None:

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import dolfinx.mesh
 import numpy as np
-import ufl
-from dolfinx import fem
-from ufl import Form
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.derivatives.linearised import Effect
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
-from signorini_fenicsx.discrete.seen import Seen
-from signorini_fenicsx.discrete.vertex_laws import VertexLaws
+from signorini_fenicsx.discrete.seen_on_facets import moments_seen
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_points, lines_by_data
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.normal_laws import lines_by_data
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
 from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw, ElasticProblem, is_normal
@@ -114,10 +108,10 @@ def of_laws(spaces: ElasticSpaces, laws: VertexLaws, segment: Indices, opening: 
         InputError: If a datum is not linear in x.
     """
     for part in laws.of_parts:
-        moving = [name for name, datum in part.data.items() if datum.pieces is None]
-        facets = spaces.contact.take(part.rows)
+        facets, points = spaces.contact.take(part.rows), law_points(spaces, part)
         places = spaces.dim * part.rows[:, None] + np.arange(spaces.dim)
-        for name, lines in lines_by_data(spaces, part, moving, segment, opening):
+        hats = np.column_stack([1 - points.points.sum(axis=1), points.points])[:, facets.ranking].transpose(1, 0, 2)
+        for name, lines in lines_by_data(spaces, part, points, hats, (segment, opening)):
             key, datum = part.key(name), part.data[name]
             _check_linear(key, datum)
             yield from _of_datum(spaces, key, "line", datum, facets, places, lines @ _to_values(facets))
@@ -152,29 +146,5 @@ def _of_datum(
     """What the moments of a datum over facets make, part by part, if it is given in UFL (collective)."""
     for number, (chosen, own) in enumerate(datum.by_facets(facets.facets)):
         if own.pieces is None:
-            seen = _seen(spaces, own, facets.take(np.flatnonzero(chosen)))
+            seen = moments_seen(spaces, own, facets.take(np.flatnonzero(chosen)), min(DEGREE + 1, DEGREES[1]))
             yield f"{name}.{number}", Effect(kind, seen, places[chosen], matrices[chosen])
-
-
-def _seen(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets) -> Seen:
-    """The moments of a datum over facets (collective)."""
-    space, entity_map = spaces.on_boundary
-    dim, topology = spaces.dim, spaces.mesh.topology
-    boundary = space.mesh
-    size = boundary.topology.index_map(dim - 1).size_local
-    cells = np.arange(size, dtype=np.int32)
-    numbers = entity_map.sub_topology_to_topology(cells, inverse=False)
-    order = np.argsort(numbers)
-    mine = order[np.searchsorted(numbers, facets.facets, sorter=order)].astype(np.int32)
-    nodes = dolfinx.mesh.entities_to_geometry(boundary, dim - 1, mine)
-    corners = boundary.geometry.x[nodes, :dim]
-    nearest = np.square(facets.vertices[:, :, None] - corners[:, None]).sum(axis=3).argmin(axis=2)
-    dofs = np.take_along_axis(space.dofmap.list[mine], nearest, axis=1).ravel()
-    entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, np.sort(facets.facets))
-    degree = min(DEGREE + 1, DEGREES[1])
-    ds = ufl.Measure("ds", domain=spaces.mesh, subdomain_data=[(1, entities)])(1, degree=degree)
-
-    def form(v: Expr) -> Form:
-        return datum.ufl * v * ds
-
-    return Seen(form, space, dofs, np.ones(len(dofs)), [entity_map])

@@ -5,24 +5,22 @@ Where two bodies touch p = g − [u_n]. How a graph is one of facet vertices: `d
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.law import Graph, Law
 from signorini_fenicsx.discrete.datum import DEGREES, Datum
 from signorini_fenicsx.discrete.part_laws import (
-    COMPLEX_STEP,
     PartLaw,
     data_of_law,
     parts_of_laws,
     refuse_data,
 )
 from signorini_fenicsx.discrete.points import FacetPoints
-from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_points, shared_compliance, vertex_graphs, vertex_laws
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 
@@ -88,41 +86,3 @@ def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[int, Law]]) -> Verte
         parts.append(NormalLaw(law, f"law.{index}", rows, data_of_law(spaces, law, f"law.{index}")))
         refuse_data(spaces, parts[-1])
     return vertex_laws(spaces, parts)
-
-
-def lines_by_data(
-    spaces: ElasticSpaces, part: NormalLaw, names: Sequence[str], segment: Indices, opening: Array
-) -> Iterator[tuple[str, Array]]:
-    """How the lines of a law move with its data, if these are linear on facets (collective).
-
-    On a vertical segment it is the opening, on another the pressure under the present means of the opening; by a
-    complex step, which has no error but rounding.
-
-    Args:
-        spaces: The spaces.
-        part: A law.
-        names: Some of its data.
-        segment: The segment of each facet vertex of Γ_C.
-        opening: The opening there, in means.
-
-    Yields:
-        A name, and the derivatives by the values of this datum at the vertices, shape (facets, d, d).
-    """
-    dim, facets, points = spaces.dim, spaces.contact.take(part.rows), law_points(spaces, part)
-    sites = (dim * part.rows[:, None] + np.arange(dim)).ravel()
-    values = {name: datum.values(points).ravel() for name, datum in part.data.items()}
-    hats = np.column_stack([1 - points.points.sum(axis=1), points.points])
-    for name in names:
-        changes = np.empty((len(part.rows), dim, dim))
-        for vertex in range(dim):
-            step = 1j * COMPLEX_STEP * hats[:, facets.ranking[:, vertex]].T.ravel()
-            graph = part.law.graph(values | {name: values[name] + step})  # type: ignore[arg-type]
-            chains, of_opening, of_pressure = vertex_graphs(facets, points, graph)
-            moved = VertexLaws((), chains, of_opening, of_pressure, shared_compliance(chains, dim), dim)
-            conditions = chains.conditions(segment[sites])
-            kind = conditions.kind
-            line = np.where(kind == Condition.ZERO_TRACE, of_opening, of_pressure) + conditions.value
-            sprung = of_pressure + moved.springs(conditions).pressure(opening[sites] - of_opening)
-            line = np.where(kind == Condition.ROBIN, sprung, line)
-            changes[:, :, vertex] = line.imag.reshape(-1, dim) / COMPLEX_STEP
-        yield name, changes

@@ -1,0 +1,223 @@
+"""A diffusion problem with RT1 linearised at its solution, see `linearised` for RT0.
+
+The traces û are unknowns on all facets, and on Γ_S their means weighted by the hats. With all of it
+
+    (κ⁻¹σ, τ) + (u, ∇·τ) − ⟨û, τ·n⟩ + (∇·σ, v) − (cu, v) − ⟨σ·n, q⟩ = −(f, v) − ⟨g, q⟩   for all τ, v, and q,
+
+q = 0 where û is given, and g the fluxes of Γ_N and of the laws, springs among them. The left side is symmetric. So with
+J on the right side, and û = 0 where it is given, its solution is the adjoint state (λ_σ, λ_u, λ_û), and
+
+    dJ = −(d(κ⁻¹)σ, λ_σ) + (dc u − df, λ_u) − ⟨dg, λ_û⟩ + J_û dû + ⟨dû, λ_σ·n⟩ where û is given.
+
+κ and c are seen by their values in the points of their quadratures, and so are data on the boundary; f by its moments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property, partial
+from itertools import combinations
+
+import basix
+import numpy as np
+import numpy.typing as npt
+import ufl
+from dolfinx import fem
+from ufl import Form
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.contact.chains import Chains
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
+from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
+from signorini_fenicsx.discrete.linear_traces import linear_from_means, linear_values
+from signorini_fenicsx.discrete.points import facet_quadrature
+from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
+from signorini_fenicsx.discrete.seen_on_facets import values_seen
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.discrete.vertex_laws import law_points, lines_by_data
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
+from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
+
+
+class LinearisedFluxes(Linearised):
+    """A diffusion problem with RT1 linearised at its solution; biactive sites are vertices of facets of Γ_S."""
+
+    refusal = "vertex", "may leave a slope that it shares with others of its facet, so there is none"
+
+    def scales(self) -> tuple[Array, Array]:
+        """The largest u and the largest σ, for all sites (collective)."""
+        return self.largest(self._solution.u.x.array, self._solution.sigma_values)
+
+    def refused(self, chains: Chains) -> Mask:
+        """The biactive sites at the end of a slope that couples vertices: neighbours change the rays."""
+        coupled = (self._data.laws_at.shared > 0).any(axis=1) & (not self._law.plain)
+        return self.biactive & (chains.kinds == Condition.ROBIN).any(axis=1) & coupled.repeat(self._spaces.dim)
+
+    def plain(self) -> Iterator[tuple[str, Seen]]:
+        """The moments of f, and κ and c in points of cells (collective)."""
+        spaces, data = self._spaces, self._data
+        for name, datum in (("kappa", data.kappa), ("c", data.c)):
+            if datum.pieces is None:
+                degree = min(quadrature_degree(datum) + 2, DEGREES[1])
+                points, weights = basix.make_quadrature(SIMPLEX[spaces.dim], degree)
+                scale = spaces.cell_measures[:, None] * weights / weights.sum()
+                yield name, seen_in_points(spaces.mesh, datum.ufl, (points, weights), scale, degree)
+        if data.f.pieces is None:
+            dofs = np.take_along_axis(cell_dofs(spaces.scalar_space), spaces.order, axis=1).ravel()
+            dx = ufl.dx(degree=quadrature_degree(data.f))
+            yield "f", Seen(lambda v: data.f.ufl * v * dx, spaces.scalar_space, dofs, np.ones(len(dofs)))
+
+    def effects(self) -> Iterator[tuple[str, Effect]]:
+        """What u_D and g_N make: values of û ("lift"), its right side ("load") (collective)."""
+        spaces, data = self._spaces, self._data
+        for name, datum, facets, kind in (
+            ("u_D", data.u_D, spaces.dirichlet, "lift"),
+            ("g_N", data.g_N, spaces.neumann, "load"),
+        ):
+            if datum.pieces is None:
+                degree = min(quadrature_degree(datum) + 1, DEGREES[1])
+                points = facet_quadrature(spaces.mesh, facets.facets, degree)
+                matrices = facets.moments(_units(len(facets.facets), len(points.points)), points.points, points.weights)
+                if kind == "lift":
+                    matrices = linear_values(matrices, facets.measure)
+                seen = values_seen(spaces, datum, facets, points, degree)
+                yield name, Effect(kind, seen, spaces.unknowns(facets).astype(np.int64), matrices)
+
+    def lines(self, segment: Indices) -> Iterator[tuple[str, Effect]]:
+        """See `Linearised.lines` (collective)."""
+        spaces, solution = self._spaces, self._solution
+        present, number = (segment, solution.iterate.means), np.arange(len(self._held)).reshape(-1, spaces.dim)
+        penalty, eps = solution.method.penalty, solution.options.eps
+        for part in self._data.laws_at.of_parts:
+            points, degree = law_points(spaces, part), quadrature_degree(*part.data.values(), power=2)
+            units, facets = _units(len(part.rows), len(points.points)), spaces.contact.take(part.rows)
+            changed = partial(Chains.with_penalty, penalty=penalty, eps=eps)
+            for name, lines in lines_by_data(spaces, part, points, units, present, changed):
+                seen = values_seen(spaces, part.data[name], facets, points, degree)
+                yield part.key(name), Effect("line", seen, number[part.rows], lines)
+
+    def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function]:
+        """The changes of σ, u and p with these numbers (collective).
+
+        A biactive site moves along one of the two rays of the moved corner.
+
+        Raises:
+            InputError: If vertices may leave a slope that they share.
+            NumericalFailure: If the sets of those sites do not settle.
+        """
+        spaces, system = self._spaces, self._backend.system
+        numbers = {kind: np.zeros(len(system.load)) for kind in ("lift", "load")}
+        for name, effect in self._effects.items():
+            if effect.kind in numbers:
+                effect.add(numbers[effect.kind], changes[name])
+
+        def solve(load: Array) -> Array:
+            numbers["load"] += load
+            return system.everywhere(self.settled(changes, partial(self._solved, numbers)))
+
+        sigma, u, x = system.respond(*self._by_changes(changes), solve=solve)
+        p = linear_from_means(x[spaces.site_kinds.unknown].reshape(-1, spaces.dim))
+        return {"sigma": spaces.flux(sigma), "u": spaces.scalar(u), "p": spaces.linear_multiplier(p)}
+
+    def _solved(self, numbers: Mapping[str, Array], conditions: SiteConditions, segment: Indices) -> Solved:
+        """The traces of the change on these segments (collective)."""
+        (kind,), backend, actual = self._spaces.site_kinds, self._backend, self._law.conditions(segment)
+        held, lift, load = actual.kind == Condition.ZERO_TRACE, numbers["lift"].copy(), numbers["load"].copy()
+        lift[kind.unknown] = np.where(held, conditions.value, 0.0)
+        load[kind.unknown] += kind.measure * np.where(held, 0.0, conditions.value)
+        x = backend.solve_homogeneous(actual, load, lift)
+        flux, x = backend.flux(x, numbers["load"]), np.array(x.array_r)
+        return *conditions.clean(x[kind.unknown], flux, np.inf), x
+
+    def _by_changes(self, changes: Mapping[str, Array]) -> tuple[Array, Array]:
+        """The functional of τ and the moments of f that the changes of data in cells give (collective)."""
+        spaces, element, sigma = self._spaces, reference(self._spaces.dim), self._solution.sigma_values
+        moments = np.zeros((len(spaces.order), spaces.dim + 1))
+        functional = np.zeros((len(moments), element.basis.shape[1]))
+        moments += changes.get("f", np.zeros(moments.size)).reshape(moments.shape)
+        for numbers, weights, hats, _ in self._in_points("c"):
+            change = weights * changes["c"].reshape(len(moments), -1)[numbers]
+            moments[numbers] -= np.einsum("nq,nqv,nqw,nw->nv", change, hats, hats, self._u[numbers], optimize=True)
+        for numbers, weights, hats, kappa in self._in_points("kappa"):
+            shapes, size, inverse = _quadratics(hats), kappa.shape[2:], np.linalg.inv(as_matrices(kappa, spaces.dim))
+            change = as_matrices(changes["kappa"].reshape(len(moments), -1, *size)[numbers], spaces.dim)
+            strain = inverse @ change @ inverse @ (shapes @ sigma[numbers])[..., None]
+            at_nodes = np.einsum("nq,nqa,nqi->nai", weights, shapes, strain[..., 0], optimize=True)
+            pulled = at_nodes @ Cells(spaces.vertices[numbers]).map
+            functional[numbers] = np.tensordot(pulled, element.at_nodes, ((1, 2), (0, 1)))
+        return functional, moments
+
+    def by(self, J: Form, more: None) -> dict[str, Array]:
+        """See `Linearised.by`."""
+        spaces, system, (kind,) = self._spaces, self._backend.system, self._spaces.site_kinds
+        solution, maps = self._solution, self._spaces.entity_maps
+        by_sigma, by_u, by_p = (derivative_by(each, J, maps) for each in (solution.sigma, solution.u, solution.p))
+        of_p = linear_from_means(spaces.linear_values(by_p)).ravel()
+
+        def solve(load: Array) -> Array:
+            load = load.copy()
+            load[kind.unknown] -= of_p
+            return system.everywhere(self._backend.solve_homogeneous(self._conditions, load).array_r)
+
+        sigma, u, x = system.respond(spaces.by_basis(by_sigma), -spaces.scalar_values(by_u), solve=solve)
+        forces = system.forces(sigma)
+        line = np.where(self._held, of_p + forces[kind.unknown], -kind.measure * x[kind.unknown])
+        return self._by_cells(sigma, u) | {"lift": forces, "load": -x[: len(forces)], "line": line, "f": -u.ravel()}
+
+    def _by_cells(self, sigma: Array, u: Array) -> dict[str, Array]:
+        """The derivatives by κ and c in the points of their quadratures, from the adjoint state (collective)."""
+        by = {name: [np.empty(0)] for name in ("kappa", "c") if name in self.seen}
+        for numbers, weights, hats, _ in self._in_points("c"):
+            values = np.einsum("nqv,nv->nq", hats, u[numbers]) * np.einsum("nqv,nv->nq", hats, self._u[numbers])
+            by["c"].append((weights * values).ravel())
+        for numbers, weights, hats, kappa in self._in_points("kappa"):
+            shapes, inverse = _quadratics(hats), np.linalg.inv(as_matrices(kappa, self._spaces.dim))
+            strain = np.einsum("nqij,nqj->nqi", inverse, shapes @ self._solution.sigma_values[numbers])
+            adjoint = np.einsum("nqji,nqj->nqi", inverse, shapes @ sigma[numbers])
+            entries = "nq,nqi,nqj->nqij" if self._data.kappa.shape else "nq,nqi,nqi->nq"
+            by["kappa"].append(np.einsum(entries, weights, adjoint, strain).ravel())
+        return {name: np.concatenate(blocks) for name, blocks in by.items()}
+
+    @cached_property
+    def _u(self) -> Array:
+        """U at the vertices of the cells."""
+        return self._spaces.scalar_values(self._solution.u)
+
+    def _in_points(self, name: str) -> Iterator[tuple[npt.NDArray[np.int32], Array, Array, Array]]:
+        """The cells, block by block, where κ or c is seen in points (collective).
+
+        Yields:
+            Their numbers; the weights of the points, shape (cells, points); the hats there, shape (cells, points,
+            d + 1); and the datum there.
+        """
+        if name not in self.seen:
+            return
+        spaces, datum = self._spaces, getattr(self._data, name)
+        for numbers in blocks_of_cells(spaces.mesh):
+            points = data_points(spaces, numbers, quadrature_degree(datum))
+            weights = spaces.cell_measures[numbers, None] * points.weights / points.weights.sum()
+            hats = hats_in(spaces, numbers, points).transpose(1, 0, 2)
+            yield numbers, weights, hats, datum.values(points)
+
+
+def _units(rows: int, points: int) -> Array:
+    """Unit changes in the points of each of some facets, shape (rows, points, points)."""
+    return np.broadcast_to(np.eye(points), (rows, points, points))
+
+
+def _quadratics(hats: Array) -> Array:
+    """The quadratic functions of the nodes, see `raviart_thomas.nodes`, shape (…, nodes), by the hats."""
+    edges = [4 * hats[..., i] * hats[..., j] for i, j in combinations(range(hats.shape[-1]), 2)]
+    return np.concatenate([hats * (2 * hats - 1), np.stack(edges, axis=-1)], axis=-1)
+
+
+def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
+    """A problem linearised at its solution, with the factors of the solver that has just solved it (collective)."""
+    backend = solution.kept_backend(LinearBackend)
+    backend = backend or LinearBackend(solution.spaces, solution.data, solution.options.tuning)
+    return LinearisedFluxes(solution, backend, solution.law, tolerance)
