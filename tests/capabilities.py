@@ -275,11 +275,11 @@ PATHS_ON_RANKS = (
 """Words in the names of other capabilities that are also run on several ranks, each the first with it."""
 
 
-def on_ranks() -> list[Capability]:
-    """Those that together take all paths of the program, for several ranks."""
+def on_ranks() -> list[list[Capability]]:
+    """Those that together take all paths of the program, for several ranks: by their cases, and the others by words."""
     of_case = [next(each for each in capabilities() if name in each.name.split()) for name in ON_RANKS]
     of_path = [next(each for each in capabilities() if word in each.name) for word in PATHS_ON_RANKS]
-    return list({each.name: each for each in (*of_case, *of_path)}.values())
+    return [of_case, [each for each in of_path if each not in of_case]]
 
 
 def run(capability: Capability, folder: Path) -> dict[str, Any]:

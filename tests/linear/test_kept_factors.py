@@ -106,7 +106,10 @@ def test_a_new_bound_leaves_the_sets_of_a_prediction():
 
 
 @pytest.mark.parallel(3)
-@pytest.mark.parametrize("law", [Tresca(0.03), Coulomb(0.3)], ids=["Tresca", "Coulomb"])
+@pytest.mark.parametrize(
+    "law",
+    [pytest.param(Tresca(0.03), id="Tresca", marks=pytest.mark.slow), pytest.param(Coulomb(0.3), id="Coulomb")],
+)
 def test_one_factorisation_serves_friction_in_space(law: Tresca | Coulomb, monkeypatch: pytest.MonkeyPatch):
     """It serves all steps of Newton's method, or few serve GMRES; the solution is that by a factorisation a step."""
     factorised = []

@@ -184,7 +184,7 @@ def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
     assert read.norms() == pytest.approx(alone.norms(), rel=1e-10)
     rows: list[list[AdaptRow]] = [[], []]
     for comm, history in zip((COMM, MPI.COMM_SELF), rows, strict=True):
-        last, _ = adapt_case(case, comm, max_cells=1000, on_row=history.append)
+        last, _ = adapt_case(case, comm, max_cells=300, on_row=history.append)
         check_cube(last)
     assert len(rows[0]) == len(rows[1]) > 1
     for a, b in zip(*rows, strict=True):
