@@ -2,8 +2,9 @@
 
 Usage: python scripts/gallery.py [CASE …]
 
-Of some cases there is the whole `overview.png`, too. Without a case it also draws the strip of the README, and the end of
-an adaptive run with fluxes of order two. It prints the number of facets in contact, of elastic bodies that of vertices.
+Of some cases there is the whole `overview.png`, too. Without a case it also draws the strip of the README, and the end
+of an adaptive run with fluxes of order two. It prints the number of facets in contact, of elastic bodies that of
+vertices of facets.
 """
 
 import sys
