@@ -238,7 +238,7 @@ class MeshSpaces:
         """
 
         def make(*own: Coefficient) -> Any:
-            return fenicsx.form(build(self, *own), entity_maps=[self.entity_map])
+            return fenicsx.form(build(self, *own), entity_maps=self.entity_maps)
 
         return self.kept_forms.get(build, make, coefficients)
 

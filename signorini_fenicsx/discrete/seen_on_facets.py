@@ -19,10 +19,15 @@ from signorini_fenicsx.discrete.seen import Seen
 
 def moments_seen(spaces: LinearTraces, datum: Datum, facets: BoundaryFacets, degree: int) -> Seen:
     """The moments ∫ d φ_a of a datum over facets, by a quadrature of this degree (collective)."""
-    space, _ = spaces.on_boundary
+    dofs = dofs_on_boundary(spaces, facets).ravel()
+    return _seen(spaces, datum, facets, degree, spaces.on_boundary[0], dofs, np.ones(len(dofs)))
+
+
+def dofs_on_boundary(spaces: LinearTraces, facets: BoundaryFacets) -> npt.NDArray[np.int32]:
+    """The degrees of freedom of `on_boundary` at the vertices of facets, shape (facets, d)."""
     cells, corners = _on_boundary(spaces, facets)
-    dofs = np.take_along_axis(space.dofmap.list[cells], _nearest(facets.vertices, corners), axis=1).ravel()
-    return _seen(spaces, datum, facets, degree, space, dofs, np.ones(len(dofs)))
+    dofs: npt.NDArray[np.int32] = spaces.on_boundary[0].dofmap.list[cells]
+    return np.take_along_axis(dofs, _nearest(facets.vertices, corners), axis=1)
 
 
 def values_seen(spaces: LinearTraces, datum: Datum, facets: BoundaryFacets, points: FacetPoints, degree: int) -> Seen:

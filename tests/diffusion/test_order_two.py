@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,6 +40,13 @@ from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
 RT1 = Options(element="RT1")
+ALL_DATA = Diffusion(
+    f="50*(0.5 - x)*(0.5 - y)",
+    kappa="1 + x*y",
+    c=1.0,
+    u_D="x",
+    conditions=[Signorini("bottom", psi="0.1*x", q_S="x/4"), Neumann("right", "y")],
+)
 
 
 def smooth(dim: int, c: str) -> Diffusion:
@@ -89,14 +97,7 @@ def transition(domain: Domain, options: Options = RT1, **how: object) -> LinearS
 def test_forms_of_the_mixed_method():
     """σ_h, u_h, p_h solve (9a) and (9b) in UFL on RT of DOLFINx's degree 2 and DG1, and (9c) at the facet vertices."""
     domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
-    problem = Diffusion(
-        f="50*(0.5 - x)*(0.5 - y)",
-        kappa="1 + x*y",
-        c=1.0,
-        u_D="x",
-        conditions=[Signorini("bottom", psi="0.1*x", q_S="x/4"), Neumann("right", "y")],
-    )
-    solution = solve(domain, problem, RT1)
+    solution = solve(domain, ALL_DATA, RT1)
     spaces, x = solution.spaces, ufl.SpatialCoordinate(domain.mesh)
     tau, v = ufl.TestFunction(spaces.flux_space), ufl.TestFunction(spaces.scalar_space)
     sigma, u, kappa, dx = solution.sigma, solution.u, 1 + x[0] * x[1], ufl.dx(degree=14)
@@ -115,6 +116,34 @@ def test_forms_of_the_mixed_method():
     assert 0 < (gap > 1e-6).sum() < gap.size
     flux = spaces.integrate(ufl.dot(sigma, spaces.n) * spaces.ds_neumann)
     assert flux == pytest.approx(0.5, abs=1e-12)
+
+
+def same_by_both(solved: Callable[[str], LinearSolution]) -> None:
+    """Both backends have the same steps and the same solution."""
+    hybrid, mixed = solved("hybrid"), solved("mixed")
+    assert mixed.outcome.backend == "mixed RT1"
+    assert [step.changed for step in mixed.outcome.history] == [step.changed for step in hybrid.outcome.history]
+    for name in ("sigma", "u", "p"):
+        pair = getattr(mixed, name).x.array, getattr(hybrid, name).x.array
+        np.testing.assert_allclose(*pair, atol=1e-10 * max(1.0, np.abs(pair[1]).max(initial=0.0)))
+
+
+@pytest.mark.parallel(3)
+@pytest.mark.parametrize("algorithm", ["alg1", "alg2", "alg3", "alg4"])
+def test_mixed_backend(algorithm: str):
+    """The forms in UFL, assembled as a saddle point, have the iterates of what is eliminated in NumPy."""
+    domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
+    options = Options(algorithm, element="RT1", eps=0.02)
+    same_by_both(lambda backend: solve(domain, ALL_DATA, replace(options, backend=backend)))
+
+
+@pytest.mark.parametrize(
+    ("name", "values"), [("regulator", {"solve.h": 1 / 6}), ("fault", {}), ("transition3d", {"solve.h": 0.5})]
+)
+def test_mixed_backend_of_cases(name: str, values: dict[str, float]):
+    """Slopes that are coupled on facets, a part inside the domain, and space."""
+    case = load_case(name).with_values(values | {"solve.element": "RT1"})
+    same_by_both(lambda backend: solve_case(case.with_values({"solve.backend": backend})))
 
 
 def test_algorithms_and_starts():
@@ -251,7 +280,6 @@ def test_command_line(tmp_path: Path):
         (["dead_core", "--element", "RT1"], "there is no RT1 for laws in Ω; take RT0"),
         (["membrane", "--element", "RT1"], "there is no RT1 for problems in time; take RT0"),
         (["example1", "--element", "RT1", "--rigorous"], "--rigorous: the proof is for RT0 alone"),
-        (["example1", "--element", "RT1", "--backend", "mixed"], "there is no RT1 for this backend"),
         (["example1", "--element", "RT1", "--algorithm", "qp"], "--element: qp has no such option"),
         (["hertz", "--element", "RT1"], "elastic contact has no such key"),
     ):

@@ -39,6 +39,7 @@ from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
+from signorini_fenicsx.physics.diffusion.solve.linear_mixed import LinearMixedBackend
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.solve.residuals import far_bound
@@ -270,7 +271,7 @@ def _lacking(options: Options, *, inside: bool, in_time: bool = False) -> str:
         (inside, "laws in Ω"),
         (in_time, "problems in time"),
         (options.method.rule is None, options.algorithm_name),
-        (options.backend != "hybrid", "this backend"),
+        (not isinstance(options.backend, str), "a backend of one's own"),
     ):
         if lacking:
             return f"there is no RT1 for {what}"
@@ -287,7 +288,8 @@ def _alone(name: str) -> Callable[..., Outcome]:
 def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
     """The backend that the options choose (collective)."""
     if isinstance(spaces, LinearSpaces) and isinstance(data, LinearData):
-        return LinearBackend(spaces, data, options.tuning)
+        hybrid = options.backend == "hybrid"
+        return LinearBackend(spaces, data, options.tuning) if hybrid else LinearMixedBackend(spaces, data)
     if not isinstance(options.backend, str):
         return options.backend(spaces, data)
     return (

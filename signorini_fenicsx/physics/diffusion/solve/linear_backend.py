@@ -7,12 +7,13 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Inexact, Iterate
+from signorini_fenicsx.contact.backend import Inexact, PlainBackend
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.discrete.field_change import FieldChange
@@ -28,7 +29,69 @@ from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 
 
-class LinearBackend(TraceBackend):
+class VertexBackend(PlainBackend):
+    """What the backends of RT1 have in common: a condition per facet vertex of Γ_S.
+
+    There p is the mean of û − ψ by the hat, and the flux the value of σ·n − Π₁q_S.
+    """
+
+    noun = ("vertex", "vertices")
+    comm: MPI.Comm
+    sites: int
+    spaces: LinearSpaces
+    data: LinearData
+
+    @property
+    def chains(self) -> Chains:
+        """The law of each site."""
+        return self.data.chains
+
+    @property
+    def laws(self) -> VertexLaws:
+        """The laws at the vertices."""
+        return self.data.laws_at
+
+    def iterate_of(
+        self, conditions: SiteConditions, p: Array, sigma: fem.Function, u: fem.Function, iterations: int
+    ) -> LinearIterate:
+        """The iterate from means of û less the references and from fields."""
+        data, laws, spaces = self.data, self.laws, self.spaces
+        flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - laws.flux_h
+        own = laws.own(laws.chains.segments(conditions), p, flux)
+        means = p + data.lift[spaces.site_kinds.unknown]
+        return LinearIterate(*conditions.clean(own, flux, data.conductance), iterations, sigma, u, means)
+
+    def without_flux(self, iterate: Any, where: Mask) -> LinearIterate:
+        """The iterate with σ·n = q_S at some vertices, and the trace that belongs to it by (37) (collective).
+
+        If the flux changes by δσ on a facet, û changes at the vertices of the facets of Γ_S of the same cell by
+        (κ⁻¹δσ, τ), where τ has the hat of the vertex for its moment.
+        """
+        spaces, dim, contact = self.spaces, self.spaces.dim, self.spaces.contact
+        added = np.where(where, -iterate.flux, 0.0).reshape(-1, dim)
+        cells, row = np.unique(contact.cells, return_inverse=True)
+        moments, places = np.zeros((len(cells), dim + 1, dim)), (row, contact.local)
+        moments[places] = contact.measure[:, None] / dim * means_of_linear(added)
+        shapes, basis = Cells(spaces.vertices[cells]), reference(dim).nodal[:, : dim * (dim + 1)]
+        change = moments.reshape(-1, dim * (dim + 1)) @ basis.T
+        sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, cells.astype(np.int32), shapes)
+        sigma[cells] += shapes.at_nodes(change)
+        moved = np.einsum("nbc,nc->nb", product, change) @ basis
+        means = means_of_linear(moved.reshape(-1, dim + 1, dim)[places]).ravel()
+        flux = np.where(where, 0.0, iterate.flux)
+        return replace(iterate, sigma=spaces.flux(sigma), p=iterate.p + means, means=iterate.means + means, flux=flux)
+
+    @cached_property
+    def change(self) -> FieldChange:
+        """Norms of what changed, see `Backend.change`."""
+        return FieldChange(self.spaces.flux_space, self.spaces.scalar_space)
+
+    def places(self) -> Array:
+        """The places of the sites, see `LinearTraces.places`."""
+        return self.spaces.places
+
+
+class LinearBackend(VertexBackend, TraceBackend):
     """Solves under one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
 
     The flux is the value of σ·n − Π₁q_S at the vertex.
@@ -69,49 +132,11 @@ class LinearBackend(TraceBackend):
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=loaded)
 
     @property
-    def chains(self) -> Chains:
-        """The law of each site."""
-        return self.data.chains
-
-    @property
-    def laws(self) -> VertexLaws:
-        """The laws at the vertices."""
-        return self.data.laws_at
-
-    @property
     def inexact(self) -> Inexact | None:
         """The backend itself, as traces cost less than fields."""
         return self
 
-    def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
+    def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> LinearIterate:
         """The iterate from the values of σ and u (collective)."""
-        spaces = self.spaces
-        flux = spaces.through(spaces.contact, sigma).ravel() - self.laws.flux_h
-        p, flux = self.cleaned(conditions, self.openings(self._x), flux)
-        means = self._x.array_r[self._unknowns] + self.data.lift[self._unknowns]
-        return LinearIterate(p, flux, self._iterations, spaces.flux(sigma), spaces.scalar(u), means)
-
-    def without_flux(self, iterate: Any, where: Mask) -> LinearIterate:
-        """The iterate with σ·n = q_S at some vertices, and the trace that belongs to it by (37) (collective).
-
-        If the flux changes by δσ on a facet, û changes at the vertices of the facets of Γ_S of the same cell by
-        (κ⁻¹δσ, τ), where τ has the hat of the vertex for its moment.
-        """
-        spaces, dim, contact = self.spaces, self.spaces.dim, self.spaces.contact
-        added = np.where(where, -iterate.flux, 0.0).reshape(-1, dim)
-        cells, row = np.unique(contact.cells, return_inverse=True)
-        moments, places = np.zeros((len(cells), dim + 1, dim)), (row, contact.local)
-        moments[places] = contact.measure[:, None] / dim * means_of_linear(added)
-        shapes, basis = Cells(spaces.vertices[cells]), reference(dim).nodal[:, : dim * (dim + 1)]
-        change = moments.reshape(-1, dim * (dim + 1)) @ basis.T
-        sigma, product = spaces.flux_values(iterate.sigma), self.data.products(spaces, cells.astype(np.int32), shapes)
-        sigma[cells] += shapes.at_nodes(change)
-        moved = np.einsum("nbc,nc->nb", product, change) @ basis
-        means = means_of_linear(moved.reshape(-1, dim + 1, dim)[places]).ravel()
-        flux = np.where(where, 0.0, iterate.flux)
-        return replace(iterate, sigma=spaces.flux(sigma), p=iterate.p + means, means=iterate.means + means, flux=flux)
-
-    @cached_property
-    def change(self) -> FieldChange:
-        """Norms of what changed, see `Backend.change`."""
-        return FieldChange(self.spaces.flux_space, self.spaces.scalar_space)
+        fields = self.spaces.flux(sigma), self.spaces.scalar(u)
+        return self.iterate_of(conditions, self.openings(self._x), *fields, self._iterations)
