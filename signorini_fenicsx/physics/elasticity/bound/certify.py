@@ -3,9 +3,9 @@
 In the gap identity of `forms/elasticity.py` y = σ_h is admissible for the load f_h, by its own construction: in
 balance on each cell, its tractions the linear parts Π₁g_N of the data on facets, σ_nn ≤ 0 and no shear on Γ_C. v is the
 best quadratic displacement on the split mesh that has the displacements given and stays off the foundation, see
-`conforming`. Near corners quadratics may be much worse than σ_h. So on the few cells that have a large share of
-the gap, and their neighbours, v is then the best polynomial of a higher degree that continues it. Let ũ be the solution
-for these loads. Then
+`conforming`. Quadratics may be much worse than σ_h, near corners most of all. So on the cells that have most of the gap,
+and their neighbours, v is then the best polynomial of a higher degree that continues it. Let ũ be the solution for
+these loads. Then
 
     gap = ½‖ℂ(ε(v) − ε₀) − σ_h‖² + ⟨−σ_h,nn, g − v_n⟩   bounds   ½|v − ũ|² + ½‖σ_h − ℂε(ũ)‖².
 
@@ -63,12 +63,14 @@ LACKING = "not in the discrete spaces"
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
 SURFACE = "with tools as far as their surfaces are at the vertices of the mesh"
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
-HIGHER = {2: 4, 3: 3}
-"""Degree of v on the cells with the largest shares of the gap and on their neighbours, by dimension."""
-SHARE = 0.05
-"""The share of each of these cells is larger than this,"""
-HALF, FEW = 0.5, {2: 200, 3: 20}
-"""or it is one of those that have half of the gap, if these are not more than so many, by dimension."""
+DEGREE = 2
+"""Degree of v,"""
+MOST = {2: 0.95, 3: 0.8}
+"""and a higher one on the cells with the largest parts of the gap that have this share of it, by dimension,"""
+HALVINGS, MANY = 4, {2: 20_000, 3: 200}
+"""or half as much of it and so on, if they are more than so many, by dimension; and on their neighbours."""
+HIGHEST, FEW = {2: 4, 3: 3}, 1000
+"""Its degree there, by dimension, on not more cells than so many; on more it is cubic."""
 
 
 def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
@@ -85,16 +87,15 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     comm = spaces.mesh.comm
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
-    v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, degree=2)
+    v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, DEGREE)
     lacking, lifted_data = lifted(resolution, of_cells, y.floors)
     of_cells = _with(of_cells, lacking)
     with_most = _with_most(spaces, of_cells)
-    if comm.allreduce(len(with_most)) > 0:
+    if number := comm.allreduce(len(with_most)):
+        degree = HIGHEST[spaces.dim] if number <= FEW else 3
         part = spaces.split.part(with_most)
-        _, better, slips_there, past_there = _displacement(
-            solution, y, resolution, part, degree=HIGHER[spaces.dim], v=v
-        )
-        better = _with(better, of_degree(resolution, lifted_data, HIGHER[spaces.dim], y.floors))
+        _, better, slips_there, past_there = _displacement(solution, y, resolution, part, degree, v)
+        better = _with(better, of_degree(resolution, lifted_data, degree, y.floors))
         gain = comm.allreduce(float((of_cells - better)[with_most].sum()))
         if not past_there and gain > 0:
             of_cells[with_most] = better[with_most]
@@ -208,10 +209,12 @@ def gap_of_cells(
 def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     """Owned cells with a large share of the gap, and those that share a vertex with one (collective)."""
     comm, squares = spaces.mesh.comm, np.maximum(of_cells, 0.0)
-    large = np.flatnonzero(squares > SHARE * comm.allreduce(squares.sum()))
-    half = dorfler(np.sqrt(squares), HALF, comm)
-    if comm.allreduce(len(half)) <= FEW[spaces.dim]:
-        large = np.union1d(large, half)
+    for share in MOST[spaces.dim] * 0.5 ** np.arange(HALVINGS):
+        large = dorfler(np.sqrt(squares), share, comm)
+        if comm.allreduce(len(large)) <= MANY[spaces.dim]:
+            break
+    else:
+        large = large[:0]
     nodes = spaces.nodes
     chosen = (sums_at(spaces.mesh.geometry.index_map(), nodes[large])[nodes] > 0).any(axis=1)
     cells = spaces.contact.cells[spaces.inner.rows], spaces.across.cells

@@ -20,6 +20,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
+from signorini_fenicsx.discrete.bernstein import exponents
 from signorini_fenicsx.discrete.simplices import BLOCK, opposite
 from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, TraceCoarse
 from signorini_fenicsx.forms.elasticity import pairs as entries
@@ -201,7 +202,7 @@ def displacement_solver(
     Args:
         spaces: The spaces.
         split: The split mesh.
-        space: Quadratic displacements on it, if the solver iterates.
+        space: The displacements on it.
         nodes: The nodes that are left.
         frames: Directions of the coefficients at all nodes.
         matrix: Its operator.
@@ -230,20 +231,20 @@ def _from_linear(
     nodes: Nodes,
     frames: Array,
 ) -> PETSc.Mat:
-    """Interpolation of linear displacements at the nodes that are left, each the mean of two vertices (collective)."""
+    """Interpolation of linear displacements at the nodes that are left (collective)."""
     dim, own = spaces.dim, nodes.numbers.size_local
-    ends = np.zeros((len(nodes.of_space), 2), dtype=np.int32)
+    ends, shares = np.zeros((len(nodes.of_space), dim), dtype=np.int32), np.zeros((len(nodes.of_space), dim))
     vertices = np.take_along_axis(cell_dofs(linear), spaces.order, axis=1)
-    for mine, corners in _between_vertices(split, space, nodes):
-        ends[mine] = vertices[:, corners]
+    for mine, corners, weights in _between_vertices(split, space, nodes):
+        ends[mine], shares[mine] = vertices[:, None, corners], weights
     made = PETSc.Mat().create(spaces.mesh.comm)
     of_linear = linear.dofmap.index_map
     sizes = [(dim * each.size_local, dim * each.size_global) for each in (nodes.numbers, of_linear)]
     made.setSizes(sizes, bsize=dim)
     made.setType("aij")
     rows = (dim * nodes.numbers.local_range[0] + np.arange(dim * own)).reshape(own, 1, dim, 1)
-    columns = of_linear.local_to_global(ends[:own].ravel()).reshape(own, 2, 1, 1) * dim + np.arange(dim)
-    values = np.broadcast_to(frames[nodes.of_space[:own]].swapaxes(1, 2)[:, None] / 2, (own, 2, dim, dim))
+    columns = of_linear.local_to_global(ends[:own].ravel()).reshape(own, dim, 1, 1) * dim + np.arange(dim)
+    values = frames[nodes.of_space[:own]].swapaxes(1, 2)[:, None] * shares[:own, :, None, None]
     places = (np.broadcast_to(each, values.shape).ravel().astype(PETSc.IntType) for each in (rows, columns))
     made.setPreallocationCOO(*places)
     made.setValuesCOO(values.ravel(), PETSc.InsertMode.ADD_VALUES)
@@ -252,18 +253,16 @@ def _from_linear(
 
 def _between_vertices(
     split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes
-) -> Iterator[tuple[npt.NDArray[np.int32], Indices]]:
-    """For each node around a cell its number in all cells, and the two vertices of the cell that it is between.
+) -> Iterator[tuple[npt.NDArray[np.int32], Indices, Array]]:
+    """For each facet of cells its nodes in all of these, its vertices, and the places of the nodes between them.
 
-    These are vertices, which are between themselves, and the middles of edges; the displacements are quadratic.
+    The shapes are (cells, nodes), (d,) and (nodes, d).
     """
-    dim, element = split.mesh.geometry.dim, space.element.basix_element
-    for subcell, facet in enumerate(opposite(dim)):
-        mine = nodes.number_of[space.dofmap.list[split.cells[:, subcell]]]
-        for sort in (0, 1):
-            for corners, dofs in zip(basix.topology(element.cell_type)[sort], element.entity_dofs[sort], strict=True):
-                if corners[-1] < dim:  # the last vertex is inside
-                    yield mine[:, dofs[0]], facet[[corners[0], corners[-1]]]
+    element = space.element.basix_element
+    places = exponents(element.cell_type, element.degree) / element.degree
+    around = element.entity_closure_dofs[-2][-1]  # the last vertex is inside
+    for subcell, facet in enumerate(opposite(split.mesh.geometry.dim)):
+        yield nodes.number_of[space.dofmap.list[split.cells[:, subcell]][:, around]], facet, places[around, :-1]
 
 
 def means_at_nodes(split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes, u: Array) -> Array:
@@ -271,11 +270,11 @@ def means_at_nodes(split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes, u: 
 
     Args:
         split: The split mesh.
-        space: Quadratic displacements on it.
+        space: Displacements on it, by Bernstein coefficients.
         nodes: The nodes that are left.
         u: Values at the vertices of the cells, as in `ElasticSpaces.order`, shape (cells, d + 1, d).
     """
-    between = [(mine, u[:, corners].mean(axis=1)) for mine, corners in _between_vertices(split, space, nodes)]
+    between = [(mine, weights @ u[:, corners]) for mine, corners, weights in _between_vertices(split, space, nodes)]
     numbers, values = (np.concatenate(each) for each in zip(*between, strict=True))
     sums, count = sums_at(nodes.numbers, numbers, values), sums_at(nodes.numbers, numbers)
     return (sums / count[:, None])[: nodes.numbers.size_local]

@@ -46,7 +46,7 @@ from signorini_fenicsx.physics.elasticity.discrete.material import Material, Str
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 DEGREE = 2
-"""Degree of the polynomials: e − 𝔸_P y is then cubic for v of a degree up to 4, see `certify.HIGHER`."""
+"""Degree of the polynomials: e − 𝔸_P y is then cubic for v of a degree up to 4, see `certify.HIGHEST`."""
 ENOUGH, ROUGHLY = 1e-9, 1e-2
 """A coefficient need not be known better than up to the first share of itself, how it varies than up to the second."""
 RESOLVED = 0.05
