@@ -3,8 +3,8 @@
 In the gap identity of `forms/elasticity.py` y = σ_h is admissible for the load f_h, by its own construction: in
 balance on each cell, its tractions the linear parts Π₁g_N of the data on facets, σ_nn ≤ 0 and no shear on Γ_C. v is the
 best quadratic displacement on the split mesh that has the displacements given and stays off the foundation, see
-`conforming`. Quadratics may be much worse than σ_h, near corners most of all. So on the cells that have most of the gap,
-and their neighbours, v is then the best polynomial of a higher degree that continues it. Let ũ be the solution for
+`conforming`. Quadratics may be much worse than σ_h, near corners most of all. So on the cells that have most of the
+gap, and their neighbours, v is then the best polynomial of a higher degree that continues it. Let ũ be the solution for
 these loads. Then
 
     gap = ½‖ℂ(ε(v) − ε₀) − σ_h‖² + ⟨−σ_h,nn, g − v_n⟩   bounds   ½|v − ũ|² + ½‖σ_h − ℂε(ũ)‖².
