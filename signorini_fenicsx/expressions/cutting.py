@@ -2,7 +2,7 @@
 
 *Boxes.* They are smaller and smaller ones, until they are small enough for what is asked.
 *Parts.* Simplices are cut into parts: along the switch of a condition if one is undecided, else through the middle of
-the longest edge. All parts with more than their share of the uncertainty are cut at once; if there is no room for so
+the longest edge. All parts with more than half of the mean uncertainty are cut at once; if there is no room for so
 many, the worst of them.
 """
 
@@ -31,7 +31,7 @@ SLIVER = 0.02
 """Parts are not cut near a vertex: at least this share of an edge away, unless the cut is exact."""
 STEEP = 4.0
 """Sizes whose ratio is beyond this vary."""
-WIDE = 3.0
+WIDE = 2.0
 """A part is cut so many times its blur away from a switch that is not affine."""
 FINEST = 1e-12
 """Parts with less than this share of their simplex are not cut."""
@@ -63,11 +63,17 @@ class Frame:
         return float((self.box[1] - self.box[0]).max())
 
 
-def look_everywhere(tree: Tree, vertices: Array, frame: Frame, look: Callable[[Remainder, Indices], Mask]) -> None:
+def look_everywhere(
+    tree: Tree, vertices: Array, frame: Frame, look: Callable[[Remainder, Indices], Mask], *, rough: bool = True
+) -> None:
     """Look at simplices in smaller and smaller boxes, and last in their own, until `look` says that this is enough.
 
-    The boxes depend on the simplex alone, so that the results do not depend on the number of ranks.
+    The boxes depend on the simplex alone, so that the results do not depend on the number of ranks. `rough` as below.
     """
+
+    def remainder_of(regions: Regions, rows: Indices | slice, reach: Array) -> Remainder:
+        return Remainder.of(expanded([tree], regions, rough=rough)[0][0], regions.half, rows, reach)
+
     lo, hi = vertices.min(axis=1).T, vertices.max(axis=1).T
     middle, size, todo = (lo + hi) / 2, (hi - lo).max(axis=0, initial=0.0), np.arange(len(vertices))
     x = np.moveaxis(vertices, 0, -1).swapaxes(0, 1)
@@ -88,12 +94,11 @@ def look_everywhere(tree: Tree, vertices: Array, frame: Frame, look: Callable[[R
             half = np.where(regions.half > 0, regions.half, 1.0)
             box, some = rows[own] - chunk.start, todo[own]
             reach = (np.abs(x[:, :, some] - regions.centre[:, None, box]) / half[:, None, box]).max(axis=1)
-            remainder = Remainder.of(expanded([tree], regions)[0][0], regions.half, box, reach)
-            done[some] = look(remainder, some)
+            done[some] = look(remainder_of(regions, box, reach), some)
     left = np.flatnonzero(~done)
     for some in (left[begin : begin + CHUNK] for begin in range(0, len(left), CHUNK)):
         regions = Regions.of_simplices(vertices[some], frame.scale)
-        look(Remainder.of(expanded([tree], regions)[0][0], regions.half, slice(None), np.ones_like(regions.half)), some)
+        look(remainder_of(regions, slice(None), np.ones_like(regions.half)), some)
 
 
 def _chunks(number: int, rows: Indices) -> Iterator[tuple[slice, Indices]]:
@@ -111,6 +116,8 @@ def in_parts(
     look: Callable[..., Array],
     need: Callable[[Parts, Array], Array],
     sizes: Callable[[Array], Array] | None = None,
+    *,
+    rough: bool = True,
 ) -> tuple[Parts, Array]:
     """Cut simplices into parts until the needs of all parts together are at most 1 (collective).
 
@@ -121,6 +128,7 @@ def in_parts(
         look: Gives what is known of parts from the remainder of each expression there, shape (parts, columns).
         need: Gives from this how much each part needs to be cut.
         sizes: Gives sizes > 0 in points, see `_by_sizes`.
+        rough: Whether series may be rough; False if `look` needs gradients.
     """
 
     def looked(parts: Parts) -> tuple[Array, Array]:
@@ -128,7 +136,7 @@ def in_parts(
         for begin in range(0, max(len(parts.own), 1), CHUNK):
             some = parts.take(slice(begin, begin + CHUNK))
             regions = Regions.of_simplices(some.vertices, frame.scale)
-            series, switch = expanded(trees, regions)
+            series, switch = expanded(trees, regions, rough=rough)
             whole = slice(None), np.ones_like(regions.half)
             seen.append(look(some, *(Remainder.of(each, regions.half, *whole) for each in series)))
             cuts.append(_cuts(some, regions, switch, sizes))
@@ -142,7 +150,7 @@ def in_parts(
         total, number = frame.comm.allreduce(np.array([needs.sum(), len(needs)])).tolist()
         if not total > 1:
             return parts, of_parts
-        chosen = _worst(needs, 1 / number, left // 2, frame.comm)
+        chosen = _worst(needs, (total if np.isfinite(total) else 1.0) / (2 * number), left // 2, frame.comm)
         if not frame.comm.allreduce(np.count_nonzero(chosen)):
             return parts, of_parts
         first, second = cuts[chosen, :2].astype(np.int64).T

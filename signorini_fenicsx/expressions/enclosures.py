@@ -73,7 +73,7 @@ def slopes(tree: Tree, vertices: Array, frame: Frame, enough: Array) -> tuple[Ar
         best[:, rows] = np.where(own[1] < best[1, rows], own, best[:, rows])
         return np.asarray(best[1, rows] <= enough[rows])
 
-    look_everywhere(tree, vertices, frame, look)
+    look_everywhere(tree, vertices, frame, look, rough=False)
     return best[0], best[1]
 
 
@@ -229,7 +229,7 @@ def tilts(tree: Tree, vertices: Array, frame: Frame, weight: Array, degree: int)
         wanted = weight[parts.own] * parts.share * of_parts[:, 2]
         return np.where(close, 0.0, np.where(np.isnan(wanted), np.inf, wanted))
 
-    parts, of_parts = in_parts([tree], vertices, frame, look, need)
+    parts, of_parts = in_parts([tree], vertices, frame, look, need, rough=False)
     share = parts.share[:, None] * of_parts
     share[np.isnan(share)] = np.inf
     norm, tilt, _ = (np.sqrt(np.bincount(parts.own, column, number)) for column in share.T)

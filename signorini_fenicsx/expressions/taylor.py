@@ -1,8 +1,13 @@
 """The Taylor series of trees on many regions at once, see `series`.
 
-Where a condition is undecided, e is in the hull of both branches. Gradients of min, max and abs are in the hull of
-those of both branches (Clarke's gradient); all other derivatives are unknown. Such a region can be cut along the
-*switch* a = 0 that is undecided: a is within `Switch.blur` of an affine function.
+Where a condition is undecided, e is in the hull of both branches. With d ∈ [l, h] the difference of the branches,
+
+- max(d, 0) is within −lh/(2(h − l)) of the affine function of d that is 0 in l and h in h, less this. So max(b + d, b)
+  is as near to a mean of both branches with a constant; and a jump within sup|d|/2 of half of each;
+- or, for gradients, those of min, max and abs are in the hull of those of both branches (Clarke's gradient); all other
+  derivatives are unknown.
+
+Such a region can be cut along the *switch* a = 0 that is undecided: a is within `Switch.blur` of an affine function.
 """
 
 from __future__ import annotations
@@ -32,6 +37,7 @@ from signorini_fenicsx.expressions.series import (
     plus,
     product,
     scaled,
+    times,
 )
 from signorini_fenicsx.expressions.tree import Number, Tree, evaluate
 
@@ -107,9 +113,9 @@ class _Condition(Truth):
         return _Condition(~self.possibly, ~self.surely, ~self.here)
 
 
-def expanded(trees: Sequence[Tree], regions: Regions) -> tuple[list[Series], Switch]:
-    """The series of trees on regions, and a switch for each region that has one."""
-    algebra = _Taylor(regions)
+def expanded(trees: Sequence[Tree], regions: Regions, *, rough: bool) -> tuple[list[Series], Switch]:
+    """The series of trees on regions, rough ones or with gradients, and a switch for each region that has one."""
+    algebra = _Taylor(regions, rough=rough)
     known: dict[Tree, Series] = {}
     with np.errstate(all="ignore"):
         return [evaluate(tree, algebra, known) for tree in trees], algebra.switch
@@ -118,8 +124,8 @@ def expanded(trees: Sequence[Tree], regions: Regions) -> tuple[list[Series], Swi
 class _Taylor(Logic):
     """The algebra of series on some regions."""
 
-    def __init__(self, regions: Regions):
-        self._regions = regions
+    def __init__(self, regions: Regions, *, rough: bool):
+        self._regions, self._rough = regions, rough
         dim, number = regions.centre.shape
         self.switch = Switch(np.zeros(number, dtype=bool), np.zeros(number), np.zeros((dim, number)), np.zeros(number))
 
@@ -132,7 +138,7 @@ class _Taylor(Logic):
         slope = np.zeros_like(self._regions.half)
         slope[axis] = half
         layers = (slope, np.zeros_like(slope)), *[None] * (DEGREE - 1)
-        return Series(centre, Interval(centre - half, centre + half), layers, self._regions.corners)
+        return Series(centre, Interval(centre - half, centre + half), layers, self._regions.corners, gradient=slope)
 
     def power(self, base: Series, exponent: Series) -> Series:
         if exponent.at.ndim == 0:
@@ -144,8 +150,9 @@ class _Taylor(Logic):
         at = np.asarray(function.numeric(*(a.at for a in arguments)))
         if name in _DERIVATIVES:
             (a,) = arguments
-            value = function.enclosure(NUMPY, a.value)
-            return a.of([value, *_DERIVATIVES[name](a.value, value)], at)
+            value, everywhere = (function.enclosure(NUMPY, values) for values in (a.value, a.values))
+            steep = next(iter(_DERIVATIVES[name](enclosing(a.at), enclosing(at))))
+            return a.of([value, *_DERIVATIVES[name](a.values, everywhere)], at, (steep.lo + steep.hi) / 2)
         if name == "sqrt":
             return arguments[0].power(0.5)
         value = function.enclosure(NUMPY, *(a.value for a in arguments))
@@ -153,17 +160,20 @@ class _Taylor(Logic):
             return self._angle(arguments[0], arguments[1], at, value)
         left, right = arguments if len(arguments) == 2 else (arguments[0], -arguments[0])
         first = self.compare("<=" if name == "min" else ">=", left, right)
-        choice = self._chosen(first, left, right, at, value, continuous=True)
+        beyond = (right - left if name == "min" else left - right).range()
+        choice = self._chosen(first, left, right, at, value, beyond)
         whole = left if right.is_zero else right if left.is_zero else None
         return replace(choice, whole=whole) if name == "max" else choice
 
     def compare(self, sign: str, left: Series, right: Series) -> _Condition:
         """Compare almost everywhere: if left − right certainly varies, both are equal on a set of measure 0."""
         a = left - right
-        lo, hi, varies, below, above = a.value.lo, a.value.hi, np.asarray(False), np.asarray(False), np.asarray(False)
+        whole = a.range()
+        lo, hi = whole.lo, whole.hi
+        varies, below, above = np.asarray(False), np.asarray(False), np.asarray(False)
         if a.corners is not None and a.layers[0] is not None:
             least, most = along(np.zeros(1), a.layers[0], a.corners)
-            change = np.maximum(np.fmax(least, -most).max(axis=0), 0.0)
+            change = np.where(a.rough == 0, np.maximum(np.fmax(least, -most).max(axis=0), 0.0), 0.0)
             varies, slack = change > 0, self._regions.near * change
             below, above = varies & (hi <= slack), varies & (lo >= -slack)
         holds_at = np.asarray(COMPARISONS[sign](a.at, 0.0))
@@ -192,20 +202,39 @@ class _Taylor(Logic):
         new = undecided & ~switch.undecided
         slope, rad = a.layers[0]
         switch.undecided |= new
-        for kept, now in ((switch.at, a.at), (switch.slope, slope), (switch.blur, rad.sum(axis=0))):
+        blur, rest = rad.sum(axis=0) + a.rough, a.beyond_gradient()
+        closer = rest.hi - rest.lo < 2 * blur
+        found = (
+            np.where(closer, a.at + (rest.lo + rest.hi) / 2, a.at),
+            slope if a.gradient is None else np.where(closer, a.gradient, slope),
+            np.where(closer, (rest.hi - rest.lo) / 2, blur),
+        )
+        for kept, now in zip((switch.at, switch.slope, switch.blur), found, strict=True):
             kept[..., new] = np.broadcast_to(now, kept.shape)[..., new]
 
     def choose(self, condition: _Condition, then: Series, otherwise: Series) -> Series:
         undecided = then.value.hull(otherwise.value)
         value = then.value.where(condition.surely, undecided.where(condition.possibly, otherwise.value))
         at = np.where(condition.here, then.at, otherwise.at)
-        return self._chosen(condition, then, otherwise, at, value, continuous=False)
+        return self._chosen(condition, then, otherwise, at, value, None)
 
     def _chosen(
-        self, condition: _Condition, then: Series, otherwise: Series, at: Array, value: Interval, *, continuous: bool
+        self,
+        condition: _Condition,
+        then: Series,
+        otherwise: Series,
+        at: Array,
+        value: Interval,
+        beyond: Interval | None,
     ) -> Series:
-        """The series of a choice of these values; if the branches meet, gradients are in the hull of both."""
+        """The series of a choice of these values.
+
+        Of max, min and abs the first branch is chosen where `beyond`, a difference of the branches, is ≥ 0.
+        """
         undecided = condition.possibly & ~condition.surely
+        share, rough = np.asarray(0.5), np.asarray(0.0)
+        if self._rough and undecided.any():
+            share, rough = _mean(then, otherwise, beyond)
         layers: list[Layer] = []
         for order, (a, b) in enumerate(zip(then.layers, otherwise.layers, strict=True), 1):
             if a is None and b is None and not undecided.any():
@@ -213,27 +242,45 @@ class _Taylor(Logic):
                 continue
             zero = np.zeros((len(indices(len(self._regions.centre), order)), 1))
             one, other = a or (zero, zero), b or (zero, zero)
-            mixed = hull(one, other) if order == 1 and continuous else (zero, zero + np.inf)
+            if self._rough:
+                mixed = tuple(share * x + (1 - share) * y for x, y in zip(one, other, strict=True))
+            else:
+                mixed = hull(one, other) if order == 1 and beyond is not None else (zero, zero + np.inf)
             mid, rad = (
                 np.where(condition.surely, x, np.where(condition.possibly, both, y))
                 for x, y, both in zip(one, other, mixed, strict=True)
             )
             layers.append((mid, rad))
-        series = then._with(otherwise, at, value, layers)
+        rough = np.where(condition.surely, then.rough, np.where(condition.possibly, rough, otherwise.rough))
+        series = then._with(otherwise, at, value, layers, rough)
+        if then.gradient is not None or otherwise.gradient is not None:
+            first, second = (np.zeros(1) if each.gradient is None else each.gradient for each in (then, otherwise))
+            series = replace(series, gradient=np.where(condition.here, first, second))
         return replace(series, corners=self._regions.corners) if undecided.any() else series
 
     def _angle(self, y: Series, x: Series, at: Array, value: Interval) -> Series:
         """The series of atan2(y, x): Σ|α| g_α ξ^α = (x Σ|α| y_α ξ^α − y Σ|α| x_α ξ^α)/(x² + y²)."""
         zero = constant(0.0)
         apart = self.compare(">=", x, zero) | self.compare(">=", y, zero) | self.compare("<=", y, zero)
-        angles = [[centred(a.value), *a.layers] for a in (x, -y)]
+        angles = [[centred(a.values), *a.layers] for a in (x, -y)]
         slopes = [[None, *(scaled(layer, order) for order, layer in enumerate(a.layers, 1))] for a in (y, x)]
         turned = map(plus, *(product(angle, slope) for angle, slope in zip(angles, slopes, strict=True)))
         inverse = (x * x + y * y).power(-1.0)
-        quotient = product(list(turned), [centred(inverse.value), *inverse.layers])
+        quotient = product(list(turned), [centred(inverse.values), *inverse.layers])
         layers = [scaled(layer, 1 / order) for order, layer in enumerate(quotient[1:], 1)]
-        smooth = x._with(y, at, value, layers)
-        return self._chosen(apart, smooth, smooth, at, smooth.value, continuous=False)
+        unknown = np.asarray(np.inf)
+        smooth = x._with(y, at, value, layers, times(unknown, x.rough + y.rough))
+        return self._chosen(apart, smooth, replace(smooth, rough=unknown), at, smooth.value, None)
+
+
+def _mean(then: Series, otherwise: Series, beyond: Interval | None) -> tuple[Array, Array]:
+    """The share of the first branch in a mean of both that is near a choice, and how near, see the module."""
+    if beyond is None:
+        share, near = np.asarray(0.5), (then - otherwise).value.largest / 2
+    else:
+        width = beyond.hi - beyond.lo
+        share, near = beyond.hi / width, -beyond.lo * beyond.hi / (2 * width)
+    return share, share * then.rough + (1 - share) * otherwise.rough + near
 
 
 def _wave(quarter: int) -> Callable[[Interval, Interval], Iterator[Interval]]:

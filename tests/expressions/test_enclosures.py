@@ -1,6 +1,7 @@
 """Enclosures are true in all points, find what quadrature misses, and are sharp for smooth data."""
 
 import random
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import read, values, values_and_gradient
 from signorini_fenicsx.expressions.cutting import Frame
-from signorini_fenicsx.expressions.enclosures import surely_above
+from signorini_fenicsx.expressions.enclosures import distances, means, surely_above
 from signorini_fenicsx.expressions.intervals import FromNumPy
 from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
 from signorini_fenicsx.rigorous.enclosures import enclose
@@ -160,3 +161,42 @@ def test_gradients_and_values():
     found = enclose(kappa, vertices, interpolated(kappa, vertices), np.full(128, 1e-3), NUMPY)
     assert 0 < found.range.lo.min() <= 0.01
     assert found.range.lo.min() > 0.005
+
+
+KINKS = (
+    "max(x - 0.47, 0)*exp(y)",
+    "abs(sin(7*x*y) - 0.3) + min(x, y^2)",
+    "max(x^2 + y^2 - 0.49, 0)*(1 + max(y - x, 0))",
+    "sqrt(0.1 + max(0.3 - x, 0))",
+    "(max(x - 0.35, 0) + 0.2)^2.5/(1 + abs(y - 0.5))",
+    "atan2(max(y - 0.3, 0) - 0.1, abs(x - 0.4) - 0.2)",
+    "max(0.1, max(x - y, 0) - 0.05)^3",
+    "tanh(5*abs(x - 0.31))",
+)
+
+
+@pytest.mark.parametrize("text", KINKS)
+def test_kinks_are_near_polynomials(text: str):
+    """No polynomial is nearer in the mean than the enclosures say that one is in all points."""
+    tree, vertices, rng = read(text, "xy"), squares(5), np.random.default_rng(3)
+    within = distances(tree, vertices, Frame(np.array([[0.0, 0.0], [1.0, 1.0]]), 50, MPI.COMM_SELF), np.zeros(50))
+    places = rng.dirichlet(np.ones(3), 200)
+    monomials = [places[:, 1] ** i * places[:, 2] ** j for i in range(5) for j in range(5 - i)]
+    basis, _ = np.linalg.qr(np.column_stack(monomials))
+    seen = values(tree, np.einsum("qv,nvi->nqi", places, vertices))
+    rest = np.sqrt(((seen - seen @ basis @ basis.T) ** 2).mean(axis=1))
+    assert (rest > 1e-5).any()
+    assert (rest <= within * (1 + 1e-9) + 1e-12).all()
+
+
+def test_curved_kinks_in_space():
+    """The means of a function with a kink on a cylinder are found with few parts, where it cuts cells."""
+    corner = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    paths = [np.cumsum(np.vstack([np.zeros(3), np.eye(3)[list(order)]]), axis=0) for order in permutations(range(3))]
+    vertices = np.concatenate([corner + path for path in paths]) / 4
+    tree = read("12*(x^2 + y^2)*max(x^2 + y^2 - 0.49, 0)", "xyz")
+    frame = Frame(np.array([[0.0] * 3, [1.0] * 3]), len(vertices), MPI.COMM_SELF)
+    found = means(tree, vertices, constant(np.zeros(len(vertices)), 3), frame, np.full(len(vertices), 1e5 / 384))
+    radius = (found.mean.hi - found.mean.lo) / 2
+    assert found.parts < 5000
+    assert np.sqrt((radius**2).mean()) < 3.2e-3
