@@ -48,7 +48,7 @@ def refuse_idle(case: "CaseFile", **options: object) -> None:
         "rho": lambda method: method.has_rho,
         "eps": lambda method: method.has_eps,
         "backend": lambda method: method.rule is not None,
-        "element": lambda method: method.rule is not None,
+        "element": lambda method: method.takes_order_two,
     }
     for key, needed in has.items():
         if options.get(key) is not None and not needed(case.method):

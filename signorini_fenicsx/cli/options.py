@@ -51,7 +51,7 @@ BackendName = Annotated[
 ]
 ElementName = Annotated[
     str | None,
-    typer.Option("--element", help="RT0, or RT1 of one order more; only for alg1 to alg4.", rich_help_panel=METHOD),
+    typer.Option("--element", help="RT0, or RT1 of one order more; alg1 to alg4 and vi.", rich_help_panel=METHOD),
 ]
 Settings = Annotated[
     list[str] | None,

@@ -50,6 +50,7 @@ class Method:
         on_one_rank: Whether it collects the whole mesh on one rank, see `Tuning.on_one_rank_up_to`.
         dense: Whether it needs dense matrices on Γ_S, see `Tuning.dense_up_to`.
         has_rho: Whether it has a ρ.
+        takes_order_two: Whether it takes the element of order two of diffusion.
         rule: The set rule that `run` runs with a backend, and that elastic contact takes; None if it runs something
             else.
     """
@@ -69,6 +70,7 @@ class Method:
     on_one_rank: bool = False
     dense: bool = False
     has_rho: bool = False
+    takes_order_two: bool = False
     rule: SetRule | None = None
 
     @classmethod
@@ -89,6 +91,7 @@ class Method:
             laws=laws,
             takes_inner=exact,
             laws_inside=exact,
+            takes_order_two=True,
         )
 
     def most_iterations(self, corners: int, sites: int, *, in_cells: bool = False) -> int:
@@ -142,6 +145,7 @@ METHODS: Mapping[str, Method] = {
         _alone("solve_bound_constrained"),
         laws=(Signorini, TwoSided),
         takes_inner=True,
+        takes_order_two=True,
     ),
     "uzawa": _classical("Uzawa iteration for (VL), conforming P1", GLOWINSKI, "primal_uzawa", laws=(), **UZAWA),
     "psor": _classical(

@@ -21,7 +21,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.inspection import expected
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.cli.solution_report import SolutionReport
-from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Signorini
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Signorini, TwoSided
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
@@ -144,6 +144,19 @@ def test_mixed_backend_of_cases(name: str, values: dict[str, float]):
     """Slopes that are coupled on facets, a part inside the domain, and space."""
     case = load_case(name).with_values(values | {"solve.element": "RT1"})
     same_by_both(lambda backend: solve_case(case.with_values({"solve.backend": backend})))
+
+
+@pytest.mark.parallel(3)
+def test_bounds_by_snesvi():
+    """Without set rules SNESVI finds the same solution of both laws that it takes."""
+    domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")
+    laws = [TwoSided("bottom", psi="0.1*x", psi_upper="0.2*x + 0.01"), Signorini("top", psi=0.4)]
+    for problem in (ALL_DATA, Diffusion(f="50*(0.5 - x)*(0.5 - y)", u_D="x", conditions=laws)):
+        found, expected = (solve(domain, problem, Options(name, element="RT1")) for name in ("vi", "alg1"))
+        np.testing.assert_allclose(found.p_at, expected.p_at, atol=1e-10)
+        np.testing.assert_allclose(found.sigma.x.array, expected.sigma.x.array, atol=1e-9)
+        assert max(vars(found.kkt).values()) < 1e-10
+        assert 0 < COMM.allreduce(int(found.touching.sum())) < COMM.allreduce(found.touching.size)
 
 
 def test_algorithms_and_starts():

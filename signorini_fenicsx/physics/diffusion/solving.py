@@ -270,7 +270,7 @@ def _lacking(options: Options, *, inside: bool, in_time: bool = False) -> str:
     for lacking, what in (
         (inside, "laws in Ω"),
         (in_time, "problems in time"),
-        (options.method.rule is None, options.algorithm_name),
+        (not options.method.takes_order_two, options.algorithm_name),
         (not isinstance(options.backend, str), "a backend of one's own"),
     ):
         if lacking:

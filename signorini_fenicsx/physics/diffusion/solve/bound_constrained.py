@@ -1,9 +1,12 @@
 """The facet problem as a quadratic programme with p ≥ 0 on Γ_S, solved by PETSc SNESVI.
 
 ½(∇_h u, ∇_h u) − (f_h, u) is minimised over Crouzeix-Raviart functions with u = 0 on Γ_D and facet means ≥ 0 on Γ_S.
-The minimiser is the solution of (MLM-I)_h. It is found without the set rules and the active-set loop, so this is an
-independent check of them.
+For RT1 it is the energy of û in P1 on facets, and the means are those weighted by the hats. The minimiser is the
+solution of (MLM-I)_h. It is found without the set rules and the active-set loop, so this is an independent check of
+them.
 """
+
+from __future__ import annotations
 
 import numpy as np
 from petsc4py import PETSc
@@ -15,8 +18,9 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct, snes_failure, solver_name, take_options
 from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
+from signorini_fenicsx.physics.diffusion.solve.linear_backend import FreeVertices
 from signorini_fenicsx.physics.diffusion.solve.recorder import Recorder
-from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask
+from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask
 
 PREFIX = "vi_"
 """Prefix of its PETSc options."""
@@ -34,13 +38,16 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
         InputError: If PETSc refuses an option.
     """
     with task.watch.phase("assembly"):
-        system = FacetSystem(task.spaces, task.data, task.tuning)
-    everywhere_free = SiteConditions.everywhere(Condition.NO_FLUX, len(system.spaces.facets))
-    system.apply(everywhere_free)
+        system: FacetSystem | FreeVertices
+        if isinstance(task, LinearTask):
+            system = FreeVertices(task.spaces, task.data, task.tuning)
+        else:
+            system = FacetSystem(task.spaces, task.data, task.tuning)
+            system.apply(SiteConditions.everywhere(Condition.NO_FLUX, len(system.spaces.facets)))
     system.x.set(0.0)
     x = system.matrix.createVecRight()  # without ghosts: PETSc never frees a duplicate of a vector with ghosts
     x.set(0.0)
-    law = task.data.laws.chains
+    law = task.data.chains
     snes = _snes(system, law, task.max_iterations)
     recorder = Recorder(system.spaces, *_recovered(system, law, 0), task.on_step)
 
@@ -63,10 +70,10 @@ def solve_bound_constrained(task: DiffusionTask) -> Outcome:
     snes.destroy()
     for vector in (system.x, system.b):
         vector.destroy()  # after SNESVI on several ranks, PETSc's garbage collection would not free them
-    return recorder.outcome(state, ending, ("hybrid", system.dofs, name), converged=failure is None)
+    return recorder.outcome(state, ending, (system.name, system.dofs, name), converged=failure is None)
 
 
-def _snes(system: FacetSystem, law: Chains, max_iterations: int) -> PETSc.SNES:
+def _snes(system: FacetSystem | FreeVertices, law: Chains, max_iterations: int) -> PETSc.SNES:
     """SNESVI for the system under its current conditions, with its bounds (collective)."""
     snes = PETSc.SNES().create(system.matrix.getComm())
     matrix, b = system.matrix, system.b
@@ -97,7 +104,9 @@ def _snes(system: FacetSystem, law: Chains, max_iterations: int) -> PETSc.SNES:
     return snes
 
 
-def _recovered(system: FacetSystem, law: Chains, linear_iterations: int) -> tuple[Iterate, SiteConditions]:
+def _recovered(
+    system: FacetSystem | FreeVertices, law: Chains, linear_iterations: int
+) -> tuple[Iterate, SiteConditions]:
     """The current solution; a facet is in contact where p is at one of its bounds."""
     p = system.x.array_r[system.trace_dofs]
     low, high, *_ = law.extent()

@@ -76,6 +76,8 @@ class FacetSystem:
         sources: Those of the cells under the conditions last applied.
     """
 
+    name = "hybrid"
+
     def __init__(self, spaces: Spaces, data: Data, tuning: Tuning):
         """Assemble (collective).
 

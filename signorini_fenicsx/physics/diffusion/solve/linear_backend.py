@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import ROUNDING
@@ -21,7 +22,9 @@ from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.posed import State
 from signorini_fenicsx.discrete.sizes import Sizes
 from signorini_fenicsx.discrete.trace_backend import TraceBackend
+from signorini_fenicsx.discrete.trace_multigrid import DIRECT_UP_TO
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
@@ -140,3 +143,38 @@ class LinearBackend(VertexBackend, TraceBackend):
         """The iterate from the values of σ and u (collective)."""
         fields = self.spaces.flux(sigma), self.spaces.scalar(u)
         return self.iterate_of(conditions, self.openings(self._x), *fields, self._iterations)
+
+
+class FreeVertices(VertexBackend):
+    """The hybrid system without conditions on Γ_S, for methods with bounds of their own; û is x and the lift.
+
+    Attributes:
+        matrix: Its matrix.
+        b: Its right side.
+        x: Its unknowns.
+        trace_dofs: The unknown of each site.
+        dofs: Number of unknowns over all ranks.
+        large: Whether an iterative solver is the default at this size.
+    """
+
+    name = "hybrid RT1"
+
+    def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning):
+        """Assemble (collective)."""
+        self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds)
+        self._system, none = FluxSystem(spaces, data), np.empty(0, dtype=np.int32)
+        operator = ConstrainedMatrix(self._system.matrix, PETSc.Mat.Option.SPD)
+        operator.impose(data.fixed, none, np.empty(0))
+        self.matrix, self.trace_dofs = operator.matrix, spaces.site_kinds.unknown
+        self.dofs: int = self.matrix.getSize()[0]
+        self.large = tuning.is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
+        self.x, self.b = self.matrix.createVecs()
+        self.b.array_w[:] = self._system.load
+        self.b.array_w[data.fixed] = 0.0
+
+    def recover(self, conditions: SiteConditions, iterations: int) -> LinearIterate:
+        """The iterate that belongs to x (collective)."""
+        x = self.x.array_r.copy()
+        sigma, u = self._system.recover(self._system.everywhere(x) + self.data.lift)
+        fields = self.spaces.flux(sigma), self.spaces.scalar(u)
+        return self.iterate_of(conditions, x[self.trace_dofs], *fields, iterations)

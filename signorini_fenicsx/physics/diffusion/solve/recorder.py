@@ -19,7 +19,7 @@ class Recorder(History):
             conditions: Its facet conditions.
             on_step: Called on all ranks with each step.
         """
-        self._last, self._change = iterate, FieldChange(spaces.V, spaces.Q)
+        self._last, self._change = iterate, FieldChange(iterate.sigma.function_space, iterate.u.function_space)
         super().__init__(spaces.mesh.comm, on_step)
         self.start_from(conditions)
 
