@@ -49,12 +49,12 @@ class LinearSolution(Solution):
         """The problem linearised at this solution, see `linearised.Linearised` (collective).
 
         Raises:
-            InputError: If it is a step in time.
+            InputError: If it is a step in time, or there are laws in Ω.
         """
         from signorini_fenicsx.physics.diffusion.derivative.linear_fluxes import linearised  # which knows solutions
 
-        if self.step is not None:
-            raise InputError("element: there are no derivatives of steps in time with RT1; take RT0")
+        if self.step is not None or self.data.inside is not None:
+            raise InputError("element: with RT1 there are no derivatives in time, nor with laws in Ω; take RT0")
         return linearised(self, tolerance)
 
     @property

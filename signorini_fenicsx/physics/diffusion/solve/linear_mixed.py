@@ -14,6 +14,7 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_cells
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -48,8 +49,10 @@ class LinearMixedBackend(VertexBackend):
         """Assemble (collective).
 
         Raises:
-            InputError: If PETSc refuses an option.
+            InputError: If PETSc refuses an option; for laws in Ω and steps in time.
         """
+        if data.inside is not None or data.memory is not None:
+            raise InputError("element: with RT1 the mixed backend takes neither laws in Ω nor steps in time; take hybrid")
         self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds)
         traces, _ = spaces.on_boundary
         sizes = [space.dofmap.index_map.size_local for space in (spaces.flux_space, spaces.scalar_space, traces)]
