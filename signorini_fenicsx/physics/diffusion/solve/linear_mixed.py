@@ -52,7 +52,7 @@ class LinearMixedBackend(VertexBackend):
             InputError: If PETSc refuses an option; for laws in Ω and steps in time.
         """
         if data.inside is not None or data.memory is not None:
-            raise InputError("element: with RT1 the mixed backend takes neither laws in Ω nor steps in time; take hybrid")
+            raise InputError("element: the mixed backend with RT1 takes no laws in Ω and no steps in time; take hybrid")
         self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds)
         traces, _ = spaces.on_boundary
         sizes = [space.dofmap.index_map.size_local for space in (spaces.flux_space, spaces.scalar_space, traces)]
