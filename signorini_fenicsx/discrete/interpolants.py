@@ -37,11 +37,3 @@ def as_basix(p: Quadratic, vertices: Array) -> Array:
     in_order = np.empty_like(coefficients)
     in_order[:, [*range(corners), *edge_order(corners)]] = coefficients
     return in_order
-
-
-def quadratic_by(vertices: Array, coefficients: Array) -> Quadratic:
-    """The quadratics with these Bernstein coefficients, as Basix numbers them, shape (n, nodes)."""
-    corners = vertices.shape[1]
-    ends = np.array(edges(corners)).T
-    middle = (coefficients[:, edge_order(corners)] + coefficients[:, ends].mean(axis=1)) / 2
-    return quadratic(vertices, coefficients[:, :corners], middle)

@@ -20,6 +20,7 @@ from signorini_fenicsx.physics.elasticity.bound import active_terms, conforming
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.quantities.energy import OF_V
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve
 
@@ -39,7 +40,7 @@ def test_no_forces_are_left_inside(dim: int, monkeypatch: pytest.MonkeyPatch):
     """Off the boundary the derivative of the gap by DOLFINx's form is 0, for an E that varies."""
     solution = pressed(MPI.COMM_SELF, dim, {2: 4, 3: 2}[dim], young="1 + x + y^2", f=["0.1*y"] + ["0"] * (dim - 1))
     spaces, y = solution.spaces, admissible_stress(solution)
-    problem = BestDisplacement(spaces, solution.data, y, spaces.split, 2)
+    problem = BestDisplacement(spaces, solution.data, y, spaces.split, OF_V[dim])
     monkeypatch.setattr(conforming, "nearly_minimal", free)  # what is pushed off foundations leaves forces
     v, _ = problem.minimum()
     material, space = problem.material, problem.space

@@ -38,7 +38,7 @@ from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillat
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.quantities.energy import QUADRATIC, Along, energy
+from signorini_fenicsx.physics.elasticity.quantities.energy import OF_V, Along, energy
 from signorini_fenicsx.physics.elasticity.quantities.motions import (
     OPPOSITE,
     check_parts,
@@ -146,7 +146,8 @@ class _Side:
     def of(cls, solution: ElasticSolution) -> _Side:
         """The admissible fields of a solution (collective)."""
         y = admissible_stress(solution)
-        v, past = BestDisplacement(solution.spaces, solution.data, y, solution.spaces.split, QUADRATIC).minimum()
+        spaces = solution.spaces
+        v, past = BestDisplacement(spaces, solution.data, y, spaces.split, OF_V[spaces.dim]).minimum()
         return cls(solution, y, v, past)
 
 
@@ -177,7 +178,7 @@ class _Beside(Beside[_Side]):
         if of_v.past or not math.isfinite(y.distance):
             return Half(math.inf, of_v.past or UNBALANCED, np.zeros(len(self.spaces.order)))
         data = replace(solution.data, tractions=of_y.solution.data.tractions)
-        problem = BestDisplacement(solution.spaces, data, y, solution.spaces.split, QUADRATIC)
+        problem = BestDisplacement(solution.spaces, data, y, solution.spaces.split, OF_V[self.spaces.dim])
         resolution = Resolution(self.spaces, of_y.solution.data)
         mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, resolution, half=True)
         oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
@@ -309,13 +310,13 @@ class Integrals(beside.Integrals[_Side], _Beside):
                 Along.of(of.v, subcells, along),
                 np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1),
             )
-            return products(tree, v.vertices, measure, v.at, QUADRATIC, spaces.frame, enough).total
+            return products(tree, v.vertices, measure, v.at, OF_V[dim], spaces.frame, enough).total
         inner = [other_side(part) for part in self.kind.parts if part in self.solution.boundary.inner]
         for part in (*self.kind.parts, *inner):
             facets, sign = spaces.part(part), -1.0 if part in inner else 1.0
             ways = facets.normals if along is None else sign * along  # n has the sign of its side by itself
             v = Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
-            total += products(tree, facets.vertices, facets.measure, v.at, QUADRATIC, spaces.frame, enough).total
+            total += products(tree, facets.vertices, facets.measure, v.at, OF_V[dim], spaces.frame, enough).total
         return total
 
 

@@ -13,11 +13,11 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
+from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import corners
-from signorini_fenicsx.discrete.interpolants import quadratic_by
 from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.products import products
-from signorini_fenicsx.expressions.quadratics import Quadratic
+from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.certify import LACKING, UNBALANCED, gap_of_cells, not_in_the_spaces
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
@@ -31,21 +31,21 @@ from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.quantities.beside import SHARE
 from signorini_fenicsx.quantities.bracket import Quantity
 
-QUADRATIC = 2
-"""Degree of v."""
+OF_V = {2: 3, 3: 2}
+"""Degree of v, by dimension."""
 
 
 @dataclass(frozen=True)
 class Along:
-    """The components of a quadratic displacement along vectors on some cells of the split mesh.
+    """The components of a displacement along vectors on some cells of the split mesh.
 
     Attributes:
         vertices: Those of the cells.
-        component: The components.
+        coefficients: Those of the components in Bernstein's basis, shape (cells, coefficients).
     """
 
     vertices: Array
-    component: Quadratic
+    coefficients: Array
 
     @classmethod
     def of(cls, v: fem.Function, subcells: AnyIndices, ways: Array) -> Along:
@@ -54,11 +54,12 @@ class Along:
         coefficients = v.x.array.reshape(-1, ways.shape[-1])[space.dofmap.list[subcells]]
         vertices = corners(space.mesh, subcells.astype(np.int32))
         ways = np.broadcast_to(ways, (len(subcells), ways.shape[-1]))
-        return cls(vertices, quadratic_by(vertices, np.einsum("nai,ni->na", coefficients, ways)))
+        return cls(vertices, np.einsum("nai,ni->na", coefficients, ways))
 
     def at(self, own: Indices, x: Array) -> Array:
         """The components in points of the subcells with these positions, shape (n, points, d)."""
-        return self.component.of(own).at(x - self.vertices[own].mean(axis=1, keepdims=True))[:, :, 0]
+        slopes, middle = barycentric_gradients(self.vertices[own]), self.vertices[own].mean(axis=1, keepdims=True)
+        return jet(self.coefficients[own], 1 / slopes.shape[1] + (x - middle) @ slopes.swapaxes(1, 2))[:, :, 0]
 
 
 def energy(solution: ElasticSolution) -> Quantity:
@@ -71,7 +72,7 @@ def energy(solution: ElasticSolution) -> Quantity:
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
     y = admissible_stress(solution)
-    problem = BestDisplacement(spaces, data, y, spaces.split, QUADRATIC)
+    problem = BestDisplacement(spaces, data, y, spaces.split, OF_V[spaces.dim])
     v, past = problem.minimum()
     resolution = Resolution(spaces, data)
     mismatch, contact = gap_of_cells(solution, y, problem, v, resolution)
@@ -122,7 +123,7 @@ def _work(solution: ElasticSolution, v: fem.Function, enough: float) -> Array:
     for k, tree, cells in _pieces(solution.data.f, np.arange(len(subcells))):
         along = Along.of(v, subcells[cells].ravel(), np.eye(dim)[k])
         measure = volume.reshape(subcells.shape)[cells].ravel()
-        total += products(tree, along.vertices, measure, along.at, QUADRATIC, spaces.frame, enough).total
+        total += products(tree, along.vertices, measure, along.at, OF_V[dim], spaces.frame, enough).total
     for facets, datum in loads_of(spaces, solution.data):
         sign = -1.0 if isinstance(datum, PressureDatum) else 1.0
         directions = np.broadcast_to(datum.directions, (len(facets.facets), len(datum.scalars), dim))
@@ -130,7 +131,7 @@ def _work(solution: ElasticSolution, v: fem.Function, enough: float) -> Array:
         for k, tree, rows in _pieces(datum, facets.cells):
             along = Along.of(v, subcells[facets.cells[rows], facets.local[rows]], ways[rows, k])
             some = facets.vertices[rows], facets.measure[rows]
-            total += products(tree, *some, along.at, QUADRATIC, spaces.frame, enough).total
+            total += products(tree, *some, along.at, OF_V[dim], spaces.frame, enough).total
     return total
 
 
