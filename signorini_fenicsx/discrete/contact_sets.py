@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import basix
@@ -18,7 +19,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import cell_nodes, function_of, owned_values
+from signorini_fenicsx.base.owned import cell_nodes, function_of
 from signorini_fenicsx.base.parallel import passed_on
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.meshes.sampling import QUADRATURE_DEGREE, curve_gap, of_unit_size, sampled
@@ -86,14 +87,26 @@ class Segments:
             segment = np.append(segment, self._in_cells(spaces))
         return Segments(spaces, segment, dict(zip(self.carried, found[len(rows) :], strict=True)))
 
-    def _in_cells(self, spaces: MeshSpaces) -> Indices:
-        """The segment at the centroid of each cell of another mesh (collective)."""
-        comm, cells = spaces.mesh.comm, self.of("cell")
+    def _in_cells(self, spaces: Any) -> Indices:
+        """The segment of each cell of another mesh: at its centroid, or near each of its vertices (collective).
+
+        Of values at vertices it is that of the linear function, rounded.
+        """
+        source: Any = self.spaces
+        comm, (_, kind), (_, wanted) = spaces.mesh.comm, source.site_kinds, spaces.site_kinds
+        cells = kind.rows_of(self.segment)
         most = comm.allreduce(int(cells.max(initial=0)), MPI.MAX)
-        usual = int(np.argmax(comm.allreduce(np.bincount(cells, minlength=most + 1))))
-        near, numbers = self._near_others(cells != usual, spaces.mesh), function_of(self.spaces.Q, cells - usual)
-        (sample,) = sampled([numbers], spaces.mesh, self.spaces.domain, degree=0, cells=near)
-        return np.rint(owned_values(sample)).astype(np.int64) + usual
+        usual = int(np.argmax(comm.allreduce(np.bincount(cells.ravel(), minlength=most + 1))))
+        near = self._near_others((cells != usual).reshape(len(cells), -1).any(axis=1), spaces.mesh)
+        numbers = (source.scalar if kind.shape else partial(function_of, source.Q))(cells - usual)
+        degree = QUADRATURE_DEGREE if wanted.shape else 0
+        (sample,) = sampled([numbers], spaces.mesh, self.spaces.domain, degree=degree, cells=near)
+        found = sample.x.array[sample.function_space.dofmap.list[: wanted.count]]
+        if wanted.shape:
+            points = basix.make_quadrature(spaces.mesh.basix_cell(), degree)[0]
+            hats = np.column_stack([1 - points.sum(axis=1), points])[:, spaces.order]
+            found = np.take_along_axis(found, hats.argmax(axis=0), axis=1)
+        return np.rint(found).astype(np.int64).ravel() + usual
 
     def _near_others(self, others: Mask, mesh: dolfinx.mesh.Mesh) -> npt.NDArray[np.int32]:
         """Owned cells of another mesh with their centroid in the box around all cells of a mask (collective).

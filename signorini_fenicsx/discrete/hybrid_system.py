@@ -21,7 +21,7 @@ import numpy.typing as npt
 from dolfinx import fem, la
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.matrices import OfCells, identity_with, of_cells
 
 
@@ -104,6 +104,7 @@ def eliminate(
     balance: Array,
     functional: Array | float = 0.0,
     reaction: Array | None = None,
+    held: tuple[Mask, Array] | None = None,
 ) -> Eliminated:
     """Eliminate all but the traces.
 
@@ -115,9 +116,13 @@ def eliminate(
         balance: The coefficients that f gives, those of the last fluxes of the basis, shape (cells, m).
         functional: A right side of the first equation: its values at the fluxes of the basis, shape (cells, basis).
         reaction: (cv, v') for the functions of u, which f does not carry, shape (cells, m, m); None for 0.
+        held: Mask of coefficients of u that are given, and their values, 0 elsewhere, shape (cells, m) each, if there
+            is a reaction. There the flux takes what it takes, and `balance` does not count.
     """
     if reaction is not None:
-        return _with_reaction(cells, geometry, tractions, product, balance, functional, reaction)
+        none = np.zeros(balance.shape)
+        held = held or (none > 0, none)
+        return _with_reaction(cells, geometry, tractions, product, balance, functional, reaction, *held)
     functional = np.broadcast_to(functional, product.shape[:2])
     free = product.shape[1] - balance.shape[1]
     of_free, of_rest = tractions[:, :, :free], tractions[:, :, free:]
@@ -149,32 +154,36 @@ def _with_reaction(
     balance: Array,
     functional: Array | float,
     reaction: Array,
+    held: Mask,
+    values: Array,
 ) -> Eliminated:
     """`eliminate` with −(∇·σ, v) + (cu, v) = (f, v): the coefficients that ∇·σ gives depend on u.
 
     Without c they are b, and u = u_x x + u_0 − Sb with S from the fluxes that b brings. With c they are b + Cu, so that
-    u = (I + SC)⁻¹ (u_x x + u_0 − Sb).
+    u = (I + SC)⁻¹ (u_x x + u_0 − Sb). Where u is held they take the place of u among the unknowns z, with I for C.
     """
+    free_u, own = ~held, np.where(held, 0.0, balance + np.einsum("nml,nl->nm", reaction, values))
+    reaction = np.where(free_u[:, :, None] & free_u[:, None], reaction, held[:, :, None] * np.eye(held.shape[1]))
     units, free = np.eye(balance.shape[1]), product.shape[1] - balance.shape[1]
     without = eliminate(cells, geometry, tractions, product, np.zeros_like(balance), functional)
     coupled = product[:, free:, :free]
     by_unit = -np.linalg.solve(product[:, :free, :free], coupled.transpose(0, 2, 1))
     of_flux = np.concatenate([by_unit, np.broadcast_to(units, (len(balance), *units.shape))], axis=1)
     compliance = product[:, free:, free:] + coupled @ by_unit  # S
-    moved = np.linalg.inv(units + compliance @ reaction)
-    u = moved @ without.u
-    u_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - np.einsum("nml,nl->nm", compliance, balance))
-    given = balance + np.einsum("nml,nl->nm", reaction, u_of_f)
-    matrix = without.matrix + without.u.transpose(0, 2, 1) @ reaction @ u
+    moved = np.linalg.inv(free_u[:, :, None] * units + compliance @ reaction)
+    z = moved @ without.u
+    z_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - values - np.einsum("nml,nl->nm", compliance, own))
+    given = own + np.einsum("nml,nl->nm", reaction, z_of_f)
+    matrix = without.matrix + without.u.transpose(0, 2, 1) @ reaction @ z
     return Eliminated(
         cells=cells,
         geometry=geometry,
         matrix=(matrix + matrix.transpose(0, 2, 1)) / 2,
         load=without.load - np.einsum("nmi,nm->ni", without.u, given),
-        flux=np.pad(without.flux, ((0, 0), (0, units.shape[0]), (0, 0))) + of_flux @ (reaction @ u),
+        flux=np.pad(without.flux, ((0, 0), (0, units.shape[0]), (0, 0))) + of_flux @ (reaction @ z),
         flux_of_f=without.flux_of_f + np.einsum("nbm,nm->nb", of_flux, given),
-        u=u,
-        u_of_f=u_of_f,
+        u=free_u[:, :, None] * z,
+        u_of_f=np.where(held, values, z_of_f),
     )
 
 
@@ -201,9 +210,20 @@ class HybridSystem(ABC):
         self._traces, self._dofs, self._sides = traces, dofs, sides
         self._numbers, self._size = traces.dofmap.index_map, traces.dofmap.index_map_bs
         self._blocks = list[Eliminated]()
-        matrix = of_cells(traces.mesh.comm, self._numbers, self._size, [dofs], self._parts())
-        jumps = sides.matrix(traces)
-        self.matrix: PETSc.Mat = matrix if jumps is None else matrix.ptap(jumps)
+        self.matrix = self._assembled()
+
+    def _assembled(self) -> PETSc.Mat:
+        """Eliminate, and assemble the matrix (collective)."""
+        matrix = of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], self._parts())
+        jumps = self._sides.matrix(self._traces)
+        return matrix if jumps is None else matrix.ptap(jumps)
+
+    def assemble_again(self) -> None:
+        """Eliminate and assemble with other cells of the same facets; the matrix gets other entries (collective)."""
+        self._blocks = []
+        matrix = self._assembled()
+        matrix.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        matrix.destroy()
 
     def _parts(self) -> Iterator[OfCells]:
         """The matrices of the cells, block by block, of which the rest is kept (collective)."""

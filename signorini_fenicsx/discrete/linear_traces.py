@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import dolfinx.mesh
 import numpy as np
@@ -23,40 +23,49 @@ from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 
 
 @dataclass(frozen=True)
-class BoundaryFacets:
+class Hats:
+    """The hats of the vertices of some facets or cells, in the order of `LinearTraces.order`.
+
+    Attributes:
+        ranking: Where the vertices are among those that DOLFINx gives the facet or cell, shape (n, its vertices).
+        measure: |e| or |T|.
+    """
+
+    ranking: Indices
+    measure: Array
+
+    def take(self, rows: Indices) -> Self:
+        """A selection of the facets or cells."""
+        return type(self)(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def moments(self, values: Array, points: Array, weights: Array) -> Array:
+        """∫ value φ_a over each of them, shape (n, its vertices, …), from values in points of the reference one."""
+        hats = np.column_stack([1 - points.sum(axis=1), points])
+        by_dolfinx = np.einsum("q,qa,nq...->na...", weights / weights.sum(), hats, values)
+        order = self.ranking.reshape(*self.ranking.shape, *[1] * (values.ndim - 2))
+        scale = self.measure.reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(scale * np.take_along_axis(by_dolfinx, order, axis=1))
+
+
+@dataclass(frozen=True)
+class BoundaryFacets(Hats):
     """Some boundary facets of this rank, all owned. Their vertices are in the order of `LinearTraces.order`.
 
     Attributes:
         facets: Their numbers.
         cells: The cell behind each.
         local: Which vertex of that cell is opposite, in the order of `LinearTraces.order`.
-        ranking: Where the vertices are among those that DOLFINx gives the facet, shape (facets, d).
         blocks: Block of unknowns of each.
         vertices: Shape (facets, d, d).
         normals: Outer unit normals.
-        measure: |e|.
     """
 
     facets: npt.NDArray[np.int32]
     cells: npt.NDArray[np.int32]
     local: Indices
-    ranking: Indices
     blocks: npt.NDArray[np.int32]
     vertices: Array
     normals: Array
-    measure: Array
-
-    def take(self, rows: Indices) -> BoundaryFacets:
-        """A selection of the facets."""
-        return BoundaryFacets(*(getattr(self, each.name)[rows] for each in fields(self)))
-
-    def moments(self, values: Array, points: Array, weights: Array) -> Array:
-        """∫ value φ_a over each facet, shape (facets, d, …), from values in points of the reference facet."""
-        hats = np.column_stack([1 - points.sum(axis=1), points])
-        by_dolfinx = np.einsum("q,qa,nq...->na...", weights / weights.sum(), hats, values)
-        order = self.ranking.reshape(*self.ranking.shape, *[1] * (values.ndim - 2))
-        scale = self.measure.reshape(-1, *[1] * (values.ndim - 1))
-        return scale * np.take_along_axis(by_dolfinx, order, axis=1)
 
 
 def linear_values(moments: Array, measure: Array) -> Array:

@@ -19,6 +19,7 @@ from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate, PlainBackend
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.hybrid_system import HybridSystem
 from signorini_fenicsx.discrete.linear_traces import LinearTraces
 from signorini_fenicsx.discrete.posed import Posed, State
@@ -50,7 +51,7 @@ class TraceBackend(PlainBackend):
         any ──turn, release, renew, a failure──> START        x is only a start, and the laws are others
 
     Attributes:
-        stiffness: The diagonal entry of each site over its measure.
+        stiffness: The diagonal entry of each site that has an unknown, over its measure.
         measure: |e| of each site, over its vertices.
         sizes: The sizes of the last solution.
         conductance: With what β is compared, see `SiteConditions.clean`.
@@ -93,20 +94,27 @@ class TraceBackend(PlainBackend):
         """
         self.system, self.spaces, self.comm, sites = system, spaces, spaces.mesh.comm, spaces.site_kinds
         self._first, *_ = sites
-        self.sites, self._unknowns, self.measure, self._signs = len(sites), sites.unknown, sites.measure, sites.sign
+        self.sites, self._unknowns, self.measure = len(sites), sites.unknown, sites.measure
+        self._traces = slice(0, len(sites.unknown))  # sites in cells have no unknown
+        self._shares, self._signs = sites.measure[self._traces], sites.sign[self._traces]
         operator = ConstrainedMatrix(system.matrix, PETSc.Mat.Option.SPD)
         self._operator, self.dofs = operator, operator.matrix.getSize()[0]
         large = not direct and (tuning or Tuning()).is_large(self.dofs, DIRECT_UP_TO[spaces.dim])
         coarse = partial(of_facets, spaces, with_normals(), operator) if large else None
         prefix = "certificate_" if direct else "facet_"
         self._solver = FacetSolver(operator.matrix, prefix, DEFAULTS[spaces.dim], coarse, MOST_ITERATIONS)
-        self._factors = KeptFactors(self._solver, operator, fixed, self._unknowns, spaces.dim, *near)
-        self._near, self._pressing = near
+        self._fixed, (self._near, self._pressing) = fixed, near
+        self._factors = self._none_kept()
         self._x, self._held = operator.matrix.createVecs()
         self._x.set(0.0)
         self._last: Posed | None = None
         self._state, self._iterations = State.START, 0
-        self.stiffness = system.matrix.getDiagonal().array_r[self._unknowns] / self.measure
+        self.stiffness = system.matrix.getDiagonal().array_r[self._unknowns] / self._shares
+
+    def _none_kept(self) -> KeptFactors:
+        """What will keep a factorisation of the present matrix (collective)."""
+        near = self._near, self._pressing
+        return KeptFactors(self._solver, self._operator, self._fixed, self._unknowns, self.spaces.dim, *near)
 
     @abstractmethod
     def _take(self, data: Any) -> None:
@@ -124,6 +132,11 @@ class TraceBackend(PlainBackend):
         return True
 
     @property
+    def by_traces(self) -> bool:
+        """Whether all sites are where traces are, so that these are enough for the next sets."""
+        return True
+
+    @property
     def by_sets(self) -> bool:
         """Whether the conditions say all about the laws at the sites."""
         return True
@@ -134,13 +147,20 @@ class TraceBackend(PlainBackend):
 
     def cleaned(self, conditions: SiteConditions, p: Array, flux: Array) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux` from the means and the flux at the sites."""
-        laws, first, p = self.laws, self._first, p.copy()
-        segment = laws.chains.segments(first.of(conditions))
-        first.of(p)[:] = laws.own(segment, first.of(p), first.of(flux))
+        p = p.copy()
+        for kind, laws in self.with_laws:
+            segment = laws.chains.segments(kind.of(conditions))
+            kind.of(p)[:] = laws.own(segment, kind.of(p), kind.of(flux))
         return conditions.clean(p, flux, self.conductance)
+
+    @property
+    def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
+        """The kinds of sites that have `VertexLaws`, with these."""
+        return [(self._first, self.laws)]
 
     def posed(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
         """The problem under these conditions; `held` if weak springs are to be left out (collective)."""
+        conditions = conditions[self._traces]
         some, springs = conditions.counts(self.comm)[Condition.ROBIN] > 0, None
         stiffness = np.zeros(self._near.shape)
         if some:
@@ -148,14 +168,14 @@ class TraceBackend(PlainBackend):
             springs = self.laws.springs(kind.of(conditions))
             kind.of(stiffness)[:] = springs.stiffness.reshape(-1, width) * kind.measure[:, None]
         held_sites = conditions.kind == Condition.ZERO_TRACE
-        return Posed(conditions, springs, Imposed(held_sites, stiffness, np.zeros(self.sites)))
+        return Posed(conditions, springs, Imposed(held_sites, stiffness, np.zeros(len(held_sites))))
 
     def given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of p."""
         flux = np.where(posed.conditions.kind == Condition.NO_FLUX, posed.conditions.value, 0.0)
         if posed.springs is not None:
-            self._first.of(flux)[:] += posed.springs.pressure(self._first.of(np.broadcast_to(p, self.sites)))
-        return np.asarray(self._signs * self.measure * flux)
+            self._first.of(flux)[:] += posed.springs.pressure(self._first.of(np.broadcast_to(p, flux.shape)))
+        return np.asarray(self._signs * self._shares * flux)
 
     def openings(self, x: PETSc.Vec) -> Array:
         """The means of p at the sites."""
@@ -212,12 +232,12 @@ class TraceBackend(PlainBackend):
         Raises:
             LinearSolveFailure: If the linear solver fails.
         """
-        if not (self.to_the_end and self._is_last(conditions)):
+        if self.by_traces and not (self.to_the_end and self._is_last(conditions)):
             posed = self.posed(conditions)
             load, given = self._loads(posed)
             if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
                 p, forces = traces[0] + self._held.array_r[self._unknowns], traces[1] - load[self._unknowns] + given
-                return self.cleaned(conditions, self._signs * p, self._signs * forces / self.measure)
+                return self.cleaned(conditions, self._signs * p, self._signs * forces / self._shares)
 
         def is_enough(x: PETSc.Vec) -> bool:
             whole = x + self._held
@@ -242,7 +262,7 @@ class TraceBackend(PlainBackend):
 
     def flux(self, x: PETSc.Vec, load: Array) -> Array:
         """The flux at the sites, as what is left of their rows with this right side (collective)."""
-        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self.measure)
+        return np.asarray(self._signs * (self._factors.forces(x) - load[self._unknowns]) / self._shares)
 
     def _solve(self, conditions: SiteConditions) -> None:
         """Solve, unless the last solve under the same conditions converged (collective)."""
@@ -263,7 +283,7 @@ class TraceBackend(PlainBackend):
     def _is_last(self, conditions: SiteConditions) -> bool:
         """Whether the last problem is that under these conditions, with the present laws (collective)."""
         last = None if self._state is State.START or self._last is None else self._last.conditions
-        return conditions.same(last, self.comm)
+        return conditions[self._traces].same(last, self.comm)
 
     def _loads(self, posed: Posed) -> tuple[Array, Array]:
         """The right side for the rest of a solution of which `_held` is given, and its part by laws (collective)."""
@@ -317,7 +337,7 @@ class TraceBackend(PlainBackend):
         posed = self._last if self._is_last(conditions) else self.posed(conditions, held=True)
         assert posed is not None
         if (traces := self._factors.at_sites(load, posed.imposed)) is not None:
-            return np.asarray(self._signs * traces[1] / self.measure)
+            return np.asarray(self._signs * traces[1] / self._shares)
         return self.flux(self.solve_homogeneous(conditions, load), np.zeros_like(load))
 
     def _recovered(self, conditions: SiteConditions, *, refine: bool = True) -> Iterate:

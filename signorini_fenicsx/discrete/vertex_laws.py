@@ -1,5 +1,7 @@
 """Laws on facets with linear fluxes: a monotone graph between p and the flux for each vertex of a facet.
 
+Laws in cells with linear u are the same, with u for p and the force −s for the flux, and d + 1 for d below.
+
 A facet vertex has the graph of the means: of p by its hat φ_i, and for the flux λ the value at the vertex of the
 nearest linear function. Of a body p is the opening and λ the pressure.
 
@@ -22,15 +24,15 @@ from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.law import Graph
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import quadrature_degree
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_values
+from signorini_fenicsx.discrete.linear_traces import Hats, LinearTraces, linear_values
 from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw, chains_of
-from signorini_fenicsx.discrete.points import FacetPoints, facet_quadrature
+from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_quadrature
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Springs:
 
 @dataclass(frozen=True)
 class VertexLaws:
-    """The laws of one direction on Γ_S or Γ_C by facet vertices.
+    """The laws of one direction on Γ_S or Γ_C by facet vertices, or those in Ω by vertices of cells.
 
     Attributes:
         of_parts: The laws with their parts; of a body those besides contact.
@@ -61,7 +63,7 @@ class VertexLaws:
         p_h: p at the reference of each facet vertex.
         flux_h: The flux there, of a body −σ_nn.
         shared: For each segment c/(d + 1) of the facet, 0 where p' is p, shape (facets, segments).
-        dim: The dimension d.
+        size: The number of vertices of a facet, d, or of a cell.
     """
 
     of_parts: tuple[Any, ...]
@@ -69,7 +71,7 @@ class VertexLaws:
     p_h: Array
     flux_h: Array
     shared: Array
-    dim: int
+    size: int
 
     def corrections(self, pressure: Array) -> Array:
         """The differences p − p' by segment, under these pressures from the references, shape (sites, segments)."""
@@ -117,30 +119,59 @@ class VertexLaws:
     def springs(self, conditions: SiteConditions) -> Springs:
         """The springs under the conditions of the facet vertices; of a penalty each vertex has its own."""
         robin = conditions.kind == Condition.ROBIN
-        facets, dim = len(self.shared), self.dim
+        facets, size = len(self.shared), self.size
         if self.chains.plain:
-            slope = np.where(robin, conditions.beta, 0.0).reshape(facets, dim)
+            slope = np.where(robin, conditions.beta, 0.0).reshape(facets, size)
             rest = np.where(robin, conditions.value / np.where(robin, conditions.beta, 1.0), 0.0)
-            return Springs(slope[:, :, None] * np.eye(dim), rest.reshape(facets, dim))
+            return Springs(slope[:, :, None] * np.eye(size), rest.reshape(facets, size))
         segment = self.chains.segments(conditions)
-        shared = np.take_along_axis(self.shared, segment.reshape(facets, dim), axis=1)  # of vertex i
-        of_facet = robin.reshape(facets, dim), segment.reshape(facets, dim)
+        shared = np.take_along_axis(self.shared, segment.reshape(facets, size), axis=1)  # of vertex i
+        of_facet = robin.reshape(facets, size), segment.reshape(facets, size)
         together = of_facet[0][:, :, None] & of_facet[0][:, None] & (of_facet[1][:, :, None] == of_facet[1][:, None])
         compliance = np.where(together, shared[:, :, None], 0.0)
-        own = np.where(robin, 1 / np.where(robin, conditions.beta, 1.0), 1.0).reshape(facets, dim)
-        diagonal = np.arange(dim)
-        compliance[:, diagonal, diagonal] = own - np.where(of_facet[0], (dim - 1) * shared, 0.0)
+        own = np.where(robin, 1 / np.where(robin, conditions.beta, 1.0), 1.0).reshape(facets, size)
+        diagonal = np.arange(size)
+        compliance[:, diagonal, diagonal] = own - np.where(of_facet[0], (size - 1) * shared, 0.0)
         low, high = self._ends()
-        rest = own * np.broadcast_to(conditions.value, robin.shape).reshape(facets, dim)
-        for i in range(dim):
-            column = np.repeat(of_facet[1][:, i], dim)[:, None]  # the segment of vertex i, at all vertices
-            least, most = (np.take_along_axis(each, column, axis=1).reshape(facets, dim) for each in (low, high))
+        rest = own * np.broadcast_to(conditions.value, robin.shape).reshape(facets, size)
+        for i in range(size):
+            column = np.repeat(of_facet[1][:, i], size)[:, None]  # the segment of vertex i, at all vertices
+            least, most = (np.take_along_axis(each, column, axis=1).reshape(facets, size) for each in (low, high))
             apart = np.where(of_facet[1] < of_facet[1][:, [i]], most, least)
             apart = np.where(~together[:, i] & (shared[:, [i]] > 0) & (diagonal != i), apart, 0.0)
             rest[:, i] -= shared[:, i] * apart.sum(axis=1)
         stiffness = np.linalg.inv(compliance)
         stiffness[~(of_facet[0][:, :, None] & of_facet[0][:, None])] = 0.0
         return Springs(stiffness, np.where(of_facet[0], rest, 0.0))
+
+
+@dataclass(frozen=True)
+class InCells:
+    """Laws in cells under conditions at their vertices: −s = load − stiffness u, or u is held.
+
+    Attributes:
+        stiffness: Of the means of u by the hats, shape (cells, d + 1, d + 1).
+        load: Shape (cells, d + 1).
+        held: Mask of the vertices where the mean of u is given.
+        values: These means, 0 elsewhere.
+    """
+
+    stiffness: Array
+    load: Array
+    held: Mask
+    values: Array
+
+    @classmethod
+    def of(cls, laws: VertexLaws, conditions: SiteConditions) -> InCells:
+        """The laws under conditions."""
+        springs, p_h = laws.springs(conditions), laws.p_h.reshape(-1, laws.size)
+        kind, value = (
+            np.broadcast_to(each, laws.p_h.shape).reshape(p_h.shape) for each in (conditions.kind, conditions.value)
+        )
+        load = np.einsum("nij,nj->ni", springs.stiffness, springs.rest + p_h)
+        held = kind == Condition.ZERO_TRACE
+        load += np.where(kind == Condition.NO_FLUX, value, 0.0)
+        return cls(springs.stiffness, load, held, np.where(held, p_h + value, 0.0))
 
 
 def vertex_laws(spaces: LinearTraces, parts: Sequence[PartLaw]) -> VertexLaws:
@@ -170,24 +201,36 @@ def law_points(spaces: LinearTraces, part: PartLaw) -> FacetPoints:
     return facet_quadrature(spaces.mesh, spaces.facets[part.rows], quadrature_degree(*part.data.values(), power=2))
 
 
-def vertex_graphs(facets: BoundaryFacets, points: FacetPoints, graph: Graph) -> tuple[Chains, Array, Array]:
-    """The graphs at the vertices of facets, and the opening and the pressure at their references, from one in points.
+def vertex_graphs(
+    hats: Hats, points: Points, graph: Graph, first: Array | float = np.nan
+) -> tuple[Chains, Array, Array]:
+    """The graphs at the vertices of facets or cells, and p and the flux at their references, from one in points.
 
     Complex values give derivatives.
+
+    Args:
+        hats: The facets or cells.
+        points: Points of a quadrature in them.
+        graph: The graph in these points.
+        first: p at the reference of each vertex where it is not to be that of the graph, NaN where it is.
     """
 
     def opening(values: Array | float) -> Array:
-        return (_moments(facets, points, values) * facets.vertices.shape[1] / facets.measure[:, None]).ravel()
+        return (_moments(hats, points, values) * hats.ranking.shape[1] / hats.measure[:, None]).ravel()
 
     def pressure(values: Array | float) -> Array:
-        return linear_values(_moments(facets, points, values), facets.measure).ravel()
+        return linear_values(_moments(hats, points, values), hats.measure).ravel()
 
     def slope(values: Array | float) -> Array:
+        if np.ndim(values) == 0:
+            return np.asarray(values)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return 1 / opening(1 / np.asarray(values))
+            found = 1 / opening(1 / np.asarray(values))
+        return np.where(np.isnan(found), 0.0, found)  # flat in some point, which may have a weight of either sign
 
     corners = [(opening(p), pressure(flux)) for p, flux in graph.corners]
     reference = opening(graph.reference[0]), pressure(graph.reference[1])
+    reference = np.where(np.isnan(first), reference[0], first), reference[1]
     if len(corners) == 1 and graph.corners[0] is graph.reference:
         corners = [reference]
     graph_of_means = Graph(reference, corners, slope(graph.before), slope(graph.beyond))
@@ -241,18 +284,18 @@ def lines_by_data(
         yield name, changes
 
 
-def shared_compliance(chains: Chains, dim: int) -> Array:
+def shared_compliance(chains: Chains, size: int) -> Array:
     """`VertexLaws.shared`."""
-    slope = chains.slope.reshape(-1, dim, chains.slope.shape[1])
+    slope = chains.slope.reshape(-1, size, chains.slope.shape[1])
     sloped = (slope > 0) & np.isfinite(slope)
     beside = np.pad(slope, ((0, 0), (0, 0), (1, 1)))
     alone = sloped & (beside[:, :, :-2] == 0) & (beside[:, :, 2:] == 0)
     slope = np.where(sloped, slope, 0.0)
     stiffest = np.take_along_axis(slope, slope.real.argmax(axis=1)[:, None], axis=1)[:, 0]
-    return np.where(alone.all(axis=1), 1 / ((dim + 1) * np.where(stiffest > 0, stiffest, 1.0)), 0.0)
+    return np.where(alone.all(axis=1), 1 / ((size + 1) * np.where(stiffest > 0, stiffest, 1.0)), 0.0)
 
 
-def _moments(facets: BoundaryFacets, points: FacetPoints, values: Array | float) -> Array:
-    """∫ value φ_i over facets, shape (facets, d)."""
+def _moments(hats: Hats, points: Points, values: Array | float) -> Array:
+    """∫ value φ_i over facets or cells, shape (n, their vertices)."""
     at_points = np.broadcast_to(values, points.shape[0] * points.shape[1]).reshape(points.shape)
-    return facets.moments(at_points, points.points, points.weights)
+    return hats.moments(at_points, points.points, points.weights)

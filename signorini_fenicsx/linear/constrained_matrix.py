@@ -52,6 +52,11 @@ class ConstrainedMatrix:
         if self._basis is not None:
             self._assembled.ptap(self._basis, self.natural)
 
+    def take_natural(self) -> None:
+        """Take over other entries of `natural`, also into copies in blocks (collective)."""
+        for natural, _ in self._copies[1:]:
+            self.natural.convert("sbaij", natural)
+
     def mult(self, x: PETSc.Vec, product: PETSc.Vec) -> None:
         """Let a vector be `natural` times x (collective)."""
         natural, _ = self._copies[-1]

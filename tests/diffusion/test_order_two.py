@@ -290,7 +290,6 @@ def test_command_line(tmp_path: Path):
     assert compared.returncode == 0, compared.stderr
     for given, told in (
         (["example1", "--element", "RT2"], "element"),
-        (["dead_core", "--element", "RT1"], "there is no RT1 for laws in Ω; take RT0"),
         (["membrane", "--element", "RT1"], "there is no RT1 for problems in time; take RT0"),
         (["example1", "--element", "RT1", "--rigorous"], "--rigorous: the proof is for RT0 alone"),
         (["example1", "--element", "RT1", "--algorithm", "qp"], "--element: qp has no such option"),

@@ -45,9 +45,10 @@ OF_LINEAR: Layout = {
     "sigma_at": (np.float64, "cells", "nodes", "dim"),
     "facet_means_at": (np.float64, "facets", "dim"),
     "facet_condition_at": (np.int64, "facets", "dim"),
+    "segment_at": (np.int64, "cells", "corners"),
 }
 """Beside the means what RT1 has: values at vertices, of σ at the midpoints of edges too, of facets
-means by the hats of theirs."""
+means by the hats of theirs; with laws in Ω the segment at each vertex of a cell."""
 
 
 def _in_cells(solution: Solution) -> Arrays:
@@ -60,12 +61,16 @@ def _in_cells(solution: Solution) -> Arrays:
 
 def _at_vertices(solution: LinearSolution) -> Arrays:
     """What a solution of RT1 has in cells beside its means."""
-    return {"u_at": solution.spaces.scalar_values(solution.u), "sigma_at": solution.sigma_values}
+    rows = {"u_at": solution.spaces.scalar_values(solution.u), "sigma_at": solution.sigma_values}
+    if solution.data.cells_at is None:
+        return rows
+    return rows | {"segment_at": solution.spaces.site_kinds["cell"].rows_of(solution.segments().segment)}
 
 
 def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:
     spaces, options = linear_spaces(on_mesh), stored.options
-    missing = [name for name in OF_LINEAR if name not in stored.arrays]
+    with_laws = {"segment_at"} if problem.has_laws_inside else set()
+    missing = [name for name in {*OF_LINEAR} - {"segment_at"} | with_laws if name not in stored.arrays]
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
     sigma, u = spaces.flux(stored.in_cells(spaces, "sigma_at")), spaces.scalar(stored.in_cells(spaces, "u_at"))
@@ -73,9 +78,16 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     data = linear_data(spaces, project_data(on_mesh, problem))
     means = p_means.ravel()
     flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
-    law = data.chains.with_penalty(options.method.penalty, options.eps)
+    law = data.laws_at.chains.with_penalty(options.method.penalty, options.eps)
     segment = law.nearest(condition.ravel().astype(np.int8), means - data.laws_at.p_h, flux)
-    above = data.laws_at.own(data.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
+    above = data.laws_at.own(data.laws_at.chains.segments(law.conditions(segment)), means - data.laws_at.p_h, flux)
+    if data.cells_at is not None:
+        in_cells = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
+        at_cells = np.clip(stored.in_cells(spaces, "segment_at").ravel(), 0, data.cells_at.chains.count)
+        own = data.cells_at.own(at_cells, *in_cells), in_cells[1]
+        in_cells = data.cells_at.chains.conditions(at_cells).clean(*own, data.conductance)
+        segment, law = np.append(segment, at_cells), law.followed_by(data.cells_at.chains)
+        above, flux = np.append(above, in_cells[0]), np.append(flux, in_cells[1])
     iterate = LinearIterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u, means=means)
     return LinearSolution(
         spaces=spaces,

@@ -12,16 +12,19 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part
-from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part, by_state
+from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
+from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
+from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show import linear_shown
-from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.physics.diffusion.solution import Solution, corners_passed
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 
 
@@ -56,6 +59,11 @@ class LinearSolution(Solution):
         if self.step is not None or self.data.inside is not None:
             raise InputError("element: with RT1 there are no derivatives in time, nor with laws in Ω; take RT0")
         return linearised(self, tolerance)
+
+    @property
+    def without_bound(self) -> str:
+        """See `Solved.without_bound`."""
+        return "" if self.data.cells_at is None else "RT1 with laws in Ω, where RT0 has one"
 
     @property
     def p_at(self) -> Array:
@@ -135,10 +143,74 @@ class LinearSolution(Solution):
         """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
         return by_part(self.spaces, self.data.laws.of_parts, self.segments().of("facet"), "vertices")
 
+    def _of_cells(self, values: np.ndarray) -> np.ndarray:
+        """What counts for each owned cell: the median of the values at its vertices."""
+        rows = self.spaces.site_kinds["cell"].rows_of(values) if self.data.cells_at else np.empty((0, 1), values.dtype)
+        return np.sort(rows, axis=1)[:, rows.shape[1] // 2]
+
+    @property
+    def held_cells(self) -> Mask:
+        """Mask of the owned cells where a law holds u at most of the vertices, see `Solution.held_cells`."""
+        return self._of_cells(self.outcome.conditions.kind == Condition.ZERO_TRACE)
+
+    @property
+    def cell_segments(self) -> Indices:
+        """The segment of each owned cell: the median of those of its vertices; empty without laws in Ω."""
+        return self._of_cells(self.segments().segment)
+
+    @property
+    def force_at(self) -> Array:
+        """λ_h at the vertices of the owned cells, see `force`, shape (cells, d + 1)."""
+        return np.asarray(self.spaces.site_kinds["cell"].rows_of(self.iterate.flux))
+
+    @collector_off()
+    def force(self) -> fem.Function:
+        """λ_h, linear on each cell: the linear function that has the moments of −∇·σ_h − f + cu_h (collective).
+
+        It is exactly what the law says at vertices on flat segments, such as 0 off an obstacle.
+        """
+        zero = np.zeros((len(self.spaces.order), self.spaces.dim + 1))
+        force = self.spaces.scalar(zero if self.data.cells_at is None else self.force_at)
+        force.name = "force"
+        return force
+
+    @collector_off()
+    def in_regions(self) -> dict[str, dict[str, Any]]:
+        """Number and measure of the vertices of cells on each segment of each law in Ω (collective)."""
+        kind, laws, states = self.spaces.site_kinds["cell"], self.data.inside, {}
+        for part in laws.of_regions if laws is not None else ():
+            segment, measure = part.law.named(self.segments_of_law(part)), kind.measure[self._sites(part)]
+            states[part.name] = by_state(self.spaces.mesh.comm, part.law.segments, segment, measure, "vertices")
+        return states
+
+    def _sites(self, part: PartLaw) -> Indices:
+        """The vertices of its cells, as sites of the kind "cell"."""
+        size = self.spaces.dim + 1
+        return np.asarray((size * part.rows[:, None] + np.arange(size)).ravel())
+
+    def segments_of_law(self, part: PartLaw) -> Indices:
+        """The segment of one law in Ω that each vertex of its cells is on (collective)."""
+        laws, sites = self.data.inside, self._sites(part)
+        assert laws is not None
+        if len(laws.of_regions) == 1:
+            return self.segments().of("cell")[sites]
+        alone = at_vertices(self.spaces, replace(laws, of_regions=(part,)))
+        means = means_of_linear(self.spaces.scalar_values(self.u)).ravel()
+        return corners_passed((alone.chains.p + alone.p_h[:, None])[sites], means[sites])
+
+    @collector_off()
+    def on_obstacle(self) -> dict[str, float]:
+        """Number of the cells in contact, and by vertices the measure of the contact and ∫λ_h (collective)."""
+        kind = self.spaces.site_kinds["cell"]
+        held = kind.of(self.outcome.conditions.kind == Condition.ZERO_TRACE)
+        local = np.array([self.held_cells.sum(), kind.measure @ held, kind.measure @ kind.of(self.iterate.flux)])
+        cells, measure, force = self.spaces.mesh.comm.allreduce(local).tolist()
+        return {"contact_cells": int(cells), "contact_measure": measure, "force": force}
+
     @collector_off()
     def violation(self) -> dict[str, float]:
         """The error by ε in the Signorini condition at facet vertices, see `Solution.violation` (collective)."""
-        (kind,), laws = self.spaces.site_kinds, self.data.laws_at
+        kind, laws = self.spaces.site_kinds["facet"], self.data.laws_at
         values = self.iterate.means - laws.p_h, self.flux_at.ravel() - laws.flux_h
         squares = [kind.measure @ np.minimum(each, 0) ** 2 for each in values]
         trace, flux = np.sqrt(self.spaces.mesh.comm.allreduce(np.array(squares))).tolist()

@@ -44,6 +44,13 @@ SAME = 1e-9
 """Relative distance of u from a corner of a law that is rounding."""
 
 
+def corners_passed(corners: Array, u: Array) -> Indices:
+    """The segment that u is on, by the u of the corners of a law, shape (sites, corners); of jumps the jump."""
+    near = SAME * np.maximum(np.abs(u[:, None]), np.abs(corners))
+    below, at = (corners < u[:, None] - near).sum(axis=1), np.abs(corners - u[:, None]) <= near
+    return np.asarray(below + np.where(at.sum(axis=1) > 1, 1, 0))
+
+
 def flux_through(
     spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str] | None, weight: Expr | float = 1.0
 ) -> float:
@@ -256,12 +263,17 @@ class Solution(AnySolution):
         """Mask of the owned cells where a law holds u, as an obstacle in contact does; empty without laws in Ω."""
         return self.cell_conditions.kind == Condition.ZERO_TRACE
 
+    @property
+    def cell_segments(self) -> Indices:
+        """The segment of each owned cell; empty without laws in Ω."""
+        return self.segments().of("cell")
+
     @collector_off()
     def free_boundary(self) -> npt.NDArray[np.int32]:
         """The owned facets between cells on different segments of their laws in Ω (collective)."""
         if self.data.inside is None:
             return np.empty(0, dtype=np.int32)
-        space, segment = self.spaces.crouzeix_raviart, self.segments().of("cell")
+        space, segment = self.spaces.crouzeix_raviart, self.cell_segments
         of_cells, index_map = np.column_stack([np.ones(len(segment)), segment, segment**2]), space.dofmap.index_map
         sums = sums_at(index_map, cell_dofs(space), of_cells[:, None])
         number, total, squares = sums[: index_map.size_local].T
@@ -301,10 +313,7 @@ class Solution(AnySolution):
         if laws is not None and len(laws.of_regions) == 1:
             return self.segments().of("cell")[own]
         chains = np.concatenate([part.chains(points).p for points in part.quadrature(self.spaces, 1)])
-        u = owned_values(self.u)[own, None]
-        near = SAME * np.maximum(np.abs(u), np.abs(chains))
-        below, at = (chains < u - near).sum(axis=1), np.abs(chains - u) <= near
-        return below + np.where(at.sum(axis=1) > 1, 1, 0)
+        return corners_passed(chains, owned_values(self.u)[own])
 
     @collector_off()
     def on_obstacle(self) -> dict[str, float]:

@@ -93,7 +93,7 @@ class System:
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
         if linear:
-            lacking = _lacking(options, inside=data.inside is not None, in_time=data.memory is not None)
+            lacking = _lacking(options, in_time=data.memory is not None, inside=data.inside is not None)
             if lacking:
                 raise InputError(f"element: {lacking}; take RT0")
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
@@ -261,16 +261,17 @@ class LinearRun(DiffusionRun):
 
 def refining(problem: Problem, options: Options) -> tuple[Options, str]:
     """The options with RT1 where it is there, else with RT0 and why."""
-    lacking = _lacking(options, inside=problem.has_laws_inside)
+    lacking = _lacking(options) or ("there is no bound with RT1 for laws in Ω" if problem.has_laws_inside else "")
     return replace(options, element="RT0" if lacking else "RT1"), lacking
 
 
-def _lacking(options: Options, *, inside: bool, in_time: bool = False) -> str:
+def _lacking(options: Options, *, in_time: bool = False, inside: bool = False) -> str:
     """What of a problem or its method RT1 is not there for; empty if it is."""
     for lacking, what in (
-        (inside, "laws in Ω"),
         (in_time, "problems in time"),
         (not options.method.takes_order_two, options.algorithm_name),
+        (inside and options.method.rule is None, f"laws in Ω by {options.algorithm_name}"),
+        (inside and options.backend == "mixed", "laws in Ω by the mixed backend"),
         (not isinstance(options.backend, str), "a backend of one's own"),
     ):
         if lacking:

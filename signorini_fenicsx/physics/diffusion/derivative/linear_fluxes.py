@@ -126,7 +126,7 @@ class LinearisedFluxes(Linearised):
 
     def _solved(self, numbers: Mapping[str, Array], conditions: SiteConditions, segment: Indices) -> Solved:
         """The traces of the change on these segments (collective)."""
-        (kind,), backend, actual = self._spaces.site_kinds, self._backend, self._law.conditions(segment)
+        (kind, _), backend, actual = self._spaces.site_kinds, self._backend, self._law.conditions(segment)
         held, lift, load = actual.kind == Condition.ZERO_TRACE, numbers["lift"].copy(), numbers["load"].copy()
         lift[kind.unknown] = np.where(held, conditions.value, 0.0)
         load[kind.unknown] += kind.measure * np.where(held, 0.0, conditions.value)
@@ -154,7 +154,7 @@ class LinearisedFluxes(Linearised):
 
     def by(self, J: Form, more: None) -> dict[str, Array]:
         """See `Linearised.by`."""
-        spaces, system, (kind,) = self._spaces, self._backend.system, self._spaces.site_kinds
+        spaces, system, (kind, _) = self._spaces, self._backend.system, self._spaces.site_kinds
         solution, maps = self._solution, self._spaces.entity_maps
         by_sigma, by_u, by_p = (derivative_by(each, J, maps) for each in (solution.sigma, solution.u, solution.p))
         of_p = linear_from_means(spaces.linear_values(by_p)).ravel()

@@ -23,11 +23,14 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.law import EVERYWHERE, Graph, Law
 from signorini_fenicsx.contact.laws import Obstacle, Reaction, Storage
 from signorini_fenicsx.discrete.data_values import in_problem
-from signorini_fenicsx.discrete.datum import Datum, datum_of
+from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
+from signorini_fenicsx.discrete.linear_traces import Hats
 from signorini_fenicsx.discrete.part_laws import SHORT, PartLaw, chains_of, checked, data_of_law, means_of
 from signorini_fenicsx.discrete.points import facet_type, in_facets, quadratic_nodes
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance, vertex_graphs
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import Given, combined, parsed
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -104,7 +107,7 @@ def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum, on_parts: Sequence[P
         rows, first = part.rows, ~has_law[part.rows]
         means[rows[first]] = np.broadcast_to(graph.reference[0], len(rows))[first]
         own = chains_of(replace(graph, reference=(means[rows], 0.0)), len(rows))
-        chains = _with(spaces, chains, part, own, first)
+        chains = _with(spaces, chains, part, rows, own, first)
         if len(laws) == 1 and isinstance(law, Obstacle) and len(graph.corners) == 1 and EVERYWHERE in law.region:
             chains = chains_of(graph, number)  # values that are exactly 0
         has_law[rows] = True
@@ -147,28 +150,54 @@ def cells_of(spaces: Spaces, law: Law, name: str) -> Indices:
     return np.unique(np.concatenate([regions[region] for region in law.region])).astype(np.int64)
 
 
-def _with(spaces: Spaces, chains: Chains, part: PartLaw, own: Chains, first: Mask) -> Chains:
+def at_vertices(spaces: LinearSpaces, laws: CellLaws) -> VertexLaws:
+    """The laws at the vertices of all owned cells, between u and −s (collective).
+
+    Raises:
+        InputError: If the laws of a vertex leave no u.
+    """
+    size, cells = spaces.dim + 1, Hats(spaces.order, spaces.cell_measures)
+    number, alone = size * len(spaces.order), len(laws.of_regions) == 1 and laws.chains.plain
+    means, has_law, chains = np.zeros(number), np.zeros(number, dtype=bool), Chains.at_corner(number, before=0.0)
+    for part in laws.of_regions:
+        rows = (size * part.rows[:, None] + np.arange(size)).ravel()
+        first, parts, begin = ~has_law[rows], [], 0
+        for points in part.quadrature(spaces, quadrature_degree(*part.data.values(), power=2)):
+            graph, some = part.falling(points), rows[begin : begin + size * len(points.cells)]
+            graph = graph if alone else replace(graph, reference=(graph.reference[0], 0.0))
+            at = np.where(has_law[some], means[some], np.nan)
+            own, p_h, _ = vertex_graphs(cells.take(points.cells.astype(np.int64)), points, graph, at)
+            means[some], has_law[some] = p_h, True
+            parts.append((np.arange(begin, begin + len(some)), own))
+            begin += len(some)
+        own = joined(parts, len(rows))
+        chains = own if alone else _with(spaces, chains, part, rows, own, first)
+    return VertexLaws(laws.of_regions, chains, means, np.zeros(number), shared_compliance(chains, size), size)
+
+
+def _with(spaces: Spaces, chains: Chains, part: PartLaw, rows: Indices, own: Chains, first: Mask) -> Chains:
     """The chains with those of one more law added in its cells (collective).
 
     Args:
         spaces: The discrete spaces.
-        chains: Chains of all owned cells.
+        chains: Chains of all owned cells, or of their vertices.
         part: The law.
-        own: Its chains in its cells.
-        first: Mask of these cells: those without an earlier law.
+        rows: Its cells or vertices.
+        own: Its chains there.
+        first: Mask of them: those without an earlier law.
 
     Raises:
         InputError: If the laws of a cell leave no u.
     """
-    number, again = len(chains.p), part.rows[~first]
+    number, again = len(chains.p), rows[~first]
     try:
         total, empty = chains[again].plus(own[np.flatnonzero(~first)]), False
     except ValueError:
         total, empty = own[:0], True
     if spaces.mesh.comm.allreduce(empty, MPI.LOR):
         raise InputError(f"{part.name} ({part.law.name}): with the laws before it no u is left in some cells")
-    others = np.setdiff1d(np.arange(number), part.rows)
-    parts = [(others, chains[others]), (part.rows[first], own[np.flatnonzero(first)]), (again, total)]
+    others = np.setdiff1d(np.arange(number), rows)
+    parts = [(others, chains[others]), (rows[first], own[np.flatnonzero(first)]), (again, total)]
     all_chains = joined(parts, number)
     most = spaces.mesh.comm.allreduce(int(all_chains.count.max(initial=1)), MPI.MAX)
     return replace(

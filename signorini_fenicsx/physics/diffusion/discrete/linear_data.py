@@ -15,7 +15,9 @@ from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values, means_of_linear
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
+from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, order_number, reference
@@ -28,6 +30,7 @@ class LinearData(Data):
 
     Attributes:
         laws_at: The laws on Γ_S at the vertices of facets.
+        cells_at: The laws in Ω at the vertices of cells; None without any.
         lift: û where it is given, and at the reference of its law on Γ_S, 0 elsewhere: unknowns of this rank, ghosts
             too.
         load: ⟨g_N, q⟩ for each owned unknown q, and the fluxes at the references of the laws.
@@ -37,6 +40,7 @@ class LinearData(Data):
     """
 
     laws_at: VertexLaws
+    cells_at: VertexLaws | None
     lift: Array
     load: Array
     given_flux: Array
@@ -45,8 +49,9 @@ class LinearData(Data):
 
     @property
     def chains(self) -> Chains:
-        """The law of each facet vertex of Γ_S."""
-        return self.laws_at.chains
+        """The law of each facet vertex of Γ_S and, with laws in Ω, of each vertex of each owned cell."""
+        facets = self.laws_at.chains
+        return facets if self.cells_at is None else facets.followed_by(self.cells_at.chains)
 
     def products(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(κ⁻¹τ, τ') for all pairs of the basis on cells, shape (cells, basis, basis) (collective)."""
@@ -78,6 +83,24 @@ class LinearData(Data):
             return moments
         return moments - self.constant * reactions.sum(axis=2)
 
+    def in_cells(self, spaces: LinearSpaces, sigma: Array, u: Array) -> tuple[Array, Array]:
+        """U less its reference and −s at the vertices of the owned cells, of fields as `FluxSystem` has them.
+
+        Collective. s is the linear function with (s, v) = (f − cu + ∇·σ, v) for all linear v.
+
+        Returns:
+            The means of u by the hats, less the references, and the values of −s, shape (sites,) each.
+        """
+        assert self.cells_at is not None
+        s, free = np.empty_like(u), reference(spaces.dim).free
+        for numbers in blocks_of_cells(spaces.mesh):
+            cells = Cells(spaces.vertices[numbers])
+            of_s = self.moments_of_f(spaces, numbers, cells) + cells.coefficients(sigma[numbers])[:, free:]
+            if (reaction := self.reactions(spaces, numbers, cells)) is not None:
+                of_s -= np.einsum("nvw,nw->nv", reaction, u[numbers])
+            s[numbers] = linear_values(of_s, cells.measure)
+        return means_of_linear(u).ravel() - self.cells_at.p_h, -s.ravel()
+
     def less(self, spaces: Spaces, constant: float) -> LinearData:
         """The data of the problem for u − constant, see `Data.less` (collective)."""
         if constant == 0:
@@ -88,7 +111,10 @@ class LinearData(Data):
         given = np.concatenate([self.fixed, spaces.site_kinds.unknown[outer]])
         means = super().less(spaces, constant)
         assert isinstance(means, LinearData)
-        return replace(means, constant=constant)._moved(spaces, given, self.lift[given] - constant, p_h)
+        inside = self.cells_at and replace(self.cells_at, p_h=self.cells_at.p_h - constant)
+        return replace(means, constant=constant, cells_at=inside)._moved(
+            spaces, given, self.lift[given] - constant, p_h
+        )
 
     @property
     def bound(self) -> Array:
@@ -128,7 +154,7 @@ def as_matrices(kappa: Array, dim: int) -> Array:
 
 def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     """The data for RT1, from those with their means, which are checked (collective)."""
-    laws, sites = vertex_laws(spaces, data.laws.of_parts), spaces.site_kinds
+    laws, sites = vertex_laws(spaces, data.laws.of_parts), spaces.site_kinds["facet"]
     lift, load = fem.Function(spaces.traces), la.vector(spaces.traces.dofmap.index_map, spaces.dim)
     fixed = spaces.unknowns(spaces.dirichlet)
     lift.x.array[fixed] = _linear(spaces, data.u_D, spaces.dirichlet)
@@ -143,6 +169,7 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     return LinearData(
         **given,
         laws_at=laws,
+        cells_at=None if data.inside is None else at_vertices(spaces, data.inside),
         lift=lift.x.array.astype(np.float64),
         load=load.array[:owned].copy(),
         given_flux=given_flux,

@@ -154,11 +154,14 @@ class LinearSpaces(LinearTraces, Spaces):
 
     @cached_property
     def site_kinds(self) -> Sites:
-        """The vertices of the facets of Γ_S."""
-        number, dim = len(self.facets), self.dim
-        share = np.repeat(self.contact.measure / dim, dim)
+        """The vertices of the facets of Γ_S, and those of all owned cells for laws in Ω."""
+        number, dim, cells = len(self.facets), self.dim, self.cell_measures
+        share, in_cells = np.repeat(self.contact.measure / dim, dim), np.repeat(cells / (dim + 1), dim + 1)
         unknown = self.unknowns(self.contact).ravel()
-        return Sites(Kind("facet", number, np.arange(number), share, (dim,), unknown))
+        return Sites(
+            Kind("facet", number, np.arange(number), share, (dim,), unknown),
+            Kind("cell", len(cells), np.arange(len(cells)), in_cells, (dim + 1,), unknown[:0]),
+        )
 
     @property
     def outer_sites(self) -> Indices:

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable, in_vertices, of_facets
+from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable, edges_of, in_vertices, of_facets
+from signorini_fenicsx.physics.diffusion.show.shown import other_tables as shown_tables
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.solved import Columns
 
@@ -40,7 +41,7 @@ class VertexTable(GammaTable):
 
 def table(solution: LinearSolution) -> VertexTable:
     """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
-    spaces, data, (kind,) = solution.spaces, solution.data, solution.spaces.site_kinds
+    spaces, data, kind = solution.spaces, solution.data, solution.spaces.site_kinds["facet"]
     condition = kind.rows_of(solution.outcome.conditions.kind).astype(np.int64)
     segment = data.laws.labels(kind.rows_of(solution.segments().segment))
     strongest = np.argmax(condition, axis=1)[:, None]
@@ -63,13 +64,16 @@ def table(solution: LinearSolution) -> VertexTable:
 
 
 def other_tables(solution: LinearSolution) -> dict[str, Columns]:
-    """`vertices.csv`: the vertices of the facets of Γ_S, facet by facet as in `facets.csv` (collective)."""
-    spaces, laws = solution.spaces, solution.data.laws
+    """`vertices.csv`: the vertices of the facets of Γ_S, facet by facet as in `facets.csv`; and that of `shown`.
+
+    Collective.
+    """
+    spaces, laws, tables = solution.spaces, solution.data.laws, shown_tables(solution)
     rows = table(solution).gathered(spaces.mesh.comm)
     if rows is None or not spaces.part_names:
-        return {"vertices": {}} if spaces.part_names else {}  # the name is known on all ranks
+        return tables | ({"vertices": {}} if spaces.part_names else {})  # the name is known on all ranks
     dim = spaces.dim
-    return {
+    return tables | {
         "vertices": {
             "part": np.repeat(np.array(spaces.part_names)[rows.part], dim),
             "facet": np.repeat(np.arange(len(rows.part)), dim),
@@ -90,11 +94,15 @@ def drawn(solution: LinearSolution) -> Drawn:
     p[spaces.inner.rows] = np.nan
     u_D = solution.data.lift[spaces.unknowns(spaces.dirichlet)].mean(axis=1)
     sigma = solution.cell_flux.centroid
+    cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.divergences}
+    if solution.data.cells_at is not None:
+        cells |= {"contact": solution.held_cells, "states": solution.cell_segments}
     return Drawn(
         corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)},
         facets=table(solution),
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
-        cells={"sigma": sigma, "divergence": solution.divergences},
+        cells=cells,
+        edges=edges_of(solution),
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
     )

@@ -20,6 +20,7 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import facet_vertices
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
@@ -59,10 +60,10 @@ def _inside(solution: Solution) -> list[Field]:
     laws = solution.data.inside
     if laws is None:
         return []
-    force = owned_values(solution.force())
+    force = cell_values(solution.force())
     if laws.is_obstacle:
         return [Field("contact", solution.held_cells, names=("free", "contact")), Field("force", force)]
-    return [Field("segment", solution.segments().of("cell")), Field("s", -force)]
+    return [Field("segment", solution.cell_segments), Field("s", -force)]
 
 
 @dataclass(frozen=True)
@@ -119,13 +120,13 @@ def columns(solution: Solution, table: GammaTable) -> Columns:
 
 def other_tables(solution: Solution) -> dict[str, Columns]:
     """`free_boundary.csv` of laws in Ω, `phreatic_line.csv` of a dam, see `Solved.other_tables` (collective)."""
-    tables = {} if solution.data.inside is None else {"free_boundary": _free_boundary(solution)}
+    tables = {} if solution.data.inside is None else {"free_boundary": free_boundary(solution)}
     if solution.seepage is not None:
         tables["phreatic_line"] = dict(zip(("x", "y"), solution.seepage.phreatic_line.T, strict=True))
     return tables
 
 
-def _free_boundary(solution: Solution) -> Columns:
+def free_boundary(solution: Solution) -> Columns:
     """Midpoint and measure of each facet between cells on different segments of laws in Ω, on rank 0."""
     spaces, space = solution.spaces, solution.spaces.crouzeix_raviart
     mesh, dofs, dim = spaces.mesh, solution.free_boundary(), spaces.mesh.topology.dim
@@ -142,6 +143,12 @@ def _free_boundary(solution: Solution) -> Columns:
     return dict(zip(("x", "y", "z", "measure"), in_order.T, strict=True))
 
 
+def edges_of(solution: Solution) -> str:
+    """What the lines between cells on different segments are called in pictures."""
+    laws = solution.data.inside
+    return "edge of the contact" if laws is not None and laws.bounds_alone else "fronts"
+
+
 def drawn(solution: Solution) -> Drawn:
     """The solution for pictures (collective)."""
     spaces, lift, laws = solution.spaces, solution.data.u_lift, solution.data.laws
@@ -156,15 +163,14 @@ def drawn(solution: Solution) -> Drawn:
     sigma = solution.cell_flux.centroid
     cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.cell_flux.divergence}
     if laws_inside is not None:
-        cells |= {"contact": solution.held_cells, "states": solution.segments().of("cell")}
-    is_obstacle = laws_inside is not None and laws_inside.bounds_alone
+        cells |= {"contact": solution.held_cells, "states": solution.cell_segments}
     above = max((about["above_table"] for about in solution.water.values()), default=0.0)
     return Drawn(
         corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)},
         facets=table(solution),
         boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
         cells=cells,
-        edges="edge of the contact" if is_obstacle else "fronts",
+        edges=edges_of(solution),
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
         lines={} if solution.seepage is None else {"phreatic line": solution.seepage.phreatic_line},
@@ -186,8 +192,9 @@ def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
         size = f"measure {on['contact_measure']:.6g}, force {on['force']:.6g}"
         lines["obstacle"] = f"{on['contact_cells']} cells in contact, {size}"
     for law, segments in summary.get("regions", {}).items():
-        counts = ", ".join(f"{name} {count['cells']}" for name, count in segments.items())
-        lines[f"in Ω, {law}"] = f"cells on each segment: {counts}"
+        sites = "cells" if "cells" in next(iter(segments.values())) else "vertices"  # of RT1
+        counts = ", ".join(f"{name} {count[sites]}" for name, count in segments.items())
+        lines[f"in Ω, {law}"] = f"{sites if sites == 'cells' else 'vertices of cells'} on each segment: {counts}"
     for part, segments in summary.get("segments", {}).items():
         sites = "facets" if "facets" in next(iter(segments.values())) else "vertices"  # of RT1
         counts = ", ".join(f"{name} {count[sites]}" for name, count in segments.items())

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
+from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals, opposite
+from signorini_fenicsx.discrete.vertex_laws import InCells
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
@@ -23,7 +28,10 @@ class FluxSystem(HybridSystem):
 
     def __init__(self, spaces: LinearSpaces, data: LinearData):
         """Eliminate and assemble (collective)."""
-        self.spaces, self._data = spaces, data
+        self.spaces, self._data, self._in_cells = spaces, data, None
+        if data.cells_at is not None:
+            none = SiteConditions.everywhere(Condition.NO_FLUX, len(data.cells_at.p_h))
+            self._in_cells = InCells.of(data.cells_at, none)
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
         self._take_loads()
 
@@ -32,9 +40,20 @@ class FluxSystem(HybridSystem):
         self.tractions = self._data.load
         self.load = self.load_of(self._blocks, self._data.lift) + self.tractions
 
+    def impose_in_cells(self, conditions: SiteConditions) -> None:
+        """Let the laws in Ω be under these conditions of the vertices of cells (collective)."""
+        assert self._data.cells_at is not None
+        self._in_cells = InCells.of(self._data.cells_at, conditions)
+        self.assemble_again()
+        self._take_loads()
+
     def renew(self, data: LinearData) -> bool:
         """Go on with other data; False if these have another matrix (collective)."""
-        if not data.same_operator(self._data, self.spaces) or data.kappa is not self._data.kappa:
+        if (
+            data.inside is not None
+            or not data.same_operator(self._data, self.spaces)
+            or data.kappa is not self._data.kappa
+        ):
             return False
         self._data = data
         self.eliminate_again()
@@ -57,8 +76,49 @@ class FluxSystem(HybridSystem):
                 continue
             tractions = np.broadcast_to(element.tractions, (len(numbers), *element.tractions.shape)).copy()
             spaces.to_unknowns(tractions, numbers)
-            of_sigma = 0.0 if functional is None else functional[numbers]
-            yield eliminate(numbers, cells, tractions, product, -of_f, of_sigma, reaction)
+            if self._in_cells is None:
+                of_sigma = 0.0 if functional is None else functional[numbers]
+                yield eliminate(numbers, cells, tractions, product, -of_f, of_sigma, reaction)
+            else:
+                yield self._with_laws(numbers, cells, tractions, product, of_f, reaction, self._in_cells)
+
+    def _with_laws(
+        self,
+        numbers: npt.NDArray[np.int32],
+        cells: Cells,
+        tractions: Array,
+        product: Array,
+        of_f: Array,
+        reaction: Array | None,
+        laws: InCells,
+    ) -> Eliminated:
+        """Eliminate cells with laws in Ω, with u in the basis dual to the hats, and fluxes dual to that.
+
+        With X from means by the hats to values at the vertices u = Xû, and the fluxes have moments of ∇· against the
+        functions of û. Where û is held, the flux of this moment is one of the unknowns.
+        """
+        free, units = reference(self.spaces.dim).free, np.eye(self.spaces.dim + 1)
+        values, means = linear_from_means(units), means_of_linear(units)  # X and its inverse
+        share, to_dual = cells.measure / len(units), np.eye(product.shape[1])
+        to_dual[free:, free:] = means
+        springs = share[:, None, None] * laws.stiffness[numbers]
+        springs = springs if reaction is None else springs + values @ reaction @ values
+        block = eliminate(
+            numbers,
+            cells,
+            tractions @ to_dual,
+            to_dual @ product @ to_dual,
+            -of_f @ values - share[:, None] * laws.load[numbers],
+            reaction=springs,
+            held=(laws.held[numbers], laws.values[numbers]),
+        )
+        return replace(
+            block,
+            flux=to_dual @ block.flux,
+            flux_of_f=block.flux_of_f @ to_dual,
+            u=values @ block.u,
+            u_of_f=block.u_of_f @ values,
+        )
 
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
         """σ at the nodes and u at the vertices of the cells, shapes (cells, nodes, d) and (cells, d + 1)."""

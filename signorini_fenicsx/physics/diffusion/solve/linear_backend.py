@@ -1,7 +1,8 @@
-"""The backend of RT1: the hybrid system with a condition per facet vertex of Γ_S."""
+"""The backend of RT1: the hybrid system with a condition per facet vertex of Γ_S, and per vertex of a cell in Ω."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
@@ -14,9 +15,10 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.base.tuning import Tuning
-from signorini_fenicsx.contact.backend import Inexact, PlainBackend
+from signorini_fenicsx.contact.backend import Inexact, Iterate, PlainBackend
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
 from signorini_fenicsx.discrete.posed import State
@@ -28,6 +30,7 @@ from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 
@@ -60,8 +63,12 @@ class VertexBackend(PlainBackend):
         """The iterate from means of û less the references and from fields."""
         data, laws, spaces = self.data, self.laws, self.spaces
         flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - laws.flux_h
-        own = laws.own(laws.chains.segments(conditions), p, flux)
+        own = laws.own(laws.chains.segments(conditions[: len(p)]), p, flux)
         means = p + data.lift[spaces.site_kinds.unknown]
+        if data.cells_at is not None:
+            above, force = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
+            segment = data.cells_at.chains.segments(conditions[len(p) :])
+            own, flux = np.append(own, data.cells_at.own(segment, above, force)), np.append(flux, force)
         return LinearIterate(*conditions.clean(own, flux, data.conductance), iterations, sigma, u, means)
 
     def without_flux(self, iterate: Any, where: Mask) -> LinearIterate:
@@ -97,7 +104,8 @@ class VertexBackend(PlainBackend):
 class LinearBackend(VertexBackend, TraceBackend):
     """Solves under one condition per facet vertex of Γ_S, with the mean of û − ψ by its hat for p.
 
-    The flux is the value of σ·n − Π₁q_S at the vertex.
+    The flux is the value of σ·n − Π₁q_S at the vertex. With laws in Ω the vertices of cells follow, with the mean
+    of u by the hat less the reference, and the value of −s at the vertex; their conditions change the matrix.
     """
 
     name = "hybrid RT1"
@@ -116,10 +124,13 @@ class LinearBackend(VertexBackend, TraceBackend):
         Raises:
             InputError: If PETSc refuses an option.
         """
-        sites = np.arange(len(spaces.site_kinds))
+        sites = np.arange(len(spaces.site_kinds.unknown))
         near = sites.reshape(-1, spaces.dim).repeat(spaces.dim, axis=0)
         super().__init__(FluxSystem(spaces, data), spaces, data.fixed, tuning, (near, sites))
-        self.precise = self._corrected_to_rounding
+        self.precise, self._cell = self._corrected_to_rounding, spaces.site_kinds["cell"]
+        self._in_cells: SiteConditions | None = None
+        if data.cells_at is None:
+            self.sites, self.measure = len(sites), self._shares
         self._take(data)
 
     def _corrected_to_rounding(self) -> Self:
@@ -135,6 +146,45 @@ class LinearBackend(VertexBackend, TraceBackend):
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=loaded)
 
     @property
+    def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
+        """The kinds of sites that have `VertexLaws`, with these."""
+        return super().with_laws + ([] if self.data.cells_at is None else [(self._cell, self.data.cells_at)])
+
+    @property
+    def by_traces(self) -> bool:
+        """Whether there are no laws in Ω."""
+        return self.data.cells_at is None
+
+    def solve(self, conditions: SiteConditions) -> Iterate:
+        """Solve, see `TraceBackend.solve` (collective)."""
+        self._impose_in_cells(conditions)
+        return super().solve(conditions)
+
+    def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
+        """Solve, see `TraceBackend.solve_until` (collective)."""
+        self._impose_in_cells(conditions)
+        return super().solve_until(conditions, enough)
+
+    def _impose_in_cells(self, conditions: SiteConditions) -> None:
+        """Eliminate the cells under these conditions, unless they are those of last time (collective)."""
+        cells = self._cell.of(conditions)
+        if self.by_traces or cells.same(self._in_cells, self.comm):
+            return
+        self._in_cells, self._state = None, State.START
+        self.system.impose_in_cells(cells)
+        self._operator.take_natural()
+        self._factors, self._in_cells = self._none_kept(), cells
+
+    def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
+        """See `TraceBackend._pairs`; those of cells take the fields (collective)."""
+        p, flux = self.openings(x), self.flux(x, self.system.load)
+        if not self.by_traces:
+            fields = self.system.recover(self.system.everywhere(x.array_r) + self.data.lift)
+            in_cells = self.data.in_cells(self.spaces, *fields)
+            p, flux = np.append(p, in_cells[0]), np.append(flux, in_cells[1])
+        return self.cleaned(conditions, p, flux)
+
+    @property
     def inexact(self) -> Inexact | None:
         """The backend itself, as traces cost less than fields."""
         return self
@@ -143,6 +193,23 @@ class LinearBackend(VertexBackend, TraceBackend):
         """The iterate from the values of σ and u (collective)."""
         fields = self.spaces.flux(sigma), self.spaces.scalar(u)
         return self.iterate_of(conditions, self.openings(self._x), *fields, self._iterations)
+
+    def scales(self, iterate: Any) -> tuple[Array, Array]:
+        """See `TraceBackend.scales`; in cells that of −s is the scale of u over m_T, as of RT0 (collective)."""
+        of_u, of_flux = super().scales(iterate)
+        if not self.by_traces:
+            moments = np.repeat(mean_moments(self.spaces, self.data), self.spaces.dim + 1)
+            self._cell.of(of_flux)[:] = self._cell.of(of_u) / moments
+        return of_u, of_flux
+
+    def places(self) -> Array:
+        """See `TraceBackend.places`; of cells the vertex, the sum of those of the cell, and 1."""
+        places, vertices = super().places(), self.spaces.vertices
+        if self.by_traces:
+            return places
+        sums = np.broadcast_to(np.sort(vertices, axis=1).sum(axis=1, keepdims=True), vertices.shape)
+        of_cells = np.concatenate([vertices, sums, np.ones((*vertices.shape[:2], 1))], axis=2)
+        return np.vstack([places, of_cells.reshape(-1, of_cells.shape[2])])
 
 
 class FreeVertices(VertexBackend):
@@ -161,7 +228,7 @@ class FreeVertices(VertexBackend):
 
     def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning):
         """Assemble (collective)."""
-        self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds)
+        self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds.unknown)
         self._system, none = FluxSystem(spaces, data), np.empty(0, dtype=np.int32)
         operator = ConstrainedMatrix(self._system.matrix, PETSc.Mat.Option.SPD)
         operator.impose(data.fixed, none, np.empty(0))

@@ -53,7 +53,7 @@ class LinearMixedBackend(VertexBackend):
         """
         if data.inside is not None or data.memory is not None:
             raise InputError("element: the mixed backend with RT1 takes no laws in Ω and no steps in time; take hybrid")
-        self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds)
+        self.spaces, self.data, self.comm, self.sites = spaces, data, spaces.mesh.comm, len(spaces.site_kinds.unknown)
         traces, _ = spaces.on_boundary
         sizes = [space.dofmap.index_map.size_local for space in (spaces.flux_space, spaces.scalar_space, traces)]
         self._ends = np.cumsum(sizes)
@@ -107,7 +107,7 @@ class LinearMixedBackend(VertexBackend):
         """
         spaces, system, x, b, sites = self.spaces, self._system, self._x, self._b, self._unknowns
         held, springs = conditions.kind == Condition.ZERO_TRACE, self.laws.springs(conditions)
-        (kind,), values = spaces.site_kinds, np.broadcast_to(conditions.value, self.sites)
+        (kind, _), values = spaces.site_kinds, np.broadcast_to(conditions.value, self.sites)
         essential = np.append(self._fixed, sites[held])
         by_row = np.broadcast_to(sites.reshape(-1, spaces.dim)[:, None], springs.stiffness.shape)
         added = -springs.stiffness.ravel() * kind.measure.repeat(spaces.dim)

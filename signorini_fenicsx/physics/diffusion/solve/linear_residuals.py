@@ -51,12 +51,18 @@ def linear_kkt(
     data, means[spaces.outer_sites] = data.less(spaces, constant), means[spaces.outer_sites] - constant
     sigma, u = spaces.flux_values(iterate.sigma), spaces.scalar_values(iterate.u) - constant
     scales = sizes_of_solution(spaces, CellFlux.of(spaces, iterate.sigma), function_of(spaces.Q, u.mean(axis=1)), data)
-    (kind,), k, length = spaces.site_kinds, data.conductivities(spaces), spaces.length
+    (kind, cell), k, length = spaces.site_kinds, data.conductivities(spaces), spaces.length
     k_e = np.repeat(k[spaces.cells], spaces.dim)
-    pair = iterate.p, spaces.through(spaces.contact, sigma).ravel() - data.laws_at.flux_h
+    pair = kind.of(iterate.p), spaces.through(spaces.contact, sigma).ravel() - data.laws_at.flux_h
     if penalty is not None:
         pair = penalty.shift(*pair, eps)
-    squares = squares_off(data.chains, pair, k_e / length, length * kind.measure, k_e, 1.0)
+    squares = squares_off(data.laws_at.chains, pair, k_e / length, length * kind.measure, k_e, 1.0)
+    if data.cells_at is not None:
+        k_T, h = (np.repeat(each, spaces.dim + 1) for each in (k, spaces.cell_diameters))
+        laws, unit, (above, force) = data.cells_at, k_T / (length * h), data.in_cells(spaces, sigma, u)
+        known = cell.of(iterate.p), force
+        above = laws.own(laws.chains.off_segments(known, known, unit).argmin(axis=1), above, force)
+        squares += squares_off(laws.chains, (above, force), unit, cell.measure * h**2, k_T, 1.0)
     of_cells, facets = _of_cells(spaces, data, sigma, u, kind.rows_of(means)), spaces.neumann
     lacking = ((spaces.through(facets, sigma) - data.given_flux) ** 2).mean(axis=1)
     of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
@@ -95,6 +101,8 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
         missing += of_sigma[:, free:]
         if reaction is not None:
             missing -= np.einsum("nvw,nw->nv", reaction, u[numbers])
+        if data.cells_at is not None:  # whatever is missing is −s
+            missing[:] = 0.0
         of_hats = np.einsum("nv,nv->n", missing, np.linalg.solve(cells.hat_masses(), missing[:, :, None])[:, :, 0])
         squares[1] += (h[numbers] ** 2 / k[numbers] ** 2) @ of_hats, h[numbers] ** 2 @ of_hats
     return squares + _of_traces(spaces, data, trace, sizes, means)

@@ -55,10 +55,11 @@ def _sides(spaces: Spaces, data: Data, of_cell: Indices) -> tuple[Indices, Indic
     named, across = of_cell[spaces.cells], np.zeros(len(spaces.facets), dtype=np.int64)
     space = spaces.crouzeix_raviart
     across[spaces.inner.rows] = of_cell[cells_and_dofs(space, spaces.inner.facets)[0]]
+    facet, cell = (math.prod(kind.shape) for kind in spaces.site_kinds)
+    named, across = np.repeat(named, facet), np.repeat(across, facet)
     if data.inside is not None:
-        named, across = np.append(named, of_cell), np.append(across, np.zeros_like(of_cell))
-    sites = math.prod(spaces.site_kinds["facet"].shape)
-    named, across = np.repeat(named, sites), np.repeat(across, sites)
+        of_cells = np.repeat(of_cell, cell)
+        named, across = np.append(named, of_cells), np.append(across, np.zeros_like(of_cells))
     return named, across, spaces.site_kinds.measure[: len(named)]
 
 
