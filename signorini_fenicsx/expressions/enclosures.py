@@ -19,7 +19,14 @@ from signorini_fenicsx.base.reference_cells import SIMPLEX, orthonormal, positiv
 from signorini_fenicsx.expressions.cutting import CHUNK, Frame, in_parts, look_everywhere
 from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, barycentric_gradients, bernstein, interpolated
+from signorini_fenicsx.expressions.quadratics import (
+    INSIDE,
+    Polynomial,
+    Quadratic,
+    barycentric_gradients,
+    bernstein,
+    interpolated,
+)
 from signorini_fenicsx.expressions.series import DEGREE, Remainder
 from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.expressions.tree import Tree
@@ -94,13 +101,13 @@ class Means:
     parts: int
 
 
-def means(tree: Tree, vertices: Array, p: Quadratic, frame: Frame, weight: Array) -> Means:
+def means(tree: Tree, vertices: Array, p: Quadratic | Polynomial, frame: Frame, weight: Array) -> Means:
     """Enclose means (collective): Σ weight·(half width)² ≤ 1 is aimed at, in the sum over all simplices.
 
     Args:
         tree: The expression.
         vertices: Vertices of n simplices of this rank, of any dimension ≥ 1, shape (n, vertices, dim).
-        p: The quadratics.
+        p: The polynomials, of a degree ≤ K.
         frame: The domain.
         weight: Of each simplex.
     """
@@ -407,7 +414,7 @@ def _rule(corners: int, degree: int) -> tuple[Array, Array]:
     return points, weights / weights.sum()
 
 
-def _of_simplices(p: Quadratic, vertices: Array, parts: Parts, x: Array) -> Array:
+def _of_simplices(p: Quadratic | Polynomial, vertices: Array, parts: Parts, x: Array) -> Array:
     """Values and gradients in points x of parts of the quadratics of their simplices."""
     return p.of(parts.own).at(x - vertices.mean(axis=1)[parts.own, None])
 

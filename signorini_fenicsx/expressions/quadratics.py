@@ -7,11 +7,38 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Mask
+from signorini_fenicsx.base.reference_cells import SIMPLEX, orthonormal
 from signorini_fenicsx.expressions.evaluation import values
 from signorini_fenicsx.expressions.tree import Tree
 
 INSIDE = 0.75
 """Distance of the nodes of an interpolant from the centroid, relative to that of the nodes of P2."""
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Polynomials of any degree on n simplices.
+
+    Attributes:
+        coefficients: In an orthonormal basis on the reference simplex, shape (n, basis).
+        slopes: Gradients of barycentric coordinates, shape (n, dim + 1, dim).
+        degree: Their degree.
+    """
+
+    coefficients: Array
+    slopes: Array
+    degree: int
+
+    def of(self, rows: AnyIndices | Mask) -> Polynomial:
+        """Those of a selection of the simplices."""
+        return Polynomial(self.coefficients[rows], self.slopes[rows], self.degree)
+
+    def at(self, arms: Array) -> Array:
+        """Values in points minus centroids, shape (n, points, dim); the result has the shape (n, points, 1)."""
+        number, points, dim = arms.shape
+        places = 1 / (dim + 1) + np.einsum("nqi,nvi->nqv", arms, self.slopes[:, 1:])
+        table = orthonormal(SIMPLEX[dim], self.degree).tabulate(0, places.reshape(-1, dim))[0][:, :, 0]
+        return np.einsum("nqb,nb->nq", table.reshape(number, points, table.shape[1]), self.coefficients)[:, :, None]
 
 
 @dataclass(frozen=True)

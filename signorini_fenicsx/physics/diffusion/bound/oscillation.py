@@ -14,11 +14,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import owned_cells, owned_values
-from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.interpolants import quadratic_of
 from signorini_fenicsx.discrete.points import (
@@ -30,6 +31,7 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.expressions.quadratics import Polynomial, Quadratic, barycentric_gradients
 from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
@@ -51,6 +53,8 @@ from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 OF_MEMORY = 8
 """Degree of the square of a bubble, also in space."""
+ENCLOSED = {2: 4, 3: 3}
+"""Degree of Π of RT1 by dimension where f is enclosed, at most that of the series and of `local_fields.HIGH`."""
 DEGREE = 2
 """Degree of the polynomials in the place of a capacity."""
 ROUNDING = 1e-12
@@ -112,7 +116,8 @@ def load_oscillation(
         g_N, missed = on_facets("g_N", data.g_N, on_neumann, on_neumann.means(g_h), metric, resolution)
         rest = g_N - g_h
         facet_loads.append(FacetLoad(on_neumann, rest - on_neumann.means(rest)[:, None], missed))
-    of_load, cell = OF_LAW if of_laws is not None or spaces.degree else OF_LOAD, mesh.basix_cell()
+    of_load, cell = OF_LAW if of_laws is not None else OF_LOAD, mesh.basix_cell()
+    of_load = ENCLOSED[mesh.topology.dim] if spaces.degree else of_load
     load = _load(spaces, data, metric, flux, resolution, takes_f, of_load)
     if of_laws is not None:
         load = of_laws if load is None else load.plus(of_laws)
@@ -247,7 +252,14 @@ def _load(
     if enclosed:
         cells, nodes = owned_cells(spaces.mesh)[~takes_f], quadratic_nodes(cell)
         of_nodes = np.concatenate([f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), nodes)])
-        p = quadratic_of(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
+        p: Quadratic | Polynomial = quadratic_of(resolution.vertices, of_nodes + at_points(load, cell, of_load, nodes))
+        if of_load > OF_LAW:
+            basis = orthonormal(cell, of_load)
+            places, weights = basix.make_quadrature(cell, 2 * of_load)
+            f_there = [f_h(points) for points in in_cells(spaces.mesh, owned_cells(spaces.mesh), places)]
+            of_f_h = np.concatenate(f_there) @ (weights[:, None] * basis.tabulate(0, places)[0][:, :, 0])
+            of_f_h[:, 1:] += load.coefficients
+            p = Polynomial(of_f_h, barycentric_gradients(resolution.vertices), of_load)
         volume = 1 / math.factorial(metric.jacobian.shape[1])
         seen = Seen(p, np.hypot(np.sqrt(load.rest / volume), means), means).of(cells)
         load.rest[cells] = resolution.on_cells("f", data.f, seen, metric, cells) ** 2 * volume

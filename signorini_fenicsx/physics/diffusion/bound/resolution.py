@@ -32,7 +32,7 @@ from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
-from signorini_fenicsx.expressions.quadratics import Quadratic
+from signorini_fenicsx.expressions.quadratics import Polynomial, Quadratic
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.physics.diffusion.bound.local_fields import facet_constants
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
@@ -59,7 +59,7 @@ class Seen:
         mean: Its mean.
     """
 
-    p: Quadratic
+    p: Quadratic | Polynomial
     norm: Array
     mean: Array
 
