@@ -179,7 +179,7 @@ def _methods() -> Iterator[Capability]:
         yield solved("example1", *STRUCTURED, "--algorithm", algorithm, h="1/6", beside={"violation"})
     for case in ("example2", "friction", "sphere"):
         yield solved(case, *STRUCTURED, "--backend", "mixed", h="1/2")
-    for case, h in (("transition3d", "1/3"), ("regulator", "1/8")):
+    for case, h in (("transition3d", "1/3"), ("regulator", "1/8"), ("sphere", "1/2"), ("phases", "1/8")):
         yield solved(case, "--element", "RT1", *STRUCTURED, h=h, beside=PATH)
     yield solved("fault", "--element", "RT1", beside=PATH)
     yield solved("fault", "--algorithm", "alg2", "--backend", "mixed")

@@ -143,20 +143,21 @@ class LinearSolution(Solution):
         """Number and measure of the facet vertices on each segment of a law, by part and segment (collective)."""
         return by_part(self.spaces, self.data.laws.of_parts, self.segments().of("facet"), "vertices")
 
-    def _of_cells(self, values: np.ndarray) -> np.ndarray:
-        """What counts for each owned cell: the median of the values at its vertices."""
-        rows = self.spaces.site_kinds["cell"].rows_of(values) if self.data.cells_at else np.empty((0, 1), values.dtype)
-        return np.sort(rows, axis=1)[:, rows.shape[1] // 2]
-
-    @property
-    def held_cells(self) -> Mask:
-        """Mask of the owned cells where a law holds u at most of the vertices, see `Solution.held_cells`."""
-        return self._of_cells(self.outcome.conditions.kind == Condition.ZERO_TRACE)
-
     @property
     def cell_segments(self) -> Indices:
         """The segment of each owned cell: the median of those of its vertices; empty without laws in Ω."""
-        return self._of_cells(self.segments().segment)
+        if self.data.cells_at is None:
+            return np.empty(0, dtype=np.int64)
+        rows = self.spaces.site_kinds["cell"].rows_of(self.segments().segment)
+        return np.asarray(np.sort(rows, axis=1)[:, rows.shape[1] // 2])
+
+    @property
+    def held_cells(self) -> Mask:
+        """Mask of the owned cells on a segment where a law holds u, see `Solution.held_cells`."""
+        if self.data.cells_at is None:
+            return np.empty(0, dtype=bool)
+        kinds = self.data.cells_at.chains.kinds[:: self.spaces.dim + 1]
+        return np.asarray(kinds[np.arange(len(kinds)), self.cell_segments] == Condition.ZERO_TRACE)
 
     @property
     def force_at(self) -> Array:
