@@ -208,10 +208,14 @@ class LinearFlux(CellFlux):
         cell, dim = self.spaces.mesh.basix_cell(), len(self.components)
         points, weights = positive_quadrature(cell, 4)
         matrix = weight * np.eye(dim)[None] if isinstance(weight, float) else weight
-        of_cells = np.broadcast_to(matrix, (self.components.shape[1], dim, dim))
-        values = self.components @ basis(cell, 2, points).T
-        squares = np.einsum("icq,cij,jcq->cq", values, of_cells, values, optimize=True)
-        return np.asarray(self.spaces.cell_measures * (squares @ (weights / weights.sum())))
+        squares = np.empty(self.components.shape[1])
+        of_cells, hats = np.broadcast_to(matrix, (len(squares), dim, dim)), basis(cell, 2, points).T
+        for some in some_at_a_time(self.spaces.mesh):
+            values = self.components[:, some] @ hats
+            of_points = np.einsum("icq,cij,jcq->cq", values, of_cells[some], values, optimize=True)
+            squares[some] = of_points @ (weights / weights.sum())
+        squares *= self.spaces.cell_measures
+        return squares
 
 
 def normal_flux(flux: CellFlux, points: FacetPoints) -> Array:

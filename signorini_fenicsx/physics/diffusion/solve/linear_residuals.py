@@ -49,8 +49,9 @@ def linear_kkt(
     """
     constant, means = data.common_constant(spaces), iterate.means.copy()
     data, means[spaces.outer_sites] = data.less(spaces, constant), means[spaces.outer_sites] - constant
-    sigma, u = spaces.flux_values(iterate.sigma), spaces.scalar_values(iterate.u) - constant
+    u = spaces.scalar_values(iterate.u) - constant
     scales = sizes_of_solution(spaces, CellFlux.of(spaces, iterate.sigma), function_of(spaces.Q, u.mean(axis=1)), data)
+    sigma = spaces.flux_values(iterate.sigma)
     (kind, cell), k, length = spaces.site_kinds, data.conductivities(spaces), spaces.length
     k_e = np.repeat(k[spaces.cells], spaces.dim)
     pair = kind.of(iterate.p), spaces.through(spaces.contact, sigma).ravel() - data.laws_at.flux_h
