@@ -21,6 +21,7 @@ from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import System, Wish, system_on
 
 START_SECONDS = 3.0
@@ -156,7 +157,7 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
         if case.time is None:
             remarks = system.prepared(posed, Wish(options_of(case))).remarks()
         else:
-            remarks = _check_steps(system, posed, case.time.evolution())
+            remarks = _check_steps(system, posed, case.time.evolution(), options_of(case))
     topology = domain.mesh.topology
     counts = [
         topology.index_map(topology.dim).size_local,
@@ -197,7 +198,7 @@ def _left(case: CaseFile, spaces: MeshSpaces) -> list[str]:
     return [name for name, count in zip([*others, ""], counts, strict=True) if count > 0]
 
 
-def _check_steps(system: System, problem: Any, evolution: Evolution) -> list[str]:
+def _check_steps(system: System, problem: Any, evolution: Evolution, options: Options) -> list[str]:
     """Read the data of all steps in time, as a run does (collective).
 
     Returns:
@@ -206,7 +207,7 @@ def _check_steps(system: System, problem: Any, evolution: Evolution) -> list[str
     Raises:
         InputError: If a datum is not what it has to be, or there is not one solution.
     """
-    steps, remarks = system.steps(problem, evolution, None), dict[str, str]()
+    steps, remarks = system.steps(problem, evolution, None, options), dict[str, str]()
     steps.start()
     for step in range(1, evolution.steps + 1):
         when = f"step {step}, t = {evolution.time(step):.5g}"

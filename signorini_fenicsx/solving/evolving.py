@@ -93,7 +93,7 @@ def evolve(
     problem = sorted_on(domain, problem)
     solver: Solver = place if isinstance(place, Solver) else Solver(domain, problem)
     comm = solver.spaces.mesh.comm
-    steps: Steps = solver.steps(problem, evolution, start)
+    steps: Steps = solver.steps(problem, evolution, start, options)
     before = Past(0, [], start) if past is None else past(steps)
     left, segments = [*before.left, steps.start()][:2], before.segments
     for step in range(before.step + 1, evolution.steps + 1):

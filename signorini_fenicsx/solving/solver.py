@@ -55,10 +55,10 @@ class Solver[S: Solved]:
         return self._system.spaces
 
     @collector_off()
-    def steps(self, problem: Any, evolution: Evolution, start: Any = None) -> Steps:
+    def steps(self, problem: Any, evolution: Evolution, start: Any, options: Options) -> Steps:
         """The steps of a problem in time that is sorted, see `System.steps` (collective)."""
         check_start(self._system, start, Solved)
-        return self._system.steps(problem, evolution, start)
+        return self._system.steps(problem, evolution, start, options)
 
     @collector_off()
     def solve(

@@ -112,13 +112,14 @@ class System(Protocol):
             InputError: If the problem cannot be discretised.
         """
 
-    def steps(self, problem: Any, evolution: Evolution, start: Any) -> Steps:
+    def steps(self, problem: Any, evolution: Evolution, start: Any, options: Options) -> Steps:
         """The steps of a problem in time (collective).
 
         Args:
             problem: The problem with t in its data.
             evolution: Times, and what else there is.
             start: A solution to begin with, or None.
+            options: Algorithm, backend and their parameters.
 
         Raises:
             InputError: If a datum is not what it has to be, or the start is on another domain.

@@ -145,7 +145,7 @@ class System:
         load = np.full(len(self.spaces.cell_measures), problem.f) + (0.0 if wish.memory is None else wish.memory)
         return Run(self.spaces, problem, load)
 
-    def steps(self, problem: Bed, evolution: Evolution, start: Any):
+    def steps(self, problem: Bed, evolution: Evolution, start: Any, options: Any):
         return Settling(self.spaces, problem, evolution)
 
 

@@ -2,6 +2,7 @@
 
 With ∂w/∂t ≈ a w_n − Σ_k w_k w_(n−k) for w = Cu + θ each step is a problem with c + aC for c, the law aθ in Ω and the
 load f + Σ_k w_k w_(n−k), with all data at the time of the step. w_(n−k) is in P0, and so C has its mean on each cell.
+With RT1 w_(n−k) is in P1 on each cell, the projection Π₁(Cu) by the quadrature that the reaction has; there is no θ.
 
 θ is a monotone graph, a law of storage; at jumps of it θ is not known from u. What a step leaves is the θ that its
 balance has selected, so that nothing is lost. At the start θ is the least value that u_0 allows.
@@ -13,6 +14,7 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -21,7 +23,8 @@ from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import function_of, owned_values
+from signorini_fenicsx.base.owned import owned_values
+from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import EVERYWHERE, VERTICAL
 from signorini_fenicsx.contact.laws import Corners, Storage
@@ -37,6 +40,8 @@ from signorini_fenicsx.expressions.tree import Comparison, Conditional
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.discrete.data import cell_means
+from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -68,6 +73,8 @@ class DiffusionSteps:
         self.spaces, self._evolution = spaces, evolution
         self._problem = with_storage(problem.in_time(dim), evolution, dim)
         self.storage = [_storage(spaces, law, f"law.{i}") for i, law in _storages(self._problem)]
+        if spaces.degree and self.storage:
+            raise InputError("element: there is no RT1 for storage; take RT0")
         if evolution.scheme != "implicit-euler" and self._jumps():
             raise InputError("[time] scheme: a storage that jumps, as of melting, needs implicit-euler")
         try:
@@ -89,12 +96,14 @@ class DiffusionSteps:
         return bool(self.spaces.mesh.comm.allreduce(jumps, MPI.LOR))
 
     def start(self) -> fem.Function:
-        """The means of w = Cu + θ over the cells for u_0 (collective).
+        """The means of w = Cu + θ over the cells for u_0, of RT1 Π₁(CΠ₁u_0) (collective).
 
         Raises:
             InputError: If they are not finite, or of no usable size.
         """
         u = self._means("initial", self.initial)
+        if isinstance(self.spaces, LinearSpaces):
+            return self._content(projected(self.spaces, self.initial))
         least = np.zeros_like(u)
         for part, chains in self.storage:
             least[part.rows] -= chains.ends_at(u[part.rows])[0]
@@ -119,8 +128,11 @@ class DiffusionSteps:
             ]
         return datum_by_cells([(inside, datum_of(self.spaces, "initial", w)) for inside, _, w in contents])
 
-    def _content(self, u: Array, theta: Array) -> fem.Function:
-        return function_of(self.spaces.Q, self.capacity * u + theta, "content")
+    def _content(self, u: Array, theta: Array | float = 0.0) -> fem.Function:
+        """The content of u, given on the owned cells, of RT1 at their vertices (collective)."""
+        if isinstance(self.spaces, LinearSpaces):
+            return self.spaces.scalar(projected(self.spaces, self.given, u))
+        return self.spaces.scalar(self.capacity * u + theta)
 
     def problem(self, step: int) -> Problem:
         """The problem of a step, without what it takes from those before.
@@ -139,8 +151,8 @@ class DiffusionSteps:
         return self._evolution.formula(step)[0]
 
     def left_by(self, solution: Solution) -> fem.Function:
-        """The content w = Cu + θ in P0 (collective)."""
-        return self._content(owned_values(solution.u), self.theta(solution))
+        """The content w = Cu + θ in the space of u (collective)."""
+        return self._content(solution.u_values, self.theta(solution))
 
     def theta(self, solution: Solution) -> Array:
         """The θ that the balance of a step has selected, per owned cell; 0 where there is no storage (collective).
@@ -173,23 +185,26 @@ class DiffusionSteps:
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, the segments on which the step has ended, and θ if there is storage."""
-        on = solution.segments()
+        on, facet = solution.segments(), self.spaces.site_kinds["facet"]
         cells = {} if solution.data.inside is None else {"own": on.of("cell")}
+        linear = {"u_at": solution.u_values} if self.spaces.degree else {}
         theta = {"theta": self.theta(solution)} if self.storage else {}
-        return {"u": owned_values(solution.u), **cells, **theta, "facet_own": on.of("facet")}
+        facets = on.of("facet").reshape(facet.count, *facet.shape)
+        return {"u": solution.u_means, **linear, **cells, **theta, "facet_own": facets}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
         left = []
         for earlier in range(step, max(step - 2, 0), -1):
             theta = kept(earlier, "theta").ravel() if self.storage else np.zeros_like(self.capacity)
-            left.append(self._content(kept(earlier, "u").ravel(), theta))
+            u = kept(earlier, "u_at") if self.spaces.degree else kept(earlier, "u").ravel()
+            left.append(self._content(u, theta))
         keys = ("facet_own", "own") if self._problem.has_laws_inside else ("facet_own",)
-        return Past(step, left, Segments(self.spaces, np.concatenate([kept(step, key) for key in keys])))
+        return Past(step, left, Segments(self.spaces, np.concatenate([kept(step, key).ravel() for key in keys])))
 
     def memory(self, step: int, before: Sequence[fem.Function]) -> fem.Function:
-        """The sum Σ_k w_k w_(n−k) in P0, from the last content and those before it."""
-        memory = fem.Function(self.spaces.Q, name="memory")
+        """The sum Σ_k w_k w_(n−k) in the space of u, from the last content and those before it."""
+        memory = fem.Function(self.spaces.scalar_space, name="memory")
         weights = self.weights(step)
         for weight, content in zip(weights, before[: len(weights)], strict=True):
             memory.x.array[:] += weight * content.x.array
@@ -352,17 +367,23 @@ def _storage(spaces: Spaces, law: Storage, name: str) -> tuple[PartLaw, Chains]:
 
 
 def _carried(solution: Solution, spaces: Spaces) -> fem.Function:
-    """Another u_h in the centroids of these cells (collective).
+    """Another u_h in the centroids of these cells; for RT1 linear on each by as many points as it has vertices.
+
+    Of RT0 this takes the potential for RT1. Collective.
 
     Raises:
-        InputError: If a centroid is not in its mesh.
+        InputError: If a point is not in its mesh.
     """
-    centroids = corners(spaces.mesh).mean(axis=1)
-    u = function_of(spaces.Q, at_points(solution.spaces.domain, solution.u, centroids), "u")
-    outside = spaces.mesh.comm.allreduce(int(np.count_nonzero(np.isnan(u.x.array))))
+    vertices = spaces.vertices if isinstance(spaces, LinearSpaces) else corners(spaces.mesh)
+    dim, u = vertices.shape[2], solution.potential if spaces.degree > solution.spaces.degree else solution.u
+    rule = basix.make_quadrature(SIMPLEX[dim], 1 + spaces.degree)[0]
+    hats = np.column_stack([1 - rule.sum(axis=1), rule])
+    points = np.einsum("pv,nvi->npi", hats, vertices)
+    values = at_points(solution.spaces.domain, u, points.reshape(-1, dim)).reshape(points.shape[:2])
+    outside = spaces.mesh.comm.allreduce(int(np.isnan(values).any(axis=1).sum()))
     if outside > 0:
         raise InputError(
-            f"the start, {solution.name}, has no u in the centroids of {outside} cells, which are outside of its mesh; "
+            f"the start, {solution.name}, has no u in the middle of {outside} cells, which are outside of its mesh; "
             "take one on the same mesh"
         )
-    return u
+    return spaces.scalar(values @ np.linalg.pinv(hats).T if spaces.degree else values)

@@ -7,7 +7,7 @@ cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T).
 import numpy as np
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import function_of, owned_values
+from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, Dirichlet, Neumann
@@ -49,6 +49,8 @@ OF_LINEAR: Layout = {
 }
 """Beside the means what RT1 has: values at vertices, of σ at the midpoints of edges too, of facets
 means by the hats of theirs; with laws in Ω the segment at each vertex of a cell."""
+OF_STEP: Layout = {"memory_at": (np.float64, "cells", "corners")}
+"""And in time."""
 
 
 def _in_cells(solution: Solution) -> Arrays:
@@ -56,12 +58,14 @@ def _in_cells(solution: Solution) -> Arrays:
     rows = {"u": solution.u_means, "sigma": flux.centroid, "divergence": solution.divergences}
     if isinstance(solution, LinearSolution):
         rows |= _at_vertices(solution)
-    return rows | ({} if memory is None else {"memory": owned_values(memory)})
+    return rows | ({} if memory is None else {"memory": solution.data.means_of_memory})
 
 
 def _at_vertices(solution: LinearSolution) -> Arrays:
     """What a solution of RT1 has in cells beside its means."""
-    rows = {"u_at": solution.spaces.scalar_values(solution.u), "sigma_at": solution.sigma_values}
+    memory = solution.data.memory
+    rows = {"u_at": solution.u_values, "sigma_at": solution.sigma_values}
+    rows |= {} if memory is None else {"memory_at": solution.spaces.scalar_values(memory)}
     if solution.data.cells_at is None:
         return rows
     return rows | {"segment_at": solution.spaces.site_kinds["cell"].rows_of(solution.segments().segment)}
@@ -69,13 +73,16 @@ def _at_vertices(solution: LinearSolution) -> Arrays:
 
 def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:
     spaces, options = linear_spaces(on_mesh), stored.options
+    in_time = stored.step is not None
     with_laws = {"segment_at"} if problem.has_laws_inside else set()
-    missing = [name for name in {*OF_LINEAR} - {"segment_at"} | with_laws if name not in stored.arrays]
+    needed = {*OF_LINEAR} - {"segment_at"} | with_laws | ({*OF_STEP} if in_time else set())
+    missing = [name for name in needed if name not in stored.arrays]
     if missing:
         raise InputError(f"not a readable solution (it holds no {missing[0]})")
     sigma, u = spaces.flux(stored.in_cells(spaces, "sigma_at")), spaces.scalar(stored.in_cells(spaces, "u_at"))
     p_means, condition = stored.on_facets(spaces.mesh.comm, "means_at", "condition_at")
-    data = linear_data(spaces, project_data(on_mesh, problem))
+    memory = spaces.scalar(stored.in_cells(spaces, "memory_at")) if in_time else None
+    data = linear_data(spaces, project_data(on_mesh, problem).after(memory))
     means = p_means.ravel()
     flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
     law = data.laws_at.chains.with_penalty(options.method.penalty, options.eps)
@@ -137,6 +144,6 @@ KEEPING = Keeping(
     in_cells=_in_cells,
     on_facets=lambda solution: vars(solution.table()),
     read=_read,
-    of_some=OF_LINEAR,
+    of_some={**OF_LINEAR, **OF_STEP},
     of_step={"memory": (np.float64, "cells")},  # a load
 )

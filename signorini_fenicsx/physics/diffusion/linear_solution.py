@@ -46,7 +46,8 @@ class LinearSolution(Solution):
 
     def of_problem(self, problem: Problem) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
-        return replace(self, problem=problem, data=linear_data(self.spaces, project_data(self.spaces, problem)))
+        data = project_data(self.spaces, problem).after(self.data.memory)
+        return replace(self, problem=problem, data=linear_data(self.spaces, data))
 
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, see `linearised.Linearised` (collective).
@@ -80,10 +81,6 @@ class LinearSolution(Solution):
         """σ_h at the nodes of the owned cells, see `LinearSpaces.flux_values` (collective when first used)."""
         return self.spaces.flux_values(self.sigma)
 
-    def u_at(self, points: Points) -> Array:
-        """u_h in points, shape (n, points)."""
-        return np.asarray(np.einsum("nqv,nv->nq", points.barycentric, cell_values(self.u)[points.rows]))
-
     def trace_at(self, points: FacetPoints, rows: Indices | slice = slice(None)) -> Array:
         """p_h in points of facets of Γ_S, by default of all, shape (facets, points)."""
         hats = np.column_stack([1 - points.points.sum(axis=1), points.points])[:, self.spaces.contact.ranking[rows]]
@@ -100,9 +97,9 @@ class LinearSolution(Solution):
         return np.asarray(self.cell_flux.divergence.mean(axis=1))
 
     @property
-    def u_means(self) -> Array:
-        """The means of u_h on the owned cells."""
-        return np.asarray(cell_values(self.u).mean(axis=1))
+    def u_values(self) -> Array:
+        """u_h at the vertices of the owned cells, see `LinearSpaces.scalar_values`."""
+        return self.spaces.scalar_values(self.u)
 
     def flux_on_signorini(self) -> fem.Function:
         """σ_h·n on the mesh of Γ_S, linear on each facet (collective)."""

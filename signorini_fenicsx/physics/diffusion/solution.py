@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part,
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.forms.norms import l2
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, in_points, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.discrete.potential import Potential
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -176,7 +176,7 @@ class Solution(AnySolution):
 
     def u_at(self, points: Points) -> Array:
         """u_h in points, shape (n, points or 1)."""
-        return self.u.x.array[points.cells, None]
+        return in_points(self.u, points)
 
     def trace_at(self, points: FacetPoints, rows: Indices | slice = slice(None)) -> Array:
         """p_h in points of facets of Γ_S, by default of all, shape (facets, points or 1)."""
@@ -205,6 +205,11 @@ class Solution(AnySolution):
     @property
     def u_means(self) -> Array:
         """u_h on the owned cells, or its means."""
+        return means_in_cells(self.u)
+
+    @property
+    def u_values(self) -> Array:
+        """u_h on the owned cells; of RT1 at their vertices, shape (cells, d + 1)."""
         return owned_values(self.u)
 
     def flux_on_signorini(self) -> fem.Function:

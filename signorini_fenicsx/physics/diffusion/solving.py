@@ -135,13 +135,14 @@ class System:
         check_solvability(self.spaces, data)
         return notes_of(self.spaces, data)
 
-    def steps(self, problem: Problem, evolution: Evolution, start: Solution | None) -> DiffusionSteps:
+    def steps(self, problem: Problem, evolution: Evolution, start: Solution | None, options: Options) -> DiffusionSteps:
         """The steps of a problem in time, see `solving.evolution.Steps` (collective).
 
         Raises:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
-        return DiffusionSteps(self.spaces, problem, evolution, start)
+        spaces = self.linear_spaces if options.element == "RT1" else self.spaces
+        return DiffusionSteps(spaces, problem, evolution, start)
 
 
 @dataclass
@@ -268,7 +269,7 @@ def refining(problem: Problem, options: Options) -> tuple[Options, str]:
 def _lacking(options: Options, *, in_time: bool = False, inside: bool = False) -> str:
     """What of a problem or its method RT1 is not there for; empty if it is."""
     for lacking, what in (
-        (in_time, "problems in time"),
+        (in_time and inside, "laws in Ω in time"),
         (not options.method.takes_order_two, options.algorithm_name),
         (inside and options.method.rule is None, f"laws in Ω by {options.algorithm_name}"),
         (inside and options.backend == "mixed", "laws in Ω by the mixed backend"),

@@ -102,7 +102,9 @@ class System:
         """
         return self.prepared(problem, Wish(Options())).remarks()
 
-    def steps(self, problem: ElasticProblem, evolution: Evolution, start: ElasticSolution | None) -> ElasticSteps:
+    def steps(
+        self, problem: ElasticProblem, evolution: Evolution, start: ElasticSolution | None, options: Options
+    ) -> ElasticSteps:
         """The steps of loads, see `solving.evolution.Steps` (collective).
 
         Raises:

@@ -38,7 +38,7 @@ class Term:
     Attributes:
         name: Name of e.
         e: A text, or texts by regions.
-        q: Gives q in points, of a degree ≤ dim + 1 on each cell.
+        q: Gives q in points, of a degree ≤ dim + 1 on each cell, for RT1 one more.
         size: Rough size of q on each owned cell.
     """
 
@@ -87,7 +87,7 @@ def cut_loads(
     mesh = resolution.spaces.mesh
     cell, dim = mesh.basix_cell(), mesh.topology.dim
     basis = orthonormal(cell, HIGH[dim])
-    points, weights = positive_quadrature(cell, 2 * (DEGREE + dim + 1))
+    points, weights = positive_quadrature(cell, 2 * (DEGREE + dim + 1 + resolution.spaces.degree))
     volume, columns = weights.sum(), 2 * basis.dim + 3
     weight = np.stack([(term.size / np.maximum(fine, SMALLEST))[cells] ** 2 for term in terms])
     weight *= metric.volume[cells] / resolution.volume

@@ -18,7 +18,7 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.owned import owned_cells, owned_values
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.interpolants import quadratic_of
@@ -123,7 +123,7 @@ def load_oscillation(
         load = of_laws if load is None else load.plus(of_laws)
     if memory is not None and data.memory is not None:
         taken = np.zeros(len(metric.volume), dtype=bool) if reaction is None else reaction.takes
-        remembered = _remembered(spaces, owned_values(data.memory), metric, memory, resolution, taken)
+        remembered = _remembered(spaces, data.means_of_memory, metric, memory, resolution, taken)
         load = remembered if load is None else load.plus(remembered)
     if reaction is None:
         return load_norms(cell, metric, load, facet_loads, enough)
@@ -170,7 +170,8 @@ def _remembered(
 ) -> Projection:
     """What a step takes from those before, without its means; 0 in cells where it is taken already (collective)."""
     u, cell, number = memory.initial, spaces.mesh.basix_cell(), len(load_h)
-    degree = OF_MEMORY if memory.missed is None else OF_MEMORY + 2 * DEGREE
+    degree = OF_MEMORY + 2 * spaces.degree + (0 if memory.missed is None else 2 * DEGREE)
+    of_load = HIGH[metric.jacobian.shape[1]] if spaces.degree else OF_LOAD
     volume = 1 / math.factorial(metric.jacobian.shape[1])
 
     def less(points: CellPoints) -> Array:
@@ -184,12 +185,12 @@ def _remembered(
         return replace(load, rest=(np.sqrt(load.rest) + missed * np.sqrt(volume)) ** 2)
 
     if u is None:
-        load, means = _projected(spaces, less, degree)
+        load, means = _projected(spaces, less, degree, of_load)
         return load.without(taken) if memory.missed is None else recorded(load, means, "capacity", memory.missed)
     degree = max(degree, quadrature_degree(u, power=2))
     missed = np.zeros(number) if memory.missed is None else memory.missed
     if not resolution.encloses("initial", u):
-        return recorded(*_projected(spaces, less, degree), "initial", missed)
+        return recorded(*_projected(spaces, less, degree, of_load), "initial", missed)
     nodes = np.concatenate(
         [u.values(some) for some in in_cells(spaces.mesh, owned_cells(spaces.mesh), quadratic_nodes(cell))]
     )
@@ -200,7 +201,7 @@ def _remembered(
         norm[points.cells], mean[points.cells] = _moments(rest, points.weights / points.weights.sum())
         return less(points) - memory.factor * rest
 
-    load, means = _projected(spaces, values, degree)
+    load, means = _projected(spaces, values, degree, of_load)
     load, others = recorded(load, means, "initial", missed), np.flatnonzero(~taken)
     seen, factor, rest = Seen(p, norm, mean).of(others), np.full(len(others), memory.factor), np.zeros(number)
     rest[others] = resolution.on_cells("initial", u, seen, metric, others, factor)

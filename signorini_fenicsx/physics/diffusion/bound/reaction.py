@@ -28,7 +28,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
-from signorini_fenicsx.base.reference_cells import positive_quadrature
+from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions import TREES, is_polynomial
@@ -37,7 +37,7 @@ from signorini_fenicsx.expressions.intervals import Interval, enclosing
 from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, constant, interpolated
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term, cut_loads
-from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection, projected
+from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LOAD, Projection, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST, Resolution
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
@@ -128,7 +128,8 @@ def reaction_terms(
     squares = SQUARE + 2 * spaces.degree  # of RT1 v is cubic
     if "c" in resolution.by_quadrature:
         squares = max(squares, quadrature_degree(data.c, power=2))
-    near = _near(trace, coefficient, level, nodes, squares)
+    of_load = HIGH[spaces.mesh.topology.dim] if spaces.degree and data.memory is not None else OF_LOAD
+    near = _near(trace, coefficient, level, nodes, squares, of_load)
     c_h, load = np.zeros_like(level) if data.c_h is None else owned_values(data.c_h), near.load
     of_level = (Interval(c_h - near.mean, c_h - near.mean) - coefficient.mean) * level
     size = near.missed + coefficient.deviation * np.abs(level)
@@ -142,7 +143,7 @@ def reaction_terms(
     rows = np.flatnonzero(rough & ~near.apart)
     if spaces.mesh.comm.allreduce(len(rows)):
         of_u = Term("c", data.c, lambda points: -points.bernstein(trace.v)[:, :, 0], farthest)
-        numbers = c_h * level - (owned_values(data.memory) if memory and data.memory is not None else 0.0)
+        numbers = c_h * level - (data.means_of_memory if memory else 0.0)
         cut = cut_loads([of_u, *memory], numbers, resolution, rows, fine, metric)
         known = np.isfinite(cut.unsure + cut.load.rest + cut.delta)
         rows, cut = rows[known], cut.of(known)
@@ -172,12 +173,16 @@ class _Near:
     apart: Mask
 
 
-def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, squares: int) -> _Near:
-    """What p leaves; `squares` is the degree of (pv)², `nodes` has bounds of |v − u*| far from Γ_S (collective)."""
+def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, squares: int, of_load: int) -> _Near:
+    """What p leaves, projected to polynomials of a degree (collective).
+
+    `squares` is the degree of (pv)², `nodes` has bounds of |v − u*| far from Γ_S.
+    """
     mesh, number = trace.v.function_space.mesh, len(level)
-    cell, dim = mesh.basix_cell(), mesh.topology.dim
+    cell = mesh.basix_cell()
     delta, mean, missed = np.zeros(number), np.zeros(number), np.zeros(number)
-    load, apart = Projection(np.zeros((number, dim)), np.zeros(number)), np.zeros(number, dtype=bool)
+    size = orthonormal(cell, of_load).dim - 1
+    load, apart = Projection(np.zeros((number, size)), np.zeros(number)), np.zeros(number, dtype=bool)
     far = np.setdiff1d(owned_cells(mesh), trace.cells)
     for near, cells, degree in ((False, far, squares), (True, trace.cells, max(trace.degree, squares))):
         points, weights = positive_quadrature(cell, degree)
@@ -194,7 +199,7 @@ def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, s
                 delta[own]
             )
             missed[own] += coefficient.deviation[own] * farthest
-            part = projected(values - some.means(values)[:, None], cell, OF_LOAD, points, weights)
+            part = projected(values - some.means(values)[:, None], cell, of_load, points, weights)
             load.coefficients[own], load.rest[own] = part.coefficients, part.rest
             if near:
                 between = np.abs(v - some.bernstein(trace.v)[:, :, 0]).max(axis=1, initial=0.0)

@@ -2,16 +2,17 @@
 
 A step solves an elliptic problem with the load f + C Σ_k w_k u_(n−k). The bound is that of the distance to the exact
 solution of this problem, with continuous functions for the computed u_(n−k): v of their own certificate, plus on each
-cell a bubble that gives it the mean u_(n−k) there. What the errors of earlier steps do to a step is not in its bound.
-With u_(n−k) itself, which jumps from cell to cell, the problem would be another one, and its bound about four times
-larger. With a law of storage the content of the steps before is C times that plus a θ with the right means, which is
-linear on each cell, like the η of their certificates. For k = n it is the content of u_0 as it is given, in each point:
-Cu_0 and the least θ that u_0 allows. In the place of a C that varies are quadratics, and a bound of what they leave.
+cell a bubble that gives it the mean u_(n−k) there, with RT1 a bubble times a linear function that gives it the moments
+of u_(n−k) against linear functions, so that both have one Π₁. What the errors of earlier steps do to a step is not in
+its bound. With u_(n−k) itself, which jumps from cell to cell, the problem would be another one, and its bound about
+four times larger. With a law of storage the content of the steps before is C times that plus a θ with the right means,
+which is linear on each cell, like the η of their certificates. For k = n it is the content of u_0 as it is given, in
+each point: Cu_0 and the least θ that u_0 allows. In the place of a C that varies are quadratics, and a bound of what
+they leave.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -20,7 +21,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
+from signorini_fenicsx.base.owned import cell_dofs, owned_cells
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import CellPoints, Points, cell_quadrature
@@ -42,11 +43,11 @@ type InPoints = Callable[[CellPoints], Array]
 
 @dataclass(frozen=True)
 class Continuous:
-    """A continuous function near u_h with its means over the cells.
+    """A continuous function near u_h with its means over the cells, of RT1 with its moments against hats.
 
     Attributes:
-        v: The quadratic of a certificate.
-        bubble: Coefficient of the bubble on each owned cell.
+        v: The v of a certificate.
+        bubble: Coefficient of the bubble on each owned cell, shape (cells, 1); of RT1 in its vertices.
     """
 
     v: fem.Function
@@ -55,24 +56,31 @@ class Continuous:
     @classmethod
     def of(cls, solution: Solution, v: fem.Function) -> Continuous:
         """The continuous function of a solution and the v of its certificate (collective)."""
-        spaces = solution.spaces
-        means = np.empty(len(spaces.cell_measures))
-        for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), 2):
-            means[points.cells] = points.means(points.bernstein(v)[:, :, 0])
-        dim = spaces.mesh.topology.dim
-        mean_of_product = math.factorial(dim) / math.factorial(2 * dim + 1)
-        return cls(v, (owned_values(solution.u) - means) / mean_of_product)
+        spaces, dim = solution.spaces, solution.spaces.mesh.topology.dim
+        bubble = np.empty((len(spaces.cell_measures), dim + 1 if spaces.degree else 1))
+        for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), dim + 1 + 2 * spaces.degree):
+            hats, weights = cls._hats(points, bubble.shape[1])[0], points.weights
+            products = np.einsum("q,qv,qw->vw", weights * points.barycentric[0].prod(axis=1), hats, hats)
+            off = solution.u_at(points) - points.bernstein(v)[:, :, 0]
+            bubble[points.cells] = np.linalg.solve(products, hats.T @ (weights * off).T).T
+        return cls(v, bubble)
+
+    @staticmethod
+    def _hats(points: Points, number: int) -> Array:
+        """The hats of the vertices in points, shape (n or 1, points, vertices), or 1 instead of them."""
+        return points.barycentric if number > 1 else np.ones((1, points.shape[1], 1))
 
     def largest(self) -> Array:
         """Bounds of its size on the owned cells."""
         nodes = self.v.x.array[cell_dofs(self.v.function_space)]
         corners = self.v.function_space.mesh.topology.dim + 1
-        return np.asarray(np.abs(nodes).max(axis=1) + np.abs(self.bubble) / corners**corners)
+        return np.asarray(np.abs(nodes).max(axis=1) + np.abs(self.bubble).max(axis=1) / corners**corners)
 
     def __call__(self, points: Points) -> Array:
         """Values of the datum in points."""
-        product = points.barycentric.prod(axis=2)
-        return points.bernstein(self.v)[:, :, 0] + self.bubble[points.cells, None] * product
+        hats, product = self._hats(points, self.bubble.shape[1]), points.barycentric.prod(axis=2)
+        linear = np.einsum("nqv,nv->nq", hats, self.bubble[points.cells])
+        return points.bernstein(self.v)[:, :, 0] + linear * product
 
 
 @dataclass(frozen=True)

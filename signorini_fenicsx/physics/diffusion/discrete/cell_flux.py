@@ -227,3 +227,14 @@ def cell_values(function: fem.Function) -> Array:
     """The values of a function of P0 in the owned cells, or of DG1 in their vertices, shape (cells,) or (cells, …)."""
     values = function.x.array[cell_dofs(function.function_space)]
     return values if values.shape[1] > 1 else values[:, 0]
+
+
+def means_in_cells(function: fem.Function) -> Array:
+    """The means of such a function over the owned cells."""
+    return np.asarray(cell_values(function).reshape(len(cell_dofs(function.function_space)), -1).mean(axis=1))
+
+
+def in_points(function: fem.Function, points: Points) -> Array:
+    """Such a function in points, shape (n, points), of P0 (n, 1)."""
+    values = cell_values(function)[points.rows]
+    return values[:, None] if values.ndim == 1 else np.einsum("nqv,nv->nq", points.barycentric, values)

@@ -33,6 +33,7 @@ from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.given import Given, Rows
 from signorini_fenicsx.physics.diffusion.discrete.boundary_laws import BoundaryLaws, boundary_laws
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws, cell_laws, with_reactions
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -72,7 +73,8 @@ class Data:
         total_load: ∫f + ∫g_N plus the smallest flux that the laws allow on Γ_S, ∫q_S for the Signorini law; and the
             same with the largest flux, often ∞; less the s that laws in Ω allow. Exactly 0 if it is only rounding.
         exact: The exact u, where it is known.
-        memory: What the step of a problem in time takes from those before, in P0; a part of f_h, but not of f.
+        memory: What the step of a problem in time takes from those before, in the space of u; its means are a part of
+            f_h, but not of f.
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
             of regions has names such as "kappa.core".
         given: The constants and functions in the data, with the values that they had.
@@ -128,14 +130,18 @@ class Data:
         """The data of a step of a problem in time, with what it takes from those before; None for nothing."""
         if memory is None:
             return self
-        f_h = self.f_h.copy()
-        f_h.x.array[:] += memory.x.array
+        f_h = function_of(self.f_h.function_space, owned_values(self.f_h) + means_in_cells(memory), "f_h")
         return replace(self, f_h=f_h, memory=memory)
 
     @property
     def means_of_f(self) -> Array:
         """The mean of f on each owned cell: f_h without `memory`."""
-        return owned_values(self.f_h) - (0.0 if self.memory is None else owned_values(self.memory))
+        return owned_values(self.f_h) - self.means_of_memory
+
+    @property
+    def means_of_memory(self) -> Array:
+        """The mean of `memory` on each owned cell, 0 without it."""
+        return np.zeros_like(owned_values(self.f_h)) if self.memory is None else means_in_cells(self.memory)
 
     def source(self, u: fem.Function) -> fem.Function:
         """f_h − c_h u for u in P0, which is −∇·σ_h; f_h itself where c = 0."""

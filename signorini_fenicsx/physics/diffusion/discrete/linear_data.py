@@ -65,20 +65,13 @@ class LinearData(Data):
 
     def reactions(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
         """(cφ_v, φ_w) for the hats of the vertices of cells; None if c = 0 (collective)."""
-        if self.c_h is None:
-            return None
-        if self.c.polynomial == 0:
-            return cells.hat_masses(self.c.values(data_points(spaces, numbers, 0).first)[:, 0])
-        points = data_points(spaces, numbers, quadrature_degree(self.c))
-        hats = hats_in(spaces, numbers, points)
-        scale = cells.determinant[:, None] * points.weights * self.c.values(points)
-        return np.einsum("nq,qnv,qnw->nvw", scale, hats, hats, optimize=True)
+        return None if self.c_h is None else _products(spaces, self.c, numbers, cells)
 
     def moments_of_f(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
         """(f, φ_v) for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
-        points = data_points(spaces, numbers, quadrature_degree(self.f) - 2)  # the rule of the means
-        values = cells.determinant[:, None] * points.weights * self.f.values(points)
-        moments: Array = np.einsum("nq,qnv->nv", values, hats_in(spaces, numbers, points))
+        moments = _moments(spaces, self.f, numbers, cells)
+        if self.memory is not None:
+            moments += _times(cells.hat_masses(), spaces.scalar_values(self.memory)[numbers])
         if self.constant == 0 or (reactions := self.reactions(spaces, numbers, cells)) is None:
             return moments
         return moments - self.constant * reactions.sum(axis=2)
@@ -145,6 +138,48 @@ def hats_in(spaces: LinearSpaces, numbers: npt.NDArray[np.int32], points: CellPo
     """The hats of the vertices of cells, in their order, in points, shape (points, cells, d + 1)."""
     hats: Array = points.barycentric[0][:, spaces.order[numbers]]
     return hats
+
+
+def _moments(spaces: LinearSpaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+    """(f, φ_v) of a datum for the hats of the vertices of cells, shape (cells, d + 1) (collective)."""
+    points = data_points(spaces, numbers, quadrature_degree(datum) - 2)  # the rule of the means
+    values = cells.determinant[:, None] * points.weights * datum.values(points)
+    return np.asarray(np.einsum("nq,qnv->nv", values, hats_in(spaces, numbers, points)))
+
+
+def _products(spaces: LinearSpaces, datum: Datum, numbers: npt.NDArray[np.int32], cells: Cells) -> Array:
+    """(cφ_v, φ_w) of a datum for the hats of the vertices of cells (collective)."""
+    if datum.polynomial == 0:
+        return cells.hat_masses(datum.values(data_points(spaces, numbers, 0).first)[:, 0])
+    points = data_points(spaces, numbers, quadrature_degree(datum))
+    hats = hats_in(spaces, numbers, points)
+    scale = cells.determinant[:, None] * points.weights * datum.values(points)
+    return np.asarray(np.einsum("nq,qnv,qnw->nvw", scale, hats, hats, optimize=True))
+
+
+def _times(matrices: Array, values: Array) -> Array:
+    """The product with a matrix for each cell."""
+    return np.asarray((matrices @ values[:, :, None])[:, :, 0])
+
+
+def projected(spaces: LinearSpaces, datum: Datum, u: Array | None = None) -> Array:
+    """Π₁ of a datum, or of its product with u, at the vertices of the owned cells, shape (cells, d + 1) (collective).
+
+    Args:
+        spaces: The spaces.
+        datum: The datum.
+        u: The values of u at the vertices, in the order of `LinearTraces.order`.
+    """
+    values = np.empty(spaces.order.shape)
+    for numbers in blocks_of_cells(spaces.mesh):
+        cells = Cells(spaces.vertices[numbers])
+        moments = (
+            _moments(spaces, datum, numbers, cells)
+            if u is None
+            else _times(_products(spaces, datum, numbers, cells), u[numbers])
+        )
+        values[numbers] = _times(np.linalg.inv(cells.hat_masses()), moments)
+    return values
 
 
 def as_matrices(kappa: Array, dim: int) -> Array:

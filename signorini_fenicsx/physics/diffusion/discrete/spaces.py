@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.discrete.cell_shapes import squared_arms
 from signorini_fenicsx.discrete.mesh_spaces import (
     NEUMANN,
@@ -48,6 +49,15 @@ class Spaces(MeshSpaces):
     neumann_basis_flux: Array
     neumann_measure: Array
     degree: int = 0
+
+    @property
+    def scalar_space(self) -> fem.FunctionSpace:
+        """The space of u."""
+        return self.Q
+
+    def scalar(self, values: Array) -> fem.Function:
+        """The u with these values on the owned cells, of RT1 at their vertices (collective)."""
+        return function_of(self.Q, values.ravel(), "u")
 
     def normal_flux(self, sigma: fem.Function) -> Array:
         """σ·n per Γ_S facet, where it is constant."""

@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import owned_cells, owned_values
+from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.reference_cells import positive_quadrature
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.certificate.laws import half_gap
@@ -36,7 +36,7 @@ from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
 from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
 from signorini_fenicsx.physics.diffusion.bound.near_polynomial import NearPolynomial
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import normal_flux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values, in_points, normal_flux
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.quantities.shifts import with_flux, with_trace
 from signorini_fenicsx.physics.diffusion.show.water import share_above_table
@@ -304,9 +304,11 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
     if data.c.number != 0:
         total += half * near.integral(data.c, cells, enough, power=2)
     if data.memory is not None:
-        load = data.memory.x.array
-        total[0] -= near.seen(lambda at, jet: load[at.cells, None] * jet[:, :, 0], cells, near.order).sum()
-        total[1] += np.abs(load[cells]) * spaces.cell_measures @ near.off
+        load = data.memory
+        product = near.seen(lambda at, jet: in_points(load, at) * jet[:, :, 0], cells, near.order + spaces.degree)
+        total[0] -= product.sum()
+        largest = np.abs(cell_values(load)).reshape(len(cells), -1).max(axis=1)
+        total[1] += largest * spaces.cell_measures @ near.off
     for part in () if data.inside is None else data.inside.of_regions:
 
         def energy_of(at: CellPoints, jet: Array, part: PartLaw = part) -> Array:
@@ -347,11 +349,10 @@ def _of_energy(solution: Solution, goal: Goal) -> float:
     rule = positive_quadrature(mesh.basix_cell(), degree)
     metric = cell_metric(spaces, data)
     total = float(metric.squares(solution.cell_flux).sum()) / 2
-    if data.memory is not None:
-        total -= float(spaces.cell_measures @ (owned_values(data.memory) * solution.u_means))
     for points in in_cells(mesh, owned_cells(mesh), *rule):
         v = solution.cell_potential.at(points)
-        total += points.integrals(data.c.values(points) * v**2 / 2 - data.f.values(points) * v).sum()
+        load = data.f.values(points) + (0.0 if data.memory is None else in_points(data.memory, points))
+        total += points.integrals(data.c.values(points) * v**2 / 2 - load * v).sum()
     for part in laws:
         for points in in_cells(mesh, part.rows.astype(np.int32), *rule):
             values = np.broadcast_to(solution.u_at(points), points.shape)

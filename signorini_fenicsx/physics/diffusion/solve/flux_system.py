@@ -49,11 +49,8 @@ class FluxSystem(HybridSystem):
 
     def renew(self, data: LinearData) -> bool:
         """Go on with other data; False if these have another matrix (collective)."""
-        if (
-            data.inside is not None
-            or not data.same_operator(self._data, self.spaces)
-            or data.kappa is not self._data.kappa
-        ):
+        same = data.kappa is self._data.kappa and data.c is self._data.c  # in the points of quadratures, too
+        if data.inside is not None or not same or not data.same_operator(self._data, self.spaces):
             return False
         self._data = data
         self.eliminate_again()
