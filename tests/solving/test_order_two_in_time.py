@@ -1,0 +1,144 @@
+"""RT1 in time: exact steps, order two in h and τ under a moving contact, bounds, starts, ranks, quantities."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ufl
+from in_time import run
+from mpi4py import MPI
+from test_time import MOVING, START
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import evolve_case
+from signorini_fenicsx.certificate.step_bounds import StepBounds
+from signorini_fenicsx.contact.laws import Neumann, Signorini, Storage, Wall
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.output.checkpoint import load_solution
+from signorini_fenicsx.physics.diffusion.problem import Diffusion
+from signorini_fenicsx.quantities import Mean
+from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolving import Instant, evolve
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+RT1 = Options(element="RT1")
+SMALL = {"solve.element": "RT1", "solve.h": 0.36, "time.steps": 4, "time.scheme": "bdf2"}
+
+
+def grid(n: int, dim: int = 2, comm: MPI.Comm = COMM) -> Domain:
+    shape = "square" if dim == 2 else "cube"
+    return build_domain(comm, shape, 1.0001 * math.sqrt(dim) / n, mesh="structured")
+
+
+def moving(n: int, steps: int, options: Options = RT1, scheme: str = "bdf2") -> tuple[Instant, float, float]:
+    """The moving transition at t = 1 with the bounds of the last step."""
+    bounds, problem = StepBounds(), replace(MOVING, boundary=Boundary(["bottom"]))
+    for instant in evolve(grid(n), problem, Evolution(1.0, steps, START, scheme=scheme), options):
+        certificate = bounds.certify(instant)
+        assert certificate.guaranteed
+    return instant, certificate.sigma_bound, certificate.bound
+
+
+@pytest.mark.parametrize(("dim", "scheme"), [(2, "bdf2"), (3, "implicit-euler")])
+def test_exact_steps(dim: int, scheme: str):
+    """What is linear in space and time is exact to rounding, with data that vary in cells, contact and a wall."""
+    u, c = "(2*y - x)*(1 + t)", "1 + y"
+    laws = [
+        Signorini("bottom" if dim == 2 else "front", psi=u, q_S="-3*(1 + t)"),
+        Wall("left", beta=2, level=f"{u} + (1 + t)/2"),
+        Neumann("right", "-1 - t"),
+    ]
+    problem = Diffusion(f=f"(1 + x)*(2*y - x) + ({c})*{u}", c=c, u_D=u, exact=u, conditions=laws)
+    evolution = Evolution(end=0.5, steps=3, initial="2*y - x", capacity="1 + x", scheme=scheme)
+    *_, last = evolve(grid(2, dim), problem, evolution, RT1)
+    assert max(last.solution.errors().values()) < 1e-13
+
+
+def test_moving_contact():
+    """Order two in σ, u, p with τ ~ h, errors far below those of RT0, and bounds that are near them."""
+    (first, *_), (second, sigma_bound, bound) = moving(4, 8), moving(8, 16)
+    errors = [instant.solution.errors() for instant in (first, second)]
+    for key, most in (("sigma_L2", 2.6e-3), ("u_L2", 5.3e-4), ("p_L2", 3.4e-4)):
+        assert math.log2(errors[0][key] / errors[1][key]) > 1.9
+        assert errors[1][key] < most
+    lowest = moving(8, 16, Options())[0].solution.errors()
+    assert errors[1]["sigma_L2"] < lowest["sigma_L2"] / 20
+    assert errors[1]["u_L2"] < lowest["u_L2"] / 15
+    assert 1 < sigma_bound / errors[1]["sigma_L2"] < 1.03
+    assert 1 < bound / errors[1]["sigma_L2"] < 1.2
+
+
+def test_orders_in_time():
+    """Where u is linear in space: order 1 of implicit Euler and 2 of BDF2, with bounds of the errors."""
+    u = "(x + 2*y)*cos(3*t)"
+    f = f"-3*(1 + x)*(x + 2*y)*sin(3*t) + {u}"
+    problem = Diffusion(f=f, c=1, u_D=u, exact=u, conditions=[Neumann("right", "cos(3*t)")])
+    for scheme, order, most in (("implicit-euler", 0.95, 1.2e-1), ("bdf2", 1.9, 2e-2)):
+        errors = []
+        for steps in (8, 16):
+            evolution = Evolution(1.0, steps, "x + 2*y", "1 + x", scheme)
+            *_, last = evolve(grid(2), problem, evolution, RT1)
+            errors.append(last.solution.errors()["u_L2"])
+        assert errors[1] < most
+        assert math.log2(errors[0] / errors[1]) > order, (scheme, errors)
+
+
+def test_starts_from_another_element():
+    """u_0 of another solution: of RT1 on the same mesh as it is, of RT0 its potential, of RT1 for RT0 in centroids."""
+    problem = Diffusion(f="1 + x", u_D="x*y", conditions=[Signorini("bottom")])
+    steady = {element: solve(grid(4), problem, Options(element=element)) for element in ("RT0", "RT1")}
+    evolution = Evolution(end=1.0, steps=1)
+    for options in (Options(), RT1):
+        (last,) = evolve(grid(4), problem, evolution, options, start=steady[options.element])
+        np.testing.assert_allclose(last.solution.u.x.array, steady[options.element].u.x.array, atol=1e-13)
+    off = []
+    for element in ("RT0", "RT1"):
+        other = "RT1" if element == "RT0" else "RT0"
+        (last,) = evolve(grid(4), problem, replace(evolution, end=1e-6), Options(element=element), start=steady[other])
+        off.append(last.solution.norms()["u_L2"] - steady[element].norms()["u_L2"])
+    assert max(map(abs, off)) < 1e-3, off
+
+
+@pytest.mark.parallel(3)
+def test_ranks(tmp_path: Path):
+    """Numbers and bounds of the last step do not depend on the number of ranks, and it is read as it was written."""
+    case, found = load_case("moving_transition").with_values(SMALL), []
+    for comm in (COMM, MPI.COMM_SELF):
+        bounds = StepBounds()
+        for instant in evolve_case(case, comm):
+            certificate = bounds.certify(instant)
+        found.append(instant.solution.norms() | {"bound": certificate.bound})
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+    folder = COMM.bcast(tmp_path)
+    run(case.with_values({"time.steps": 2}), folder / "x", certify_steps=False)
+    written = load_solution(folder / "x", MPI.COMM_SELF)
+    *_, last = evolve_case(case.with_values({"time.steps": 2}), MPI.COMM_SELF)
+    np.testing.assert_allclose(written.data.memory.x.array, last.solution.data.memory.x.array, atol=1e-12)
+    assert vars(written.kkt) == pytest.approx(vars(last.solution.kkt), abs=1e-13)
+
+
+def test_quantities():
+    """The intervals of a step are proved, far shorter than those of RT0, and have its u in them."""
+    widths = {}
+    for element in ("RT0", "RT1"):
+        instant = moving(8, 4, Options(element=element))[0]
+        found = instant.solution.quantity(Mean())
+        assert found.proved
+        widths[element] = found.width
+        middle = found
+    assert widths["RT1"] < widths["RT0"] / 10
+    fine = moving(16, 4)[0].solution
+    assert middle.lower < fine.spaces.integrate(fine.u * ufl.dx) < middle.upper
+
+
+def test_refused():
+    """Storage has no RT1, said before anything is solved."""
+    problem = Diffusion(conditions=[Signorini("bottom"), Storage(corners=[[0, 0]], before=1, beyond=2)])
+    with pytest.raises(InputError, match="there is no RT1 for storage; take RT0"):
+        next(evolve(grid(2), problem, Evolution(1.0, 1), RT1))
