@@ -290,7 +290,7 @@ def test_command_line(tmp_path: Path):
     assert compared.returncode == 0, compared.stderr
     for given, told in (
         (["example1", "--element", "RT2"], "element"),
-        (["membrane", "--element", "RT1"], "there is no RT1 for problems in time; take RT0"),
+        (["soil", "--element", "RT1"], "there is no RT1 for storage; take RT0"),
         (["example1", "--element", "RT1", "--rigorous"], "--rigorous: the proof is for RT0 alone"),
         (["example1", "--element", "RT1", "--algorithm", "qp"], "--element: qp has no such option"),
         (["hertz", "--element", "RT1"], "elastic contact has no such key"),

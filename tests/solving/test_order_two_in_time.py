@@ -16,6 +16,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.contact.laws import Neumann, Signorini, Storage, Wall
+from signorini_fenicsx.derivatives.gradient import gradient_in_time
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.output.checkpoint import load_solution
@@ -79,7 +80,7 @@ def test_orders_in_time():
     u = "(x + 2*y)*cos(3*t)"
     f = f"-3*(1 + x)*(x + 2*y)*sin(3*t) + {u}"
     problem = Diffusion(f=f, c=1, u_D=u, exact=u, conditions=[Neumann("right", "cos(3*t)")])
-    for scheme, order, most in (("implicit-euler", 0.95, 1.2e-1), ("bdf2", 1.9, 2e-2)):
+    for scheme, order, most in (("implicit-euler", 0.9, 4e-2), ("bdf2", 1.85, 1e-2)):
         errors = []
         for steps in (8, 16):
             evolution = Evolution(1.0, steps, "x + 2*y", "1 + x", scheme)
@@ -94,15 +95,13 @@ def test_starts_from_another_element():
     problem = Diffusion(f="1 + x", u_D="x*y", conditions=[Signorini("bottom")])
     steady = {element: solve(grid(4), problem, Options(element=element)) for element in ("RT0", "RT1")}
     evolution = Evolution(end=1.0, steps=1)
-    for options in (Options(), RT1):
-        (last,) = evolve(grid(4), problem, evolution, options, start=steady[options.element])
+    for options in (Options(element="RT0"), RT1):
+        *_, last = evolve(grid(4), problem, evolution, options, start=steady[options.element])
         np.testing.assert_allclose(last.solution.u.x.array, steady[options.element].u.x.array, atol=1e-13)
-    off = []
     for element in ("RT0", "RT1"):
         other = "RT1" if element == "RT0" else "RT0"
-        (last,) = evolve(grid(4), problem, replace(evolution, end=1e-6), Options(element=element), start=steady[other])
-        off.append(last.solution.norms()["u_L2"] - steady[element].norms()["u_L2"])
-    assert max(map(abs, off)) < 1e-3, off
+        *_, last = evolve(grid(4), problem, replace(evolution, end=1e-6), Options(element=element), start=steady[other])
+        np.testing.assert_allclose(last.solution.u_means, steady[other].u_means, atol=1e-3)
 
 
 @pytest.mark.parallel(3)
@@ -138,7 +137,10 @@ def test_quantities():
 
 
 def test_refused():
-    """Storage has no RT1, said before anything is solved."""
+    """Storage has no RT1, said before anything is solved; derivatives in time have none."""
     problem = Diffusion(conditions=[Signorini("bottom"), Storage(corners=[[0, 0]], before=1, beyond=2)])
+    instants = list(evolve(grid(2), replace(MOVING, boundary=Boundary(["bottom"]), c=1), Evolution(1.0, 1), RT1))
+    with pytest.raises(InputError, match="there are no derivatives with RT1"):
+        gradient_in_time(instants, lambda instant: instant.solution.u * ufl.dx, ["problem.c"])
     with pytest.raises(InputError, match="there is no RT1 for storage; take RT0"):
         next(evolve(grid(2), problem, Evolution(1.0, 1), RT1))
