@@ -126,19 +126,21 @@ def test_quantities():
     """The intervals of a step are proved, far shorter than those of RT0, and have its u in them."""
     widths = {}
     for element in ("RT0", "RT1"):
-        instant = moving(8, 4, Options(element=element))[0]
+        instant = moving(8, 2, Options(element=element))[0]
         found = instant.solution.quantity(Mean())
         assert found.proved
         widths[element] = found.width
         middle = found
     assert widths["RT1"] < widths["RT0"] / 10
-    fine = moving(16, 4)[0].solution
+    fine = moving(16, 2)[0].solution
     assert middle.lower < fine.spaces.integrate(fine.u * ufl.dx) < middle.upper
 
 
 def test_refused():
     """Storage has no RT1, said before anything is solved; derivatives in time have none."""
-    problem = Diffusion(conditions=[Signorini("bottom"), Storage(corners=[[0, 0]], before=1, beyond=2)])
+    problem = Diffusion(
+        conditions=[Signorini("bottom"), Storage(region="everywhere", corners=[[0, 0]], before=1, beyond=2)]
+    )
     instants = list(evolve(grid(2), replace(MOVING, boundary=Boundary(["bottom"]), c=1), Evolution(1.0, 1), RT1))
     with pytest.raises(InputError, match="there are no derivatives with RT1"):
         gradient_in_time(instants, lambda instant: instant.solution.u * ufl.dx, ["problem.c"])
