@@ -15,6 +15,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.certificate.step_bounds import StepBounds
+from signorini_fenicsx.contact.law import EVERYWHERE
 from signorini_fenicsx.contact.laws import Neumann, Signorini, Storage, Wall
 from signorini_fenicsx.derivatives.gradient import gradient_in_time
 from signorini_fenicsx.meshes.domain import Boundary, Domain
@@ -138,11 +139,10 @@ def test_quantities():
 
 def test_refused():
     """Storage has no RT1, said before anything is solved; derivatives in time have none."""
-    problem = Diffusion(
-        conditions=[Signorini("bottom"), Storage(region="everywhere", corners=[[0, 0]], before=1, beyond=2)]
-    )
+    stored = Storage(region=EVERYWHERE, corners=[[0, 0]], before=1, beyond=2)
+    problem = Diffusion(f=1, conditions=[Signorini("bottom"), stored])
     instants = list(evolve(grid(2), replace(MOVING, boundary=Boundary(["bottom"]), c=1), Evolution(1.0, 1), RT1))
-    with pytest.raises(InputError, match="there are no derivatives with RT1"):
+    with pytest.raises(InputError, match="with RT1 there are no derivatives in time"):
         gradient_in_time(instants, lambda instant: instant.solution.u * ufl.dx, ["problem.c"])
     with pytest.raises(InputError, match="there is no RT1 for storage; take RT0"):
         next(evolve(grid(2), problem, Evolution(1.0, 1), RT1))

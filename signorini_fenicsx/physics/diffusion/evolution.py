@@ -211,13 +211,7 @@ class DiffusionSteps:
         return memory
 
     def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
-        """The derivatives by the contents that earlier steps have left, see `solving.evolution.Steps`.
-
-        Raises:
-            InputError: With RT1.
-        """
-        if self.spaces.degree:
-            raise InputError("derivatives in time: there are no derivatives with RT1; take RT0")
+        """The derivatives by the contents that earlier steps have left, see `solving.evolution.Steps`."""
         return [(step - back, weight * by["f"]) for back, weight in enumerate(self.weights(step), 1) if step >= back]
 
     def functional(self, solution: Solution, by: Array) -> tuple[Array, Array]:

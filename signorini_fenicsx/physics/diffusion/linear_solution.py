@@ -16,7 +16,7 @@ from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part, by_state
 from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.part_laws import PartLaw
-from signorini_fenicsx.discrete.points import FacetPoints, Points
+from signorini_fenicsx.discrete.points import FacetPoints
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
