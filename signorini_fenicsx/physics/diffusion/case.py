@@ -28,7 +28,7 @@ from signorini_fenicsx.solving.options import ELEMENTS
 
 COSTS = {
     "RT0": {2: Cost(1, BYTES_PER_FACET[2], 177e3, 5e4), 3: Cost(1, BYTES_PER_FACET[3], 196e3, 5e4)},
-    "RT1": {2: Cost(2, 4600, 35e3, 15e3), 3: Cost(3, 5800, 11e3, 6e3)},
+    "RT1": {2: Cost(2, 4600, 35e3, 15e3), 3: Cost(3, 5000, 11e3, 6e3)},
 }
 """Of diffusion by alg1 to alg4 with the hybrid backend, by element; of RT0 on at least 395 000 facets, see
 docs/measured/speed.md, of RT1 on 170 000 to 200 000 facets, where seconds are an order of magnitude."""
