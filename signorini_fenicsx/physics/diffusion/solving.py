@@ -272,7 +272,6 @@ def _lacking(options: Options, *, in_time: bool = False, inside: bool = False) -
         (in_time and inside, "laws in Ω in time"),
         (not options.method.takes_order_two, options.algorithm_name),
         (inside and options.method.rule is None, f"laws in Ω by {options.algorithm_name}"),
-        (inside and options.backend == "mixed", "laws in Ω by the mixed backend"),
         (not isinstance(options.backend, str), "a backend of one's own"),
     ):
         if lacking:
