@@ -30,6 +30,7 @@ from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.corrections import corrected, stepped
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
+from signorini_fenicsx.linear.patch import Patch
 
 MOST_ITERATIONS = 400
 """If CG needs more, it gives way to a factorisation."""
@@ -253,8 +254,23 @@ class TraceBackend(PlainBackend):
         """The iterate of the last solve, see `Inexact.reached`; no refinement, as other sets follow (collective)."""
         return self._recovered(conditions, refine=False) if self.iterates else None
 
-    def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
-        """There are no solves on patches: None."""
+    def solve_near(
+        self, sites: Mask, layers: int, share: float
+    ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
+        """Solves as `Inexact.solve_near` says; None by a factorisation, and with other sites than traces (collective)."""
+        if not (self.iterates and self.by_traces):
+            return None
+        patch = Patch(self._operator.matrix, self._unknowns[sites], layers)
+
+        def solve_on_patch(conditions: SiteConditions) -> tuple[Array, Array]:
+            posed, self._state = self.posed(conditions), State.START
+            load, _ = self._loads(posed)
+            self._x.axpy(-1.0, self._held)
+            self._factors.solve_on(patch, load, self._x, posed.imposed)
+            self._x.axpy(1.0, self._held)
+            return self._pairs(self._x, conditions)
+
+        return None if patch.size > share * self.dofs else solve_on_patch
 
     def _pairs(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """`Pairs.p` and `Pairs.flux`, the latter as what is left of the rows of the sites (collective)."""

@@ -29,6 +29,7 @@ from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import TO_THE_END, FacetSolver
 from signorini_fenicsx.linear.gmres import DIRECTIONS, gmres
+from signorini_fenicsx.linear.patch import Patch
 
 MOST = {2: 40, 3: 200}
 """For each dimension, where more sites change for the first time a factorisation costs less; in space it costs more."""
@@ -158,6 +159,18 @@ class KeptFactors:
             self.keep(imposed.symmetric)
         return ended
 
+    def solve_on(self, patch: Patch, load: Array, x: PETSc.Vec, imposed: Imposed) -> None:
+        """Change x on a patch so that the equations hold there, without shares (collective).
+
+        Raises:
+            LinearSolveFailure: If the factorisation fails.
+        """
+        self._present, self._kept = None, None  # multigrid does not see these conditions
+        essential = self._to_matrix(imposed)
+        self._b.array_w[:] = load
+        self._b.array_w[essential] = 0.0
+        patch.solve(self._operator.matrix, self._b, x)
+
     def _is_near(self, imposed: Imposed) -> bool:
         """Whether GMRES may come to the end sooner by factors that are kept than by new ones (collective)."""
         if self._kept is None:
@@ -171,12 +184,17 @@ class KeptFactors:
         same = self._present is not None and not imposed.differ(self._present).any()
         if not self._comm.allreduce(same, MPI.LAND):
             self._present = imposed
-            rows, column = np.nonzero(imposed.springs)
-            others = self._unknowns[self._near[rows, column]]
-            self._operator.impose(essential, self._unknowns[rows], imposed.springs[rows, column], others)
+            self._to_matrix(imposed)
             if self._solver.levels is not None:
                 with self._solver.options():
                     self._solver.levels.update(self._fixed, essential)
+        return essential
+
+    def _to_matrix(self, imposed: Imposed) -> npt.NDArray[np.int32]:
+        """Give the matrix what is imposed, but for the shares; return the unknowns that are fixed (collective)."""
+        essential, (rows, column) = self.essential(imposed.held), np.nonzero(imposed.springs)
+        others = self._unknowns[self._near[rows, column]]
+        self._operator.impose(essential, self._unknowns[rows], imposed.springs[rows, column], others)
         return essential
 
     def coupled(

@@ -16,11 +16,11 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.linear.patch import Patch
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem
-from signorini_fenicsx.physics.diffusion.solve.patch import Patch
 
 COMM = MPI.COMM_WORLD
 ALWAYS = Tuning(direct_up_to=0, predict_from=0, coarsen_from=1000)

@@ -16,13 +16,13 @@ from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
+from signorini_fenicsx.linear.patch import Patch
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solve.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM, FacetSystem, Loads
 from signorini_fenicsx.physics.diffusion.solve.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
-from signorini_fenicsx.physics.diffusion.solve.patch import Patch
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_cells
 
 FACTORISATION = 10

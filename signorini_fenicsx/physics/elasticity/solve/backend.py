@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
@@ -138,6 +138,9 @@ class ElasticBackend(TraceBackend):
             self.leave(0.0)
             return self._pairs(self._x, conditions)
         return super().solve_until(conditions, enough)
+
+    def solve_near(self, _sites: Mask, _layers: int, _share: float) -> None:
+        """There are no solves on patches of bodies: None."""
 
     def openings(self, x: PETSc.Vec) -> Array:
         """The means of −(û_n − r_n) and û_t − r_t at the sites, r the motions of tools."""
