@@ -257,7 +257,7 @@ class TraceBackend(PlainBackend):
     def solve_near(
         self, sites: Mask, layers: int, share: float
     ) -> Callable[[SiteConditions], tuple[Array, Array]] | None:
-        """Solves as `Inexact.solve_near` says; None by a factorisation, and with other sites than traces (collective)."""
+        """Solves as `Inexact.solve_near` says; None by a factorisation, or with laws in cells (collective)."""
         if not (self.iterates and self.by_traces):
             return None
         patch = Patch(self._operator.matrix, self._unknowns[sites], layers)
