@@ -84,7 +84,7 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
         NumericalFailure: If a linear solver fails; it holds the solution.
     """
     bounds, watch = PHYSICS[solution.physics].bound, Stopwatch()
-    if bounds is None or solution.without_bound:
+    if bounds is None:
         return no_bound(solution)
     with watch.phase("certificate"), holding(solution):
         certificate = certify(bounds)
@@ -111,5 +111,5 @@ def no_bound(solution: Solved) -> Certificate:
         coarse=np.zeros(len(spaces.cell_measures), dtype=bool),
         indicator=fem.Function(spaces.Q, name="indicator"),
         v=solution.u,
-        if_none=f"none is known for {solution.without_bound or solution.physics}",
+        if_none=f"none is known for {solution.physics}",
     )

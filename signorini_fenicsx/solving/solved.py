@@ -106,11 +106,6 @@ class Solved(ABC):
     """Order in h of ‖σ − σ_h‖ for a smooth u."""
 
     @property
-    def without_bound(self) -> str:
-        """For what of it no error bound is known; empty if one is."""
-        return ""
-
-    @property
     def best_rate(self) -> float:
         """The best possible slope of the error against the number of unknowns."""
         return -self.order / self.u.function_space.mesh.topology.dim

@@ -1,4 +1,4 @@
-"""Laws in Ω with RT1: orders, signs at the vertices of cells, a quadratic programme of the UFL forms, ranks, files."""
+"""Laws in Ω with RT1: orders, bounds, signs at the vertices of cells, a quadratic programme of the UFL forms, ranks, files."""
 
 import math
 from pathlib import Path
@@ -13,7 +13,7 @@ from mpi4py import MPI
 from signorini_fenicsx import Corners, Diffusion, Obstacle, Options, Signorini, load_solution, solve
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
@@ -49,6 +49,39 @@ def test_exact_solutions(name: str, order: float, better: float):
     assert math.log2(errors[0] / errors[1]) > order
     assert better * errors[1] < of_case(name, h, element="RT0").errors()["sigma_L2"]
     assert max(len(solution.outcome.history) for solution in found) <= 5
+
+
+@pytest.mark.parametrize(
+    ("name", "h", "most"),
+    [
+        ("sphere", 1 / 4, 2.4),
+        ("sphere", 1 / 8, 2.1),
+        ("two_obstacles", 1 / 8, 1.05),
+        ("two_obstacles", 1 / 16, 2.3),
+        ("saturation", 1 / 8, 2.9),
+        ("dead_core", 1 / 8, 2.2),
+        ("phases", 1 / 8, 2.8),
+    ],
+)
+def test_bound(name: str, h: float, most: float):
+    """It is above the error; on uniform meshes by what s is wrong in the cells that the free boundary crosses."""
+    case = load_case(name).with_values({"geometry.mesh": "structured", "solve.h": h, "solve.element": "RT1"})
+    solution = solve_case(case)
+    certificate, error = solution.certify(), solution.errors()["energy"]
+    assert error < certificate.sigma_bound < most * error
+    assert certificate.guaranteed == (name != "phases" and (name, h) != ("sphere", 1 / 4))  # their data are coarse
+
+
+def test_adaptive_bound():
+    """On adapted meshes the bound is near the error, and ten times below that of RT0."""
+    case = load_case("two_obstacles").with_values({"solve.h": 1 / 8})
+    solution, certificate = adapt_case(case, max_cells=2000)
+    error = solution.errors()["energy"]
+    assert solution.options.element == "RT1"
+    assert error < certificate.sigma_bound < 1.4 * error
+    lowest, of_lowest = adapt_case(case.with_values({"solve.element": "RT0"}), max_cells=2000)
+    assert lowest.options.element == "RT0"
+    assert 10 * certificate.bound < of_lowest.bound
 
 
 def test_signs_at_vertices():

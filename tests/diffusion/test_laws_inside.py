@@ -172,8 +172,14 @@ LAWS: list[list[Law]] = [
 ]
 
 
-@pytest.mark.parametrize("number", range(len(LAWS)))
-def test_bounds_against_finer_meshes(number: int):
+@pytest.mark.parametrize(
+    ("number", "element", "most"),
+    [
+        *((number, "RT0", 1.5) for number in range(len(LAWS))),
+        *(pytest.param(number, "RT1", 4.0, marks=pytest.mark.slow if number > 0 else ()) for number in (0, 1, 2, 3)),
+    ],
+)
+def test_bounds_against_finer_meshes(number: int, element: str, most: float):
     """Data that vary, in parts of Ω, and laws on Γ_S beside: the bound is above the distance to a finer solution."""
     coarse = halved(square(0.12))
     fine = coarse
@@ -181,9 +187,9 @@ def test_bounds_against_finer_meshes(number: int):
         fine = refine(fine, np.arange(fine.mesh.topology.index_map(2).size_local, dtype=np.int32))
     u_D = 0 if number == 3 else "0.1*sin(8*x*y)*x*y"
     problem = Diffusion(f="30*sin(3*x + 4*y)", kappa="2 + sin(3*x)*cos(2*y)", u_D=u_D, conditions=LAWS[number])
-    one, other = (solve(domain, problem) for domain in (coarse, fine))
+    one, other = (solve(domain, problem, Options(element=element)) for domain in (coarse, fine))
     certificate, distance = certify(one), difference(one, other)
-    assert distance < certificate.sigma_bound < 1.5 * distance
+    assert distance < certificate.sigma_bound < most * distance
 
 
 def test_in_space():
@@ -197,6 +203,8 @@ def test_in_space():
     np.testing.assert_allclose(programme.sigma.x.array, one.sigma.x.array, atol=1e-7)
     distance = difference(one, other)
     assert distance < certify(one).sigma_bound < 2 * distance
+    linear = solve(domain, problem, Options(element="RT1"))
+    assert difference(linear, other) - certify(other).sigma_bound < certify(linear).sigma_bound < distance
 
 
 @pytest.mark.parametrize("backend", ["hybrid", "mixed"])

@@ -12,7 +12,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSet, by_part, by_state
 from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.part_laws import PartLaw
@@ -60,11 +60,6 @@ class LinearSolution(Solution):
         if self.step is not None or self.data.inside is not None:
             raise InputError("element: with RT1 there are no derivatives in time, nor with laws in Ω; take RT0")
         return linearised(self, tolerance)
-
-    @property
-    def without_bound(self) -> str:
-        """See `Solved.without_bound`."""
-        return "" if self.data.cells_at is None else "RT1 with laws in Ω, where RT0 has one"
 
     @property
     def p_at(self) -> Array:
@@ -147,6 +142,18 @@ class LinearSolution(Solution):
             return np.empty(0, dtype=np.int64)
         rows = self.spaces.site_kinds["cell"].rows_of(self.segments().segment)
         return np.asarray(np.sort(rows, axis=1)[:, rows.shape[1] // 2])
+
+    @property
+    def cell_conditions(self) -> SiteConditions:
+        """The conditions of the owned cells, by their segments."""
+        assert self.data.inside is not None
+        return self.data.inside.chains.conditions(self.cell_segments)
+
+    @property
+    def blurred_cells(self) -> Mask:
+        """See `Solution.blurred_cells`."""
+        rows = self.spaces.site_kinds["cell"].rows_of(self.segments().segment)
+        return np.asarray((rows != rows[:, :1]).any(axis=1) | (self.cell_conditions.kind == Condition.ROBIN))
 
     @property
     def held_cells(self) -> Mask:

@@ -269,6 +269,11 @@ class Solution(AnySolution):
         return self.cell_conditions.kind == Condition.ZERO_TRACE
 
     @property
+    def blurred_cells(self) -> Mask:
+        """Mask of the owned cells with RT1 that are on a slope, or in vertices on several segments; none with RT0."""
+        return np.zeros(len(self.held_cells), dtype=bool)
+
+    @property
     def cell_segments(self) -> Indices:
         """The segment of each owned cell; empty without laws in Ω."""
         return self.segments().of("cell")

@@ -262,7 +262,7 @@ class LinearRun(DiffusionRun):
 
 def refining(problem: Problem, options: Options) -> tuple[Options, str]:
     """The options with RT1 where it is there, else with RT0 and why."""
-    lacking = _lacking(options) or ("there is no bound with RT1 for laws in Ω" if problem.has_laws_inside else "")
+    lacking = _lacking(options, inside=problem.has_laws_inside)
     return replace(options, element="RT0" if lacking else "RT1"), lacking
 
 

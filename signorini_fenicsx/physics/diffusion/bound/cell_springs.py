@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import basix
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
@@ -20,10 +19,10 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, function_of, sums_at
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.discrete.bernstein import basis
+from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, degree_of, nodes_of
 from signorini_fenicsx.discrete.datum import quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
-from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells, quadratic_nodes
+from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
@@ -66,7 +65,7 @@ class Pieces:
 
     def rest(self, at: CellPoints, slope: Array, value: Array) -> Array:
         """The t of segments in points of cells; value itself of vertical ones."""
-        force = value + self.inside.s[at.cells, None]
+        force = value + self.inside.s_at(at)
         sloped = (slope > 0) & np.isfinite(slope)
         return np.where(np.isinf(slope), value, np.divide(force, slope, out=np.zeros_like(force), where=sloped))
 
@@ -94,9 +93,10 @@ class Pieces:
                 line = np.where(finite, slope, 0.0)
                 stiffness[own] = at.means(line)
                 turned = (line - stiffness[own, None]) * np.clip(self.rest(at, line, value), begin, end)
-                density = np.where(finite, value + inside.s[own, None] - turned, 0.0)
+                density = np.where(finite, value + inside.s_at(at) - turned, 0.0)
                 t = self.rest(at, *inside.on_segment(law, at, inside.segment)[:2])
-                loads[own] = at.scale[:, None] * ((density * at.weights) @ basis(space.mesh.basix_cell(), 2, at.points))
+                hats = basis(space.mesh.basix_cell(), degree_of(space), at.points)
+                loads[own] = at.scale[:, None] * ((density * at.weights) @ hats)
                 constant += float(at.integrals(density * t - stiffness[own, None] * t**2 / 2).sum())
         if not comm.allreduce(bool(loads.any() or stiffness.any()), MPI.LOR):
             return None
@@ -107,7 +107,6 @@ class Pieces:
         """Between which coefficients v should be for the sake of its pieces, infinite where it is free (collective)."""
         nodes, rows, segment = cell_dofs(space), np.arange(len(self.piece)), self.inside.segment
         low, high = np.full(nodes.shape, -np.inf), np.full(nodes.shape, np.inf)
-        ends = np.array(basix.topology(space.mesh.basix_cell())[1])
         only = self.held & self.rigid[rows, self.piece]
         last, (before, beyond) = self.rigid.shape[1] - 1, held_beyond(self.piece, self.rigid)
         sides = (
@@ -119,8 +118,7 @@ class Pieces:
             for limit, near, past, nearest, end in sides:
                 some, corner = (near | only)[own], self.inside.on_segment(law, at, nearest)[end]
                 values = np.where((self.held & (past | only))[own, None], t, corner)[some]
-                values[:, -len(ends) :] = 2 * values[:, -len(ends) :] - values[:, ends].mean(axis=2)
-                limit[own[some]] = values
+                limit[own[some]] = coefficients_of(values, space.mesh.basix_cell())
         floor, ceiling = (
             extreme_around(space, nodes, limit, largest=largest) for limit, largest in ((low, True), (high, False))
         )
@@ -128,7 +126,7 @@ class Pieces:
         return floor, ceiling
 
     def _nodes(self, space: fem.FunctionSpace) -> Iterator[tuple[CellPoints, Chains]]:
-        """The nodes of quadratics in all cells with laws that may pull, and the law in each (collective)."""
+        """The nodes of a space in all cells with laws that may pull, and the law in each (collective)."""
         for parts, cells in self.inside.groups():
-            for at in in_cells(space.mesh, cells.astype(np.int32), quadratic_nodes(space.mesh.basix_cell())):
+            for at in in_cells(space.mesh, cells.astype(np.int32), nodes_of(space)):
                 yield at, self.inside.law_at(parts, at)

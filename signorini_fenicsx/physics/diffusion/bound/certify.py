@@ -42,7 +42,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.laws import Area, gap
 from signorini_fenicsx.discrete.points import facet_type, in_facets
@@ -147,8 +146,6 @@ class Admissible:
     @classmethod
     def of(cls, solution: Solution, goal: Goal, field: fem.Function | None = None) -> Admissible:
         """The admissible fields of a solution; v is near a field if there is one, see `conforming` (collective)."""
-        if solution.without_bound:
-            raise InputError(f"element: there is no error bound for {solution.without_bound}")
         spaces, data = solution.spaces, solution.data
         comm = spaces.mesh.comm
         metric = cell_metric(spaces, data)

@@ -47,7 +47,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import facet_lattice, facet_type, in_cells
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import BEYOND, ROOM, SAMPLES, Indices, Trace, averaged
 from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
-from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray, add_load
+from signorini_fenicsx.physics.diffusion.bound.inside import Inside, add_load
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     ROUNDING,
     Bound,
@@ -61,6 +61,7 @@ from signorini_fenicsx.physics.diffusion.bound.levels import levels
 from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
+from signorini_fenicsx.physics.diffusion.bound.rays import Ray
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, Weight, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data

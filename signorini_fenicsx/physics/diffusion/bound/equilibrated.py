@@ -70,7 +70,7 @@ def admissible_flux(
     if not isinstance(flux, LinearFlux):
         y, flux, u, rounding, why = _balanced(solution, metric, goal, sigma, flux, u)
     else:
-        y, lowest, level = sigma, flux.function(), function_of(spaces.Q, _level(solution.data, flux, u))
+        y, lowest, level = sigma, flux.function(), function_of(spaces.Q, _level(solution, flux, u))
         near, _, u, rounding, why = _balanced(solution, metric, goal, lowest, CellFlux.of(spaces, lowest), level)
         if near is not lowest:
             change, added = near.copy(), fem.Function(sigma.function_space)
@@ -82,13 +82,15 @@ def admissible_flux(
     return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), why
 
 
-def _level(data: Data, flux: LinearFlux, u: fem.Function) -> Array:
+def _level(solution: Solution, flux: LinearFlux, u: fem.Function) -> Array:
     """u* per owned cell: where c_h > 0 it makes up for cu_h having another mean than c_h times that of u_h."""
-    means = cell_values(u).mean(axis=1)
+    means, data = cell_values(u).mean(axis=1), solution.data
     if data.c_h is None:
         return means
     c_h, most = owned_values(data.c_h), np.abs(cell_values(u)).max(axis=1)
     off = flux.divergence.mean(axis=1) + owned_values(data.f_h) - c_h * means
+    if data.inside is not None:
+        off += cell_values(solution.force()).mean(axis=1)
     near = np.abs(off) <= c_h * most
     return means + np.divide(off, c_h, out=np.zeros_like(off), where=near & (c_h > 0))
 
@@ -112,9 +114,8 @@ def _balanced(
         s, may = flux.divergence + owned_values(data.source(u)), None
         off = s
         if data.inside is not None:
-            cells = solution.cell_conditions
-            off = s - selected(data.inside, cells, s, owned_values(u), metric)
-            may = room(data.inside, cells, s, owned_values(u))
+            off = s - selected(solution, data.inside, s, owned_values(u), metric)
+            may = room(data.inside, solution.cell_conditions, s, owned_values(u))
         left = constant * np.sqrt(comm.allreduce(volume @ off**2))
         if left <= rounding:
             return y, flux, u, rounding, ""

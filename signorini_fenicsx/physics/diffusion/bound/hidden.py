@@ -39,9 +39,10 @@ from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_grad
 from signorini_fenicsx.expressions.series import DEGREE
 from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.inside import Inside, Ray
+from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.limits import jumps_in_nodes
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.rays import Ray
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
@@ -110,7 +111,7 @@ def hidden_parts(
             slope[cells] += steep
             value[cells] += size
             gap[cells] += 2 * inside.largest[cells] * metric.volume[cells] * size
-            pressed = np.setdiff1d(np.flatnonzero(ray.touched & (inside.largest > 0)), cells)
+            pressed = np.setdiff1d(np.flatnonzero(ray.pressed & (inside.largest > 0)), cells)
             gap[pressed] += _missed_of_means(resolution, trace, tree, ray, inside, pressed)
     return Hidden(slope, gap, value)
 

@@ -21,9 +21,7 @@ the force λ.
 gap and osc² is small. t is s_T plus the quadratic part of f − f_h, which a steep segment so takes as it is. With r =
 t + (v + m)/ω and w = (I + ω∂Φ)⁻¹(ωr) it is η = r − w/ω; the number m gives the mean.
 
-v is between the bounds. There it is a function that is quadratic on each cell, by Bernstein coefficients between those
-of I_hψ, and then cut off by ψ itself. In vertices off Γ_D all of whose cells touch it is moved beyond ψ by as much as
-I_hψ may be on the other side, so that v is ψ itself there.
+v is between the bounds, see `rays`.
 
 With a term cu, s_T = f_h + ∇·y − c_h u*, and both sides have the terms of `reaction`.
 """
@@ -37,56 +35,56 @@ from functools import reduce
 
 import numpy as np
 from dolfinx import fem
-from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.owned import cell_dofs, owned_values, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.certificate.laws import Area, gap, with_mean
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Corners, Obstacle
-from signorini_fenicsx.discrete.bernstein import make_linear, nodes_of, to_bernstein
-from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.bernstein import degree_of, exponents
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.part_laws import PartLaw
-from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
-from signorini_fenicsx.expressions.cutting import Frame
+from signorini_fenicsx.discrete.points import CellPoints, in_cells
+from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.law_bounds import Bound
-from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LAW, Projection, at_points, projected
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.rays import Ray, rays_of
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
-ROOM = 2.0
-"""Factor of the largest I_hψ − ψ in the points of a quadrature."""
+MOVED = 2.0
+"""Share of the largest force in cells of RT1 that only touch a bound, which η may have in a point."""
 SQUARE = 8
 """Degree of the square of a quadratic, and of its square."""
 HALVINGS = 40
 """So often the interval of m is halved before it is taken to be linear there."""
 
 
-def selected(laws: CellLaws, cells: SiteConditions, s: Array, u: Array, metric: CellMetric) -> Array:
+def selected(solution: Solution, laws: CellLaws, s: Array, u: Array, metric: CellMetric) -> Array:
     """The s per owned cell that the law under a condition allows: of flat and sloped segments, with u, what they say.
 
     Elsewhere it would be the error of the linear solver, and its product with v − ψ would add up with one sign. On
-    steep segments it is s itself, as on vertical ones: there the error of u counts, and that of s costs little.
+    steep segments it is s itself, as on vertical ones: there the error of u counts, and that of s costs little. With
+    RT1 it is s itself wherever a mean cannot tell what the vertices are on, see `Solution.blurred_cells`.
     """
-    chains, rows = laws.chains, np.arange(len(s))
+    chains, rows, cells = laws.chains, np.arange(len(s)), solution.cell_conditions
     segment = chains.segments(cells, (u - laws.means, -s))
     beta, load = laws.as_linear(cells)
     first, last = segment == 0, segment == chains.count
     least = np.where(first, -np.inf, -chains.flux[rows, np.maximum(segment - 1, 0)])
     most = np.where(last, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)])
-    held = beta * metric.diameter**2 > 1
-    return np.where(held, np.clip(s, least, most), np.where(held, 0.0, beta) * u - load)
+    held, blurred = beta * metric.diameter**2 > 1, solution.blurred_cells
+    least, most = (
+        np.where(blurred, -end, each) for end, each in zip(chains.extent()[:1:-1], (least, most), strict=True)
+    )
+    return np.where(held | blurred, np.clip(s, least, most), np.where(held, 0.0, beta) * u - load)
 
 
 def room(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array:
@@ -96,95 +94,6 @@ def room(laws: CellLaws, cells: SiteConditions, s: Array, u: Array) -> Array:
     above = np.where(segment == chains.count, np.inf, -chains.flux[rows, np.minimum(segment, chains.corners - 1)] - s)
     below = np.where(segment == 0, np.inf, s + chains.flux[rows, np.maximum(segment - 1, 0)])
     return np.where(cells.kind == Condition.ZERO_TRACE, np.minimum(above, below), 0.0)
-
-
-@dataclass(frozen=True)
-class Ray:
-    """A bound of u in some cells.
-
-    Attributes:
-        name: Its name in messages and results.
-        datum: The bound.
-        sign: 1 for a lower bound, −1 for an upper one.
-        cells: The owned cells where it holds.
-        touched: Mask of the owned cells on it.
-        everywhere: Whether it holds in all cells of all ranks.
-    """
-
-    name: str
-    datum: Datum
-    sign: float
-    cells: Indices
-    touched: Mask
-    everywhere: bool
-
-    @property
-    def is_quadratic(self) -> bool:
-        """Whether the bound is its own quadratic interpolant."""
-        return self.datum.polynomial is not None and self.datum.polynomial <= 2
-
-    def limits(self, v: fem.Function, frame: Frame) -> tuple[Array, Mask]:
-        """What it asks of the coefficients of v, infinite in nodes off its cells, and the rough cells (collective)."""
-        space, rough = v.function_space, np.zeros(len(self.touched), dtype=bool)
-        if self.datum.number is None and self.datum.pieces is not None:
-            nodes = cell_dofs(space)[self.cells]
-            simplices = Simplices(
-                corners(space.mesh)[self.cells], self.cells, nodes, v.x.array[nodes], self.touched[self.cells]
-            )
-            asked, rough[self.cells], _ = simplices.asked(self.datum, self.sign, space, frame)
-            return extreme_around(space, nodes, asked, largest=self.sign > 0), rough
-        bound = coefficients(self.datum, space)
-        return bound if self.everywhere else np.where(_around(space, self.cells), bound, -self.sign * np.inf), rough
-
-    def bound(self, linear: fem.FunctionSpace) -> Bound:
-        """The bound, as it is known to `conforming`, with the depth 0 (collective)."""
-        near = fem.Function(linear)
-        near.x.array[:] = 1.0 if self.everywhere else _around(linear, self.cells)
-        return Bound(self.datum, self.sign, near, 0.0)
-
-    def touch(self, v: fem.Function, limit: Array, on_dirichlet: Indices) -> None:
-        """Let v be I_hψ in the nodes of all cells on the bound, but not on Γ_D (collective)."""
-        touched = _around(v.function_space, np.flatnonzero(self.touched))
-        touched[on_dirichlet] = False
-        v.x.array[:] = np.where(touched, limit, v.x.array)
-
-    def move_inside(self, v: fem.Function, limits: tuple[Array, Mask], given: Indices) -> None:
-        """Move v in the vertices all of whose cells touch, so that v cut off by ψ is ψ there (collective).
-
-        In nodes where v is given, as on Γ_D, and in those of rough cells, it stays.
-        """
-        if self.is_quadratic:
-            return
-        space, mesh, (limit, rough) = v.function_space, v.function_space.mesh, limits
-        above, interpolant = np.zeros(len(self.touched)), fem.Function(space)
-        interpolant.x.array[:] = np.where(np.isfinite(limit), limit, 0.0)
-        for points in cell_quadrature(mesh, self.cells.astype(np.int32), quadrature_degree(self.datum)):
-            missed = self.sign * (points.bernstein(interpolant)[:, :, 0] - self.datum.values(points))
-            above[points.cells] = missed.max(axis=1, initial=0.0)
-        cells = cell_dofs(space)
-        vertices = cells[:, : mesh.topology.dim + 1]
-        apart = rough | (self.sign * v.x.array[cells] > self.sign * limit[cells]).any(axis=1)
-        depth, free = fem.Function(space), fem.Function(space)
-        for function, values in ((depth, ROOM * above), (free, 1.0 * apart)):
-            np.maximum.at(function.x.array, vertices.ravel(), np.repeat(values, vertices.shape[1]))
-            function.x.petsc_vec.ghostUpdate(addv=PETSc.InsertMode.MAX_VALUES, mode=PETSc.ScatterMode.REVERSE)
-            function.x.scatter_forward()
-        depth.x.array[free.x.array > 0] = 0.0
-        depth.x.array[given] = 0.0
-        make_linear(depth)
-        v.x.array[:] -= self.sign * depth.x.array
-
-
-def coefficients(datum: Datum, space: fem.FunctionSpace) -> Array:
-    """Bernstein coefficients of the interpolant of a datum (collective)."""
-    interpolant = datum.at_nodes(space, nodes_of(space))
-    to_bernstein(interpolant)
-    return np.asarray(interpolant.x.array, dtype=np.float64)
-
-
-def _around(space: fem.FunctionSpace, cells: Indices) -> Mask:
-    """Mask of the nodes of this rank that some owned cells of any rank have (collective)."""
-    return sums_at(space.dofmap.index_map, space.dofmap.list[cells]) > 0
 
 
 @dataclass(frozen=True)
@@ -201,6 +110,9 @@ class Inside:
         largest: Upper bound of |s| in cells on a bound of u, 0 in others.
         takes_f: Mask of the cells where f̃ = f.
         f: The load, None without laws.
+        blurred: Mask of the cells whose segment is not that of all of the cell, see `Solution.blurred_cells`.
+        tilt: With RT1 what ∇·y is in the vertices of the cells beyond its mean; None with RT0.
+        s_tilt: What s is there beyond s_T; None with RT0.
     """
 
     spaces: Spaces
@@ -212,6 +124,9 @@ class Inside:
     largest: Array
     takes_f: Mask
     f: Datum | None = None
+    blurred: Mask | None = None
+    tilt: Array | None = None
+    s_tilt: Array | None = None
 
     @classmethod
     def of(
@@ -222,11 +137,14 @@ class Inside:
         if laws is None:
             none = np.zeros((2, len(spaces.cell_measures)))
             return cls(spaces, (), none[0], Chains.at_corner(0), none[0].astype(np.int64), (), none[1], none[1] > 0)
-        u, cells = owned_values(level), solution.cell_conditions
-        s = CellFlux.of(spaces, y).divergence + owned_values(data.source(level))
-        s = selected(laws, cells, s, u, metric)
-        segment = laws.chains.segments(cells, (u - laws.means, -s))
-        rays = tuple(_rays(spaces, laws, segment))
+        u, divergence, tilt, s_tilt = owned_values(level), CellFlux.of(spaces, y).divergence, None, None
+        if spaces.degree:
+            s_tilt, tilt = (each - each.mean(axis=1)[:, None] for each in (-cell_values(solution.force()), divergence))
+            divergence = divergence.mean(axis=1)
+        s = selected(solution, laws, divergence + owned_values(data.source(level)), u, metric)
+        segment = laws.chains.segments(solution.cell_conditions, (u - laws.means, -s))
+        blurred = solution.blurred_cells
+        rays = tuple(rays_of(spaces, laws, segment, s, blurred))
         for part in laws.of_regions:
             resolution.by_quadrature |= {
                 part.key(name)
@@ -234,17 +152,30 @@ class Inside:
                 if not any(datum is bound for bound in part.bounds)
                 and (datum.polynomial is None or 2 * datum.polynomial > DEGREES[1])
             }
-        largest, takes_f = np.zeros(len(s)), np.zeros(len(s), dtype=bool)
+        takes_f = np.zeros(len(s), dtype=bool)
+        of_cells = s, laws.chains, segment, rays, np.zeros(len(s)), takes_f, data.f, blurred, tilt, s_tilt
+        inside = cls(spaces, laws.of_regions, *of_cells)
         for ray in rays:
-            largest[ray.touched] = np.maximum(-ray.sign * s[ray.touched], 0.0)
-        inside = cls(spaces, laws.of_regions, s, laws.chains, segment, rays, largest, takes_f, data.f)
-        if data.f.number is None:
+            room = np.where(ray.touched, 1.0, MOVED)
+            inside.largest[ray.pressed] = (room * inside.pressure(ray.sign).max(axis=1))[ray.pressed]
+        if data.f.number is None or tilt is not None:
             inside._take_f(data, resolution)
         return inside
 
+    def s_at(self, at: CellPoints) -> Array:
+        """The values of s in points of cells, shape (cells, points)."""
+        s = np.repeat(self.s[at.cells, None], at.shape[1], axis=1)
+        return s if self.s_tilt is None else s + np.einsum("nqv,nv->nq", at.barycentric, self.s_tilt[at.cells])
+
+    def pressure(self, sign: float) -> Array:
+        """−s, of an upper bound s, in the vertices of the cells, at least 0; of RT0 in one column."""
+        s = self.s[:, None] if self.s_tilt is None else self.s[:, None] + self.s_tilt
+        return np.maximum(-sign * s, 0.0)
+
     def _take_f(self, data: Data, resolution: Resolution) -> None:
         """Let η take f where it can, in place (collective)."""
-        f_h, rows = data.means_of_f, np.arange(len(self.s))
+        f_h, rows, tilt = data.means_of_f, np.arange(len(self.s)), np.zeros((len(self.s), 1))
+        tilt = tilt if self.tilt is None else self.tilt
         number, others = np.zeros(len(self.s), dtype=np.int64), np.zeros(len(self.s), dtype=bool)
         for part in self.parts:
             number[part.rows] += 1
@@ -256,19 +187,34 @@ class Inside:
         for ray in self.rays:
             cells = np.flatnonzero(ray.touched & (self.largest > 0) & ~others)
             s_end = -self.chains.flux[rows, np.where(ray.sign > 0, 0, self.chains.count - 1)]
-            end = f_h + ray.sign * (self.largest - np.maximum(-ray.sign * s_end, 0.0))
-            limit = end[cells] if ray.sign > 0 else np.full(len(cells), np.inf)
-            f = resolution.range_of("f", data.f, cells, limit)
+            pressure = np.maximum(-ray.sign * self.s, 0.0)
+            end = f_h + ray.sign * (pressure - np.maximum(-ray.sign * s_end, 0.0))
+            lo, hi = tilt.min(axis=1)[cells], tilt.max(axis=1)[cells]
+            limit = end[cells] - hi if ray.sign > 0 else np.full(len(cells), np.inf)
+            f = Interval(f_h[cells], f_h[cells])
+            if data.f.number is None:
+                f = resolution.range_of("f", data.f, cells, limit)
+            f = Interval(f.lo + lo, f.hi + hi)
             far, near = (f.hi, f.lo) if ray.sign > 0 else (-f.lo, -f.hi)
             taken = far <= ray.sign * end[cells]
             self.takes_f[cells] = taken
-            grown = self.largest[cells] + ray.sign * f_h[cells] - near
+            grown = pressure[cells] + ray.sign * f_h[cells] - near
             self.largest[cells] = np.where(taken, grown, self.largest[cells])
 
     @property
+    def sides(self) -> Array:
+        """Per owned cell 1 where u is pressed by a lower bound, −1 where by an upper one, 0 elsewhere."""
+        sides = np.zeros(len(self.s))
+        for ray in self.rays:
+            sides[ray.pressed & (self.largest > 0)] = ray.sign
+        return sides
+
+    @property
     def forces(self) -> Array:
-        """The slope of the gap where u is on a bound: λ below, −λ above, 0 elsewhere."""
-        return sum((ray.sign * np.where(ray.touched, self.largest, 0.0) for ray in self.rays), np.zeros(len(self.s)))
+        """The slope of the gap where u is on a bound: λ below, −λ above, 0 elsewhere; in vertices as `pressure`."""
+        sides = self.sides[:, None]
+        forces = np.where(sides > 0, self.pressure(1.0), np.where(sides < 0, -self.pressure(-1.0), 0.0))
+        return np.where(self.takes_f[:, None], sides * self.largest[:, None], forces)
 
     def gap(
         self, trace: Trace, metric: CellMetric, resolution: Resolution, area: Area = gap
@@ -293,9 +239,8 @@ class Inside:
                     missed[own] = self.s[own] - at.means(eta)
                     part = projected(self.s[own, None] - missed[own, None] - eta, cell, HIGH[dim], points, weights)
                     load.coefficients[own], load.rest[own] = part.coefficients, part.rest
-                    pressed = self.largest[own] > 0
-                    sides = np.sign(self.forces[own])
-                    eta[pressed] = -(sides * self.largest[own])[pressed, None]
+                    taken = self.takes_f[own]
+                    eta[taken] = -(self.sides[own] * self.largest[own])[taken, None]
                     density = area(law, v.ravel(), -eta.ravel()).reshape(at.shape)
                     squares[own] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
@@ -303,7 +248,8 @@ class Inside:
 
     def rule(self, trace: Trace, *, near: bool) -> tuple[Array, Array]:
         """The quadrature of the gap in the cells of the trace (near) or in others."""
-        degree = max(SQUARE, quadrature_degree(*(datum for part in self.parts for datum in part.data.values())))
+        degree = quadrature_degree(*(datum for part in self.parts for datum in part.data.values()))
+        degree = max(SQUARE + 2 * self.spaces.degree, degree)
         cell = self.spaces.mesh.basix_cell()
         return positive_quadrature(cell, max(degree, trace.degree) if near else degree)
 
@@ -334,20 +280,28 @@ class Inside:
         return [values.reshape(at.shape) for values in of_sites]
 
     def _varying(self, at: CellPoints) -> Array:
-        """The quadratic part of f − f_h in points of some cells, 0 where f̃ = f."""
-        if self.f is None or self.f.number is not None:
-            return np.zeros(at.shape)
-        f, cell = self.f.values(at), at.mesh.basix_cell()
-        part = projected(f - at.means(f)[:, None], cell, OF_LAW, at.points, at.weights)
-        return np.where(self.takes_f[at.cells, None], 0.0, at_points(part, cell, OF_LAW, at.points))
+        """The quadratic part of f − f_h in points of some cells, f_h with the slope of −∇·y; 0 where f̃ = f."""
+        values = np.zeros(at.shape)
+        if self.f is not None and self.f.number is None:
+            f, cell = self.f.values(at), at.mesh.basix_cell()
+            part = projected(f - at.means(f)[:, None], cell, OF_LAW, at.points, at.weights)
+            values += at_points(part, cell, OF_LAW, at.points)
+        if self.tilt is not None:
+            values += np.einsum("nqv,nv->nq", at.barycentric, self.tilt[at.cells])
+        return np.where(self.takes_f[at.cells, None], 0.0, values)
 
     def _eta(self, law: Chains, v: Array, target: Array, metric: CellMetric, at: CellPoints) -> Array:
         """The η of the module in points of some cells, shape (cells, points), for values of t there."""
         s, omega = self.s[at.cells], (metric.diameter[at.cells] / math.pi) ** 2
         low, high = (-end.reshape(v.shape) for end in law.extent()[:1:-1])
-        pressed = self.largest[at.cells] > 0
+        touched = sum((ray.touched for ray in self.rays), np.zeros(len(self.s), dtype=bool))[at.cells]
+        pressed = touched & (self.largest[at.cells] > 0)
         eta, follows = _on_segment(self.on_segment(law, at, self.segment), v, s, target, omega, at.weights)
-        eta[pressed] = s[pressed, None]
+        eta[pressed] = np.where(self.takes_f[at.cells, None], s[:, None], self.s_at(at))[pressed]
+        most = np.where(self.largest > 0, self.largest, np.inf)[at.cells, None]
+        low, high = np.maximum(low, -most), np.minimum(high, most)
+        if self.blurred is not None:
+            follows &= ~self.blurred[at.cells]
         free = ~pressed & ~follows
         if free.any():
             points = np.repeat(free, v.shape[1])
@@ -424,23 +378,15 @@ def _resolvent(law: Chains, z: Array, omega: Array) -> Array:
     return np.where(vertical, value, (z + omega * value) / (1 + omega * slope))
 
 
-def _rays(spaces: Spaces, laws: CellLaws, segment: Indices) -> Iterator[Ray]:
-    """All bounds of u (collective)."""
-    number = len(segment)
-    for part in laws.of_regions:
-        everywhere = spaces.mesh.comm.allreduce(number - len(part.rows)) == 0
-        for sign, datum in zip((1.0, -1.0), part.bounds, strict=True):
-            if datum is None:
-                continue
-            key = next((name for name, each in part.data.items() if each is datum), "bound")
-            touched = np.zeros(number, dtype=bool)
-            end = np.zeros(number, dtype=np.int64) if sign > 0 else laws.chains.count
-            touched[part.rows] = (segment == end)[part.rows]
-            touched &= np.isinf(laws.chains.slope[np.arange(number), end])
-            yield Ray(part.key(key), datum, sign, part.rows, touched, everywhere)
-
-
 def add_load(load: fem.Function, spaces: Spaces, forces: Array) -> None:
-    """Add ∫λφ for each node φ, on this rank: all Bernstein polynomials of a cell have the same integral."""
-    nodes = cell_dofs(load.function_space)
-    np.add.at(load.x.array, nodes.ravel(), np.repeat(forces * spaces.cell_measures / nodes.shape[1], nodes.shape[1]))
+    """Add ∫λφ for each node φ, on this rank, for λ on cells by one value, or linear by those in the vertices.
+
+    All Bernstein polynomials of a cell have the same integral, and λ_v B_α is (α_v + 1)/(n + 1) times one of degree
+    n + 1.
+    """
+    space, nodes = load.function_space, cell_dofs(load.function_space)
+    shares = np.full((1, nodes.shape[1]), 1 / nodes.shape[1])
+    if forces.shape[1] > 1:
+        of_node = exponents(space.mesh.basix_cell(), degree_of(space)).T + 1
+        shares = of_node / of_node.sum()  # each vertex has the same share of the cell
+    np.add.at(load.x.array, nodes.ravel(), ((forces * spaces.cell_measures[:, None]) @ shares).ravel())

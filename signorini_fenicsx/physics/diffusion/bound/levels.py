@@ -14,9 +14,9 @@ from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.physics.diffusion.bound.cell_springs import Pieces
-from signorini_fenicsx.physics.diffusion.bound.inside import coefficients
 from signorini_fenicsx.physics.diffusion.bound.law_bounds import ROUNDING, level_of
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
+from signorini_fenicsx.physics.diffusion.bound.rays import coefficients
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_around
 
 
