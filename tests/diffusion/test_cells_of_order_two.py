@@ -1,4 +1,4 @@
-"""Laws in Ω with RT1: orders, bounds, signs at vertices of cells, a quadratic programme of the UFL forms, ranks, files."""
+"""Laws in Ω with RT1: orders, bounds, signs at vertices of cells, a programme of the UFL forms, ranks, files."""
 
 import math
 from pathlib import Path
