@@ -123,9 +123,10 @@ def test_a_killed_run_goes_on(tmp_path: Path):
     check_files(tmp_path / "whole")
 
 
-def test_a_run_with_linear_u_goes_on(tmp_path: Path):
+@pytest.mark.parametrize("laws", [[], [{"region": "all", "kind": "graph", "corners": [[-0.1, -1], [0.1, 1]]}]])
+def test_a_run_with_linear_u_goes_on(tmp_path: Path, laws: list):
     """A run that was ended goes on with its u at vertices, RT1, and all its files are as those of a whole run."""
-    about = case(**{"solve.element": "RT1"})
+    about = case(**{"solve.element": "RT1", "law": laws})
     run_in_two(about, tmp_path / "x", 2)
     run(about, tmp_path / "whole", certify_steps=False, plot=True)
     assert_same_results(tmp_path / "x", tmp_path / "whole")

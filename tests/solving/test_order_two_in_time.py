@@ -9,6 +9,7 @@ import pytest
 import ufl
 from in_time import run
 from mpi4py import MPI
+from random_bounds import difference
 from test_time import MOVING, START
 
 from signorini_fenicsx.base.errors import InputError
@@ -16,7 +17,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.contact.law import EVERYWHERE
-from signorini_fenicsx.contact.laws import Neumann, Signorini, Storage, Wall
+from signorini_fenicsx.contact.laws import Neumann, Obstacle, Signorini, Storage, Wall
 from signorini_fenicsx.derivatives.gradient import gradient_in_time
 from signorini_fenicsx.meshes.domain import Boundary, Domain
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -89,6 +90,22 @@ def test_orders_in_time():
             errors.append(last.solution.errors()["u_L2"])
         assert errors[1] < most
         assert math.log2(errors[0] / errors[1]) > order, (scheme, errors)
+
+
+@pytest.mark.parametrize("scheme", ["implicit-euler", "bdf2"])
+def test_an_obstacle_that_sinks(scheme: str):
+    """Far nearer to steps on a fine mesh than RT0, with a bound above the error of the step."""
+    conditions = [Obstacle(region="all", psi="-0.1 - 0.05*t"), Signorini("bottom", psi="-0.05")]
+    problem = Diffusion(f="-20*t + 10*x", conditions=conditions)
+    evolution, found = Evolution(1.0, 4, capacity="1 + x", scheme=scheme), {}
+    for element, n in (("RT0", 8), ("RT1", 8), ("RT1", 32)):
+        *_, last = evolve(grid(n), problem, evolution, Options(element=element))
+        found[element, n] = last.solution
+    fine = found.pop(("RT1", 32))
+    rough, sharp = (difference(each, fine) for each in found.values())
+    assert 4 * sharp < rough
+    assert sharp < found["RT1", 8].certify().sigma_bound < 3 * sharp
+    assert fine.on_obstacle()["contact_measure"] > 0.4
 
 
 def test_starts_from_another_element():

@@ -185,12 +185,15 @@ class DiffusionSteps:
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, the segments on which the step has ended, and θ if there is storage."""
-        on, facet = solution.segments(), self.spaces.site_kinds["facet"]
-        cells = {} if solution.data.inside is None else {"own": on.of("cell")}
+        on, names = (
+            solution.segments(),
+            {"facet_own": "facet"} | ({} if solution.data.inside is None else {"own": "cell"}),
+        )
+        kinds = {key: self.spaces.site_kinds[name] for key, name in names.items()}
+        own = {key: on.of(names[key]).reshape(kind.count, *kind.shape) for key, kind in kinds.items()}
         linear = {"u_at": solution.u_values} if self.spaces.degree else {}
         theta = {"theta": self.theta(solution)} if self.storage else {}
-        facets = on.of("facet").reshape(facet.count, *facet.shape)
-        return {"u": solution.u_means, **linear, **cells, **theta, "facet_own": facets}
+        return {"u": solution.u_means, **linear, **own, **theta}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""

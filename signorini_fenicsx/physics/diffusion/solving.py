@@ -93,7 +93,7 @@ class System:
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
         _check(options, spaces, data, wish.start)
         if linear:
-            lacking = _lacking(options, in_time=data.memory is not None, inside=data.inside is not None)
+            lacking = _lacking(options, inside=data.inside is not None)
             if lacking:
                 raise InputError(f"element: {lacking}; take RT0")
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
@@ -266,10 +266,9 @@ def refining(problem: Problem, options: Options) -> tuple[Options, str]:
     return replace(options, element="RT0" if lacking else "RT1"), lacking
 
 
-def _lacking(options: Options, *, in_time: bool = False, inside: bool = False) -> str:
+def _lacking(options: Options, *, inside: bool) -> str:
     """What of a problem or its method RT1 is not there for; empty if it is."""
     for lacking, what in (
-        (in_time and inside, "laws in Ω in time"),
         (not options.method.takes_order_two, options.algorithm_name),
         (inside and options.method.rule is None, f"laws in Ω by {options.algorithm_name}"),
         (not isinstance(options.backend, str), "a backend of one's own"),
