@@ -21,6 +21,10 @@ the force λ.
 gap and osc² is small. t is s_T plus the quadratic part of f − f_h, which a steep segment so takes as it is. With r =
 t + (v + m)/ω and w = (I + ω∂Φ)⁻¹(ωr) it is η = r − w/ω; the number m gives the mean.
 
+*With RT1* s is linear on each cell, and f_h has the slope of −∇·y besides the mean of f. In cells all of whose vertices
+are on a bound η is s, or f̃ = f where f + ∇·y has the right sign in all points. Cells whose vertices are on several
+segments are those that a free boundary crosses; there η is found as elsewhere, near what f + ∇·y is in each point.
+
 v is between the bounds, see `rays`.
 
 With a term cu, s_T = f_h + ∇·y − c_h u*, and both sides have the terms of `reaction`.
