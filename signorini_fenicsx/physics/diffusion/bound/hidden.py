@@ -106,7 +106,8 @@ def hidden_parts(
         gap += pressure.missed(resolution, tree, len(gap))
     for ray in inside.rays:
         if (tree := resolution.tree(ray.name, ray.datum)) is not None:
-            cells = _cells_of_ray(resolution, trace, tree, ray)
+            beside = np.flatnonzero(ray.pressed & ~ray.touched)  # of RT1, where λ varies, so that means are not enough
+            cells = np.union1d(_cells_of_ray(resolution, trace, tree, ray), beside)
             steep, size = missed.of(ray.name, tree, cells)
             slope[cells] += steep
             value[cells] += size

@@ -206,6 +206,12 @@ class Inside:
             self.largest[cells] = np.where(taken, grown, self.largest[cells])
 
     @property
+    def held(self) -> Mask:
+        """Mask of the owned cells all of which a bound of u presses."""
+        touched = sum((ray.touched for ray in self.rays), np.zeros(len(self.s), dtype=bool))
+        return np.asarray(touched & (self.largest > 0))
+
+    @property
     def sides(self) -> Array:
         """Per owned cell 1 where u is pressed by a lower bound, −1 where by an upper one, 0 elsewhere."""
         sides = np.zeros(len(self.s))
@@ -243,8 +249,8 @@ class Inside:
                     missed[own] = self.s[own] - at.means(eta)
                     part = projected(self.s[own, None] - missed[own, None] - eta, cell, HIGH[dim], points, weights)
                     load.coefficients[own], load.rest[own] = part.coefficients, part.rest
-                    taken = self.takes_f[own]
-                    eta[taken] = -(self.sides[own] * self.largest[own])[taken, None]
+                    held = self.held[own]
+                    eta[held] = -(self.sides[own] * self.largest[own])[held, None]
                     density = area(law, v.ravel(), -eta.ravel()).reshape(at.shape)
                     squares[own] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
@@ -298,8 +304,7 @@ class Inside:
         """The η of the module in points of some cells, shape (cells, points), for values of t there."""
         s, omega = self.s[at.cells], (metric.diameter[at.cells] / math.pi) ** 2
         low, high = (-end.reshape(v.shape) for end in law.extent()[:1:-1])
-        touched = sum((ray.touched for ray in self.rays), np.zeros(len(self.s), dtype=bool))[at.cells]
-        pressed = touched & (self.largest[at.cells] > 0)
+        pressed = self.held[at.cells]
         eta, follows = _on_segment(self.on_segment(law, at, self.segment), v, s, target, omega, at.weights)
         eta[pressed] = np.where(self.takes_f[at.cells, None], s[:, None], self.s_at(at))[pressed]
         most = np.where(self.largest > 0, self.largest, np.inf)[at.cells, None]
