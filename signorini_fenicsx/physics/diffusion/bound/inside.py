@@ -189,7 +189,7 @@ class Inside:
                     type(part.law) is not Corners or not part.law.has_numbers
                 )
         for ray in self.rays:
-            cells = np.flatnonzero(ray.touched & (self.largest > 0) & ~others)
+            cells = np.flatnonzero(ray.pressed & (self.largest > 0) & ~others)
             s_end = -self.chains.flux[rows, np.where(ray.sign > 0, 0, self.chains.count - 1)]
             pressure = np.maximum(-ray.sign * self.s, 0.0)
             end = f_h + ray.sign * (pressure - np.maximum(-ray.sign * s_end, 0.0))
@@ -198,10 +198,12 @@ class Inside:
             f = Interval(f_h[cells], f_h[cells])
             if data.f.number is None:
                 f = resolution.range_of("f", data.f, cells, limit)
+            jumps = f.hi - f.lo > pressure[cells]  # so the linear s overshoots, and some vertices are free
             f = Interval(f.lo + lo, f.hi + hi)
             far, near = (f.hi, f.lo) if ray.sign > 0 else (-f.lo, -f.hi)
             taken = far <= ray.sign * end[cells]
-            self.takes_f[cells] = taken
+            taken &= ray.touched[cells] | jumps
+            self.takes_f[cells], ray.touched[cells[taken]] = taken, True
             grown = pressure[cells] + ray.sign * f_h[cells] - near
             self.largest[cells] = np.where(taken, grown, self.largest[cells])
 
