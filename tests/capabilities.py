@@ -262,15 +262,15 @@ def capabilities() -> list[Capability]:
 
 ON_RANKS = (
     *("example2", "example6", "crack", "transition3d", "electropainting", "sphere", "dam_baiocchi", "two_obstacles"),
-    *("phases", "hertz", "seepage_falling", "two_parts.toml", "crossed.toml", "reaction.toml"),
-    *("block.toml", "coulomb", "pushed.toml", "springs.toml", "blocks.toml", "many.toml", "space.toml"),
+    *("phases", "hertz", "seepage_falling", "block.toml", "coulomb", "pushed.toml", "space.toml"),
 )
 """Cases that are also run on several ranks, each by its first capability."""
 PATHS_ON_RANKS = (
     *("transition3d --h 1/3 --element", "regulator --h 1/8 --element", "fault --element"),
     *("alg3", "snes1", "snes2", "--algorithm vi", "qp", "psor", "mixed-uzawa-h12", "--backend mixed", "--rigorous"),
     *("--for-signorini", "solve.max_iterations=1", "--start-from", "export out", "restart", "restart of a storage"),
-    *("adapt", "problem.f=", "problem.obstacle="),
+    *("adapt", "problem.f=", "problem.obstacle=", "solve two_parts.toml", "solve crossed.toml", "solve reaction.toml"),
+    *("solve springs.toml", "solve blocks.toml", "solve many.toml"),
 )
 """Words in the names of other capabilities that are also run on several ranks, each the first with it."""
 

@@ -152,7 +152,7 @@ def test_laws_are_alike():
     np.testing.assert_allclose(line.sigma.x.array, term.sigma.x.array, atol=1e-12)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_ranks(dim: int):
     """Two laws at a time and one on Γ_S give the same numbers on any ranks, by a factorisation or by CG."""

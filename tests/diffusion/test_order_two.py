@@ -128,7 +128,7 @@ def same_by_both(solved: Callable[[str], LinearSolution]) -> None:
         np.testing.assert_allclose(*pair, atol=1e-10 * max(1.0, np.abs(pair[1]).max(initial=0.0)))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize("algorithm", ["alg1", "alg2", "alg3", "alg4"])
 def test_mixed_backend(algorithm: str):
     """The forms in UFL, assembled as a saddle point, have the iterates of what is eliminated in NumPy."""
@@ -146,7 +146,7 @@ def test_mixed_backend_of_cases(name: str, values: dict[str, float]):
     same_by_both(lambda backend: solve_case(case.with_values({"solve.backend": backend})))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_bounds_by_snesvi():
     """Without set rules SNESVI finds the same solution of both laws that it takes."""
     domain = build_domain(COMM, "square", 1 / 6, mesh="unstructured")

@@ -122,7 +122,7 @@ def test_starts_from_another_element():
         np.testing.assert_allclose(last.solution.u_means, steady[other].u_means, atol=1e-3)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_ranks(tmp_path: Path):
     """Numbers and bounds of the last step do not depend on the number of ranks, and it is read as it was written."""
     case, found = load_case("moving_transition").with_values(SMALL), []
