@@ -181,7 +181,9 @@ def test_slope_in_eps():
         assert list(slopes.values()) == pytest.approx([1.0] * 4, abs=0.05)
 
 
-@pytest.mark.parametrize("vary", [*(pytest.param(each, marks=pytest.mark.slow) for each in (Vary.H, Vary.EPS_H)), Vary.EPS_H2])
+@pytest.mark.parametrize(
+    "vary", [*(pytest.param(each, marks=pytest.mark.slow) for each in (Vary.H, Vary.EPS_H)), Vary.EPS_H2]
+)
 def test_order_in_h(vary: Vary):
     """Order 1 at fixed ε = 1e-8 and for ε = h²; for ε = h the error tends to zero too."""
     rows = convergence_study(penalised("example4", "alg4", 1e-8), vary, range(2, 5), 6)
