@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -185,6 +186,37 @@ class Linearised(ABC):
             if effect.kind == "line":
                 effect.add(values, changes[name])
         return np.take_along_axis(self._law.slope, segment[:, None], axis=1)[:, 0], values
+
+
+class HybridLinearised(Linearised):
+    """A problem linearised at its solution by a hybrid system."""
+
+    @abstractmethod
+    def _by_changes(self, changes: Mapping[str, Array]) -> tuple[Any, ...]:
+        """The right sides that `HybridSystem.respond` takes, for changes of what is seen (collective)."""
+
+    @abstractmethod
+    def _solved(self, numbers: Mapping[str, Array], conditions: SiteConditions, segment: Indices) -> Solved:
+        """The traces of the change on these segments, for these numbers (collective)."""
+
+    def _responded(self, numbers: Mapping[str, Array], changes: Mapping[str, Array]) -> tuple[Array, Array, Array]:
+        """What a hybrid system gives for changes: σ and u as it recovers them, and its unknowns (collective).
+
+        Args:
+            numbers: Of each kind of effect, "load" among them; changed in place.
+            changes: Of what is seen.
+        """
+        system = self._backend.system
+        for name, effect in self._effects.items():
+            if effect.kind in numbers:
+                effect.add(numbers[effect.kind], changes[name])
+
+        def solve(load: Array) -> Array:
+            numbers["load"] += load
+            return np.asarray(system.everywhere(self.settled(changes, partial(self._solved, numbers))))
+
+        sigma, u, x = system.respond(*self._by_changes(changes), solve=solve)
+        return sigma, u, x
 
 
 class Tangent(PlainBackend):

@@ -185,10 +185,9 @@ class DiffusionSteps:
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, the segments on which the step has ended, and θ if there is storage."""
-        on, names = (
-            solution.segments(),
-            {"facet_own": "facet"} | ({} if solution.data.inside is None else {"own": "cell"}),
-        )
+        on, names = solution.segments(), {"facet_own": "facet"}
+        if solution.data.inside is not None:
+            names["own"] = "cell"
         kinds = {key: self.spaces.site_kinds[name] for key, name in names.items()}
         own = {key: on.of(names[key]).reshape(kind.count, *kind.shape) for key, kind in kinds.items()}
         linear = {"u_at": solution.u_values} if self.spaces.degree else {}

@@ -28,7 +28,7 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -90,7 +90,7 @@ def _level(solution: Solution, flux: LinearFlux, u: fem.Function) -> Array:
     c_h, most = owned_values(data.c_h), np.abs(cell_values(u)).max(axis=1)
     off = flux.divergence.mean(axis=1) + owned_values(data.f_h) - c_h * means
     if data.inside is not None:
-        off += cell_values(solution.force()).mean(axis=1)
+        off += means_in_cells(solution.force())
     near = np.abs(off) <= c_h * most
     return means + np.divide(off, c_h, out=np.zeros_like(off), where=near & (c_h > 0))
 

@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 from dolfinx import fem
@@ -57,7 +57,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LAW,
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.rays import Ray, rays_of
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values, linear_in
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -169,7 +169,7 @@ class Inside:
     def s_at(self, at: CellPoints) -> Array:
         """The values of s in points of cells, shape (cells, points)."""
         s = np.repeat(self.s[at.cells, None], at.shape[1], axis=1)
-        return s if self.s_tilt is None else s + np.einsum("nqv,nv->nq", at.barycentric, self.s_tilt[at.cells])
+        return s if self.s_tilt is None else s + linear_in(at, self.s_tilt)
 
     def pressure(self, sign: float) -> Array:
         """−s, of an upper bound s, in the vertices of the cells, at least 0; of RT0 in one column."""
@@ -207,13 +207,13 @@ class Inside:
             grown = pressure[cells] + ray.sign * f_h[cells] - near
             self.largest[cells] = np.where(taken, grown, self.largest[cells])
 
-    @property
+    @cached_property
     def held(self) -> Mask:
         """Mask of the owned cells all of which a bound of u presses."""
         touched = sum((ray.touched for ray in self.rays), np.zeros(len(self.s), dtype=bool))
         return np.asarray(touched & (self.largest > 0))
 
-    @property
+    @cached_property
     def sides(self) -> Array:
         """Per owned cell 1 where u is pressed by a lower bound, −1 where by an upper one, 0 elsewhere."""
         sides = np.zeros(len(self.s))
@@ -299,7 +299,7 @@ class Inside:
             part = projected(f - at.means(f)[:, None], cell, OF_LAW, at.points, at.weights)
             values += at_points(part, cell, OF_LAW, at.points)
         if self.tilt is not None:
-            values += np.einsum("nqv,nv->nq", at.barycentric, self.tilt[at.cells])
+            values += linear_in(at, self.tilt)
         return np.where(self.takes_f[at.cells, None], 0.0, values)
 
     def _eta(self, law: Chains, v: Array, target: Array, metric: CellMetric, at: CellPoints) -> Array:
@@ -309,7 +309,8 @@ class Inside:
         pressed = self.held[at.cells]
         eta, follows = _on_segment(self.on_segment(law, at, self.segment), v, s, target, omega, at.weights)
         eta[pressed] = np.where(self.takes_f[at.cells, None], s[:, None], self.s_at(at))[pressed]
-        most = np.where(self.largest > 0, self.largest, np.inf)[at.cells, None]
+        largest = self.largest[at.cells, None]
+        most = np.where(largest > 0, largest, np.inf)
         low, high = np.maximum(low, -most), np.minimum(high, most)
         if self.blurred is not None:
             follows &= ~self.blurred[at.cells]

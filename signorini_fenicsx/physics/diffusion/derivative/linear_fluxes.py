@@ -30,7 +30,7 @@ from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
+from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import facet_quadrature
@@ -44,7 +44,7 @@ from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
 
 
-class LinearisedFluxes(Linearised):
+class LinearisedFluxes(HybridLinearised):
     """A diffusion problem with RT1 linearised at its solution; biactive sites are vertices of facets of Γ_S."""
 
     refusal = "vertex", "may leave a slope that it shares with others of its facet, so there is none"
@@ -112,15 +112,7 @@ class LinearisedFluxes(Linearised):
         """
         spaces, system = self._spaces, self._backend.system
         numbers = {kind: np.zeros(len(system.load)) for kind in ("lift", "load")}
-        for name, effect in self._effects.items():
-            if effect.kind in numbers:
-                effect.add(numbers[effect.kind], changes[name])
-
-        def solve(load: Array) -> Array:
-            numbers["load"] += load
-            return system.everywhere(self.settled(changes, partial(self._solved, numbers)))
-
-        sigma, u, x = system.respond(*self._by_changes(changes), solve=solve)
+        sigma, u, x = self._responded(numbers, changes)
         p = linear_from_means(x[spaces.site_kinds.unknown].reshape(-1, spaces.dim))
         return {"sigma": spaces.flux(sigma), "u": spaces.scalar(u), "p": spaces.linear_multiplier(p)}
 

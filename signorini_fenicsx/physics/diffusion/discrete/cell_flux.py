@@ -184,7 +184,7 @@ class LinearFlux(CellFlux):
 
     def divergence_at(self, points: Points) -> Array:
         """∇·σ in points, shape (n, points)."""
-        return np.asarray(np.einsum("nqv,nv->nq", points.barycentric, self.divergence[points.rows]))
+        return linear_in(points, self.divergence)
 
     @property
     def leaving(self) -> Array:
@@ -236,5 +236,10 @@ def means_in_cells(function: fem.Function) -> Array:
 
 def in_points(function: fem.Function, points: Points) -> Array:
     """Such a function in points, shape (n, points), of P0 (n, 1)."""
-    values = cell_values(function)[points.rows]
-    return values[:, None] if values.ndim == 1 else np.einsum("nqv,nv->nq", points.barycentric, values)
+    values = cell_values(function)
+    return values[points.rows, None] if values.ndim == 1 else linear_in(points, values)
+
+
+def linear_in(points: Points, values: Array) -> Array:
+    """The functions that are linear on the owned cells in points, from their values in the vertices."""
+    return np.asarray(np.einsum("nqv,nv->nq", points.barycentric, values[points.rows]))

@@ -17,7 +17,7 @@ the reactions, so wμ/|e| with its sign is what λ_û is at the sites in contact
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cached_property, partial
+from functools import cached_property
 
 import basix
 import basix.ufl
@@ -31,7 +31,7 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
+from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.linear.gmres import gmres
@@ -43,7 +43,7 @@ from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
 from signorini_fenicsx.physics.elasticity.solve.coulomb import newton
 
 
-class LinearisedElasticity(Linearised):
+class LinearisedElasticity(HybridLinearised):
     """An elastic problem linearised at its solution; biactive sites are vertices of facets."""
 
     refusal = "site", "may begin to turn in space, or leave a spring, so there is none"
@@ -116,15 +116,7 @@ class LinearisedElasticity(Linearised):
         spaces, system = self._spaces, self._backend.system
         numbers = {kind: np.zeros(len(system.load)) for kind in ("lift", "load")}
         numbers["mu"] = np.zeros(spaces.dim * len(spaces.rough_rows))
-        for name, effect in self._effects.items():
-            if effect.kind in numbers:
-                effect.add(numbers[effect.kind], changes[name])
-
-        def solve(load: Array) -> Array:
-            numbers["load"] += load
-            return system.everywhere(self.settled(changes, partial(self._solved, numbers)))
-
-        stresses, u, _ = system.respond(*self._by_changes(changes), solve=solve)
+        stresses, u, _ = self._responded(numbers, changes)
         return {"sigma": spaces.split.stress(stresses), "u": spaces.displacement(u), "p": None}
 
     def _solved(self, numbers: Mapping[str, Array], conditions: SiteConditions, segment: Indices) -> Solved:
