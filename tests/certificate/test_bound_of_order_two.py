@@ -2,6 +2,7 @@
 
 import math
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 import ufl
@@ -13,11 +14,15 @@ from random_bounds import examine
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.of_field import bound_field
 from signorini_fenicsx.contact.laws import Neumann, Signorini
 from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet, nodes
+from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.diffusion.bound import relaxation
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.options import Options
@@ -124,6 +129,30 @@ def test_adaptive_runs():
     assert rows[-1].cells < 750
     slope = math.log(rows[-1].bound / rows[1].bound) / math.log(rows[-1].unknowns / rows[1].unknowns)
     assert -1.15 < slope < -0.95
+
+
+@pytest.mark.parallel([1, 2])
+def test_many_steps_with_jumps_of_kappa(monkeypatch):
+    """On graded meshes whose κ jumps by 1e4 across corners CG for v needs few iterations, whatever the mesh is."""
+    taken, solve_with, rows = list[int](), FacetSolver.solve, list[AdaptRow]()
+
+    def counted(solver, *vectors):
+        solve_with(solver, *vectors)
+        taken.append(solver.ksp.getIterationNumber())
+
+    monkeypatch.setattr(relaxation, "FacetSolver", type("Counted", (FacetSolver,), {"solve": counted}))
+    mesh = dolfinx.mesh.create_unit_square(COMM, 8, 8)
+    cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+    x, y, _ = dolfinx.mesh.compute_midpoints(mesh, 2, cells).T
+    upper = (x - 0.5) * (y - 0.5) > 0
+    sides = {"bottom": lambda x: np.isclose(x[1], 0), "sides": lambda x: np.isclose(x[0] * (1 - x[0]), 0)}
+    domain = domain_of(mesh, sides, {"one": cells[upper], "other": cells[~upper]})
+    conditions = [Signorini("bottom", psi=-0.05), Neumann("sides")]
+    problem = Diffusion(f="40*(x - 0.6)", kappa={"one": 1, "other": 1e4}, conditions=conditions)
+    _, certificate = adapt(domain, problem, max_cells=1500, on_row=rows.append)
+    assert len(taken) > len(rows)
+    assert max(taken) <= 8
+    assert certificate.bound == pytest.approx(0.405460, rel=1e-4)
 
 
 def test_fields():

@@ -99,7 +99,7 @@ def test_without_dirichlet_part():
 
 
 def test_jumps_on_bad_cells():
-    """κ jumps by 1e6 on sheared cells, and only contact fixes u: for a good v CG needs hundreds of steps."""
+    """κ jumps by 1e6 on sheared cells, and only contact fixes u: by the diagonal alone v takes hundreds of steps."""
     assert 1 < examine(25, "aligned", COMM).ratio < 3  # was 47
 
 

@@ -145,7 +145,7 @@ def law_trace(
     weight = _weight(solution)
     flux, by_nodes = (y, on.by_nodes) if field is None else (weight[0] * ufl.grad(near), False)
     pull = None if pieces is None else pieces.springs(space)
-    relax(v, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
+    relax(v, spaces, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
     jumps.undone(v)
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
         ray.move_inside(v, limits_of_ray, on_dirichlet)

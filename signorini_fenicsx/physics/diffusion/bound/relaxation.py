@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from dolfinx.fem.petsc import assemble_matrix
+from dolfinx.fem.petsc import assemble_matrix, interpolation_matrix
 from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.core.expr import Expr
@@ -17,8 +17,11 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, TraceCoarse
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness
 from signorini_fenicsx.forms.mixed import flux_product
+from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
+from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
@@ -27,11 +30,13 @@ type Robin = tuple[Spaces, fem.Function]
 type Weight = tuple[Expr, ufl.Measure]
 """κ_h or κ, with the measure in which it is to be integrated."""
 
-STEPS, MOST_STEPS = 5, 1280
-"""Steps of CG in the first round, and the largest number; each round has twice as many as the one before. κ that jumps
-by 1e6 on bad cells needs a thousand steps; other problems end in the first rounds."""
-MANY_STEPS = 40
-"""From so many steps in a round the matrix is assembled."""
+STEPS, MANY_STEPS = 5, 40
+"""Steps of CG in the first round; each round has twice as many as the one before. From so many on CG has two levels and
+goes on to its tolerance: with the diagonal alone κ that jumps needs a thousand steps, and more on finer meshes."""
+TOLERANCE = 0.03
+"""What it may leave of the first residual, in a norm that is nearly that of the gap."""
+MOST = 100
+"""If it needs more iterations, it gives way to a factorisation."""
 ROUNDS = 16
 WORTH = 0.05
 """There is another round if it may gain this share of the gap: by more steps like the last one, by regaining what the
@@ -106,6 +111,7 @@ class Springs:
 
 def relax(
     v: fem.Function,
+    spaces: Spaces,
     y: Expr,
     kappa: Weight,
     excess: Array,
@@ -124,6 +130,7 @@ def relax(
 
     Args:
         v: Bernstein coefficients within their bounds, with ghosts; changed in place.
+        spaces: Where the jumps of v are.
         y: Flux, in RT0 or of a function.
         kappa: κ_h, or κ.
         excess: ∫ (y·n − level) φ on Γ_S, with the forces of bounds in Ω, per node φ of this rank.
@@ -135,7 +142,7 @@ def relax(
         by_nodes: First v is on its bound in the nodes that would be beyond it after one Jacobi step of the excess
             alone: where (κ_h∇v − y, ∇φ) = 0 that is a step of the gap.
     """
-    gap = _Gap(v.function_space, y, kappa, excess, box.faced(excess), robin, springs, jumps)
+    gap = _Gap(v.function_space, spaces, y, kappa, excess, box.faced(excess), robin, springs, jumps)
     if by_nodes:
         gap.touch(v, box, fixed)
     best = v.x.array.copy()
@@ -146,7 +153,7 @@ def relax(
     loose[fixed[fixed < size]] = False
     free = loose & box.free(v.x.array, descent, v.function_space.mesh.comm)
     for _ in range(ROUNDS):
-        change, gained, last = gap.lowered(np.where(free, descent, 0.0), free, steps)
+        change, gained, left = gap.lowered(np.where(free, descent, 0.0), free, steps)
         v.x.array[:size] += change
         v.x.scatter_forward()
         box.project(v.x.array)
@@ -154,9 +161,9 @@ def relax(
         if present < lowest:
             best[:], lowest = v.x.array, present
         taken_back = present - (before - gained)
-        steps = min(2 * steps, MOST_STEPS)
+        steps *= 2
         kept, free = free, loose & box.free(v.x.array, descent, v.function_space.mesh.comm)
-        if taken_back + steps * last + gap.alone(descent, free & ~kept) < WORTH * size_of_gap:
+        if taken_back + left + gap.by_leaving(descent, free & ~kept, gained) < WORTH * size_of_gap:
             break
     v.x.array[:] = best
     gap.destroy()
@@ -212,6 +219,7 @@ class _Gap:
     def __init__(
         self,
         space: fem.FunctionSpace,
+        spaces: Spaces,
         y: Expr,
         kappa: Weight,
         excess: Array,
@@ -233,6 +241,8 @@ class _Gap:
         self._given = fem.Function(space)
         self._image = _form(self._given, test, kappa, robin, springs)
         self._rubbing = None if robin is None else robin[0].form(_rubbing(self._given, test, robin))
+        self._space, self._spaces, self._jumps = space, spaces, jumps
+        self._solver: FacetSolver[TraceCoarse] | None = None
         self._make = partial(_matrix, space, kappa, robin, springs, jumps)
         self._matrix: PETSc.Mat | None = None
         self._flux = jumps.transposed(self._flux)
@@ -272,13 +282,17 @@ class _Gap:
         values[:] = np.where(step < 0, np.where(values - step > box.high[:size], box.high[:size], values), values)
         v.x.scatter_forward()
 
-    def alone(self, descent: Array, nodes: npt.NDArray[np.bool_]) -> float:
-        """The sum of the gains if each of these nodes alone is moved as far as is best (collective)."""
+    def by_leaving(self, descent: Array, nodes: npt.NDArray[np.bool_], gained: float) -> float:
+        """About what is gained by nodes that leave their bounds: that of each alone (collective).
+
+        Where CG needs two levels a node may take others far along, so it may be what the last round has gained.
+        """
         chosen = np.where(nodes, descent, 0.0)
-        return float(self._comm.allreduce(chosen @ (chosen / self._diagonal)) / 2)
+        alone = float(self._comm.allreduce(chosen @ (chosen / self._diagonal)) / 2)
+        return gained if self._solver is not None and alone > 0 else alone
 
     def lowered(self, residual: Array, free: npt.NDArray[np.bool_], steps: int) -> tuple[Array, float, float]:
-        """Some steps of CG on the free nodes, preconditioned by the diagonal (collective).
+        """Some steps of CG on the free nodes with the diagonal, or more with two levels (collective).
 
         Args:
             residual: 0 in the other nodes; changed in place.
@@ -286,10 +300,10 @@ class _Gap:
             steps: Their number.
 
         Returns:
-            The change of v, by how much it reduces the gap, and by how much its last step does.
+            The change of v, by how much it reduces the gap, and about how much the next round may gain by more steps.
         """
         if steps >= MANY_STEPS:
-            self.assemble()
+            return self._nearly_solved(residual, free)
         change, direction = np.zeros_like(residual), np.zeros_like(residual)
         gained, last, size, least = 0.0, 0.0, np.inf, 0.0
         for _ in range(steps):
@@ -307,7 +321,37 @@ class _Gap:
             residual -= length * image
             last = length * size / 2
             gained += last
-        return change, gained, last
+        return change, gained, 2 * steps * last
+
+    def _nearly_solved(self, residual: Array, free: npt.NDArray[np.bool_]) -> tuple[Array, float, float]:
+        """The change of v that is nearly the best one of the free nodes, by CG with two levels (collective)."""
+        fixed, none = np.flatnonzero(~free).astype(np.int32), np.empty(0, dtype=np.int32)
+        if self._solver is None:
+            self._under_bounds = ConstrainedMatrix(self.assemble(), PETSc.Mat.Option.SPD)
+            matrix, dim = self._under_bounds.matrix, self._space.mesh.topology.dim
+            self._solver = FacetSolver(matrix, "facet_", DEFAULTS[dim], self._levels, MOST, TOLERANCE)
+            self._solver.ksp.setNormType(PETSc.KSP.NormType.NATURAL)
+        self._under_bounds.impose(fixed, none, 0.0)
+        if self._solver.levels is not None:
+            self._solver.levels.update(fixed, fixed)
+        change, right = self._under_bounds.matrix.createVecs()
+        right.array_w[:] = residual
+        change.set(0.0)
+        self._solver.solve(right, change)
+        found = change.array_r.copy()
+        for vector in (right, change):
+            vector.destroy()
+        gained = float(self._comm.allreduce(residual @ found)) / 2
+        return found, gained, TOLERANCE**2 * gained
+
+    def _levels(self, pc: PETSc.PC) -> TraceCoarse:
+        """The second level: functions that are linear on cells, with jumps where v has them (collective)."""
+        linear = fenicsx.function_space(self._space.mesh, ("Lagrange", 1))
+        interpolation, of_linear = interpolation_matrix(linear, self._space), Jumps.of(linear, self._spaces)
+        interpolation.assemble()
+        if self._jumps.basis is not None and of_linear.basis is not None:
+            interpolation = self._jumps.basis[1].matMult(interpolation.matMult(of_linear.basis[0]))
+        return TraceCoarse(self._under_bounds.matrix, 1, linear, interpolation, pc)
 
     def _times(self, values: Array) -> Array:
         """The matrix times values (collective)."""
