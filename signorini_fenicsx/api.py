@@ -87,6 +87,7 @@ from signorini_fenicsx.contact.laws import (
     TwoSided,
     Wall,
 )
+from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.output.checkpoint import load_solution
@@ -133,6 +134,7 @@ __all__ = [
     "collect_garbage",
     "compare",
     "domain_of",
+    "domain_of_bodies",
     "evolve",
     "evolve_case",
     "load_case",

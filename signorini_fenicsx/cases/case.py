@@ -22,7 +22,6 @@ from signorini_fenicsx.cases.values import Positive, Whole, choice, within
 from signorini_fenicsx.expressions import parse_expression
 from signorini_fenicsx.meshes.cut import Side
 from signorini_fenicsx.meshes.domain import coordinate_element
-from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.shapes import Shape, shape_of
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
@@ -199,8 +198,10 @@ class CaseFile(Section):
     def _consistent(self) -> Self:
         if self.geometry.shape is not None:
             self._check_shape(shape_of(self.geometry.shape))
-        elif self.file_h is not None and not is_geometry(self.geometry.file or ""):
+        elif self.file_h is not None and not self.geometry.takes_h:
             raise ValueError(f"[solve] h: the mesh of '{self.geometry.name}' has its own h; leave h out")
+        elif self.file_h is None and (body := self.geometry.needs_h) is not None:
+            raise ValueError(f"[geometry] bodies.{body}: needs h, the largest cell diameter; or give h in [solve]")
         else:
             self._check_expressions(3)  # the mesh file has not been read yet
         return self
@@ -208,12 +209,12 @@ class CaseFile(Section):
     @model_validator(mode="after")
     def _lists_parts_once(self) -> Self:
         self.parts.refuse_repetition()
-        self.boundary.check_inner(self.meeting, self.geometry.file, self.inner_needs)
+        self.boundary.check_inner(self.meeting, self.geometry.shape is None, self.inner_needs)
         return self
 
     @property
     def file_h(self) -> float | None:
-        """The h for the mesh of a `.geo` file, or None."""
+        """The h for the mesh of a `.geo` file or of bodies, or None."""
         return self.solve.h if self.geometry.shape is None and "h" in self.solve.model_fields_set else None
 
     @property
@@ -362,8 +363,11 @@ def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
 
 def seen_from_here(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The keys of a case file in this folder, with the paths of its mesh and of surfaces as seen from here."""
-    laws = tree.get("law")
-    places = [(tree.get("geometry"), "file"), *((law, "surface") for law in (laws if isinstance(laws, list) else []))]
+    laws, geometry = tree.get("law"), tree.get("geometry")
+    bodies = geometry.get("bodies") if isinstance(geometry, dict) else None
+    places = [(geometry, "file"), *((law, "surface") for law in (laws if isinstance(laws, list) else []))]
+    for name, body in bodies.items() if isinstance(bodies, dict) else ():
+        places.append((bodies, name) if isinstance(body, str) else (body, "file"))
     for section, key in places:
         if isinstance(section, dict) and isinstance(file := section.get(key), str):
             section[key] = os.path.normpath(folder / file)

@@ -4,7 +4,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.meshing import build_domain, estimated_cells, expected_size, own_domain
+from signorini_fenicsx.meshes.meshing import build_domain, estimated_cells, own_domain
 
 
 def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
@@ -16,7 +16,7 @@ def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
     geometry = case.geometry
     if geometry.shape is not None:
         return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
-    domain = own_domain(comm, geometry.file or "", case.file_h, case.parts.named, case.sides)
+    domain = own_domain(comm, geometry.source, case.file_h, case.parts.named, case.sides)
     case.check_dimension(domain.mesh.topology.dim)
     return domain
 
@@ -30,4 +30,4 @@ def rough_cells(case: CaseFile) -> float:
     geometry = case.geometry
     if geometry.shape is not None:
         return estimated_cells(geometry.shape, case.solve.h)
-    return expected_size(geometry.file or "", case.file_h)[1]
+    return geometry.source.size(case.file_h)[1]

@@ -14,11 +14,10 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.solving import check_quantities_of, options_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, faces, left_over, neighbours
-from signorini_fenicsx.meshes.cut import opened
+from signorini_fenicsx.meshes.checks import faces, left_over, neighbours
 from signorini_fenicsx.meshes.domain import other_side
-from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES
+from signorini_fenicsx.meshes.meshing import usable
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
@@ -92,16 +91,17 @@ def expected(case: CaseFile, ranks: int) -> Expected:
     geometry = case.geometry
     parts: dict[str, dict[str, Any]]
     listed, regions = case.parts.listed(), dict[str, int]()
-    cells = round(rough_cells(case))
     exact = geometry.shape is None and case.file_h is None
     if geometry.shape is not None:
         shape = shape_of(geometry.shape)
         dim = shape.dim
         parts = {name: {"condition": case.condition_of(name)} for name in shape.names}
         left = [name for name in shape.names if name not in listed]
+        cells = round(rough_cells(case))
         facets = round(FACETS_PER_CELL[dim] * cells)
     else:
-        mesh = _usable(case, read_mesh_file(geometry.file or ""))
+        mesh = usable(geometry.source, geometry.source.read(None)[0], case.parts.named, case.sides)
+        case.check_dimension(mesh.dim)
         dim = mesh.dim
         counts = left_over(mesh, [*listed, *map(other_side, case.inner)])
         left = [name for name, number in counts.items() if number > 0]
@@ -115,7 +115,7 @@ def expected(case: CaseFile, ranks: int) -> Expected:
             if name not in map(other_side, case.inner)
         }
         regions = {name: len(rows) for name, rows in mesh.regions.items()}
-        sides = (dim + 1) * len(mesh.cells)
+        cells, sides = len(mesh.cells) if exact else round(rough_cells(case)), (dim + 1) * len(mesh.cells)
         facets = round((sides - len(neighbours(faces(mesh.cells))[0])) * cells / len(mesh.cells))
     cost, steps = case.costs[dim], max(case.steps, 1)
     return Expected(
@@ -217,16 +217,6 @@ def _check_steps(system: System, problem: Any, evolution: Evolution, options: Op
         except InputError as error:
             raise InputError(f"{when}: {error}") from None
     return list(remarks.values())
-
-
-def _usable(case: CaseFile, mesh: FileMesh) -> FileMesh:
-    try:
-        mesh = opened(mesh, case.inner, case.sides) if case.inner else mesh
-        check_boundary(mesh, case.parts.named)
-        case.check_dimension(mesh.dim)
-    except InputError as error:
-        raise InputError(f"mesh {case.geometry.file}: {error}") from None
-    return mesh
 
 
 def _measure(corners: np.ndarray) -> float:

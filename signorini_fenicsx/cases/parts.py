@@ -96,12 +96,12 @@ class Parts(Section):
         """The condition on a part, in a word."""
         return next((key for key, parts in self.named.items() if part in parts and key != "inner"), "dirichlet")
 
-    def check_inner(self, with_law: Collection[str], file: str | None, law: str) -> None:
+    def check_inner(self, with_law: Collection[str], own_mesh: bool, law: str) -> None:
         """Make sure that inner parts have laws and are listed once, and that sides are those of inner parts of a file.
 
         Args:
             with_law: The parts with a law.
-            file: The mesh file.
+            own_mesh: Whether the mesh is of files or bodies.
             law: What the law is, in words.
 
         Raises:
@@ -113,5 +113,5 @@ class Parts(Section):
             if part not in with_law:
                 raise ValueError(f"[boundary] inner: '{part}' needs {law}")
         for part in self.sides:
-            if part not in self.inner or file is None:
+            if part not in self.inner or not own_mesh:
                 raise ValueError(f"[boundary] sides.{part}: '{part}' is not an inner part of a mesh file")

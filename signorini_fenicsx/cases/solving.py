@@ -210,5 +210,5 @@ def shared_domain(start: Solved | None, case: CaseFile) -> Domain | None:
     if start is None or not isinstance(start.source, CaseFile):
         return None
     earlier = start.source
-    same = (earlier.geometry, earlier.solve.h) == (case.geometry, case.solve.h) and case.geometry.file is None
+    same = (earlier.geometry, earlier.solve.h) == (case.geometry, case.solve.h) and not case.geometry.files
     return start.spaces.domain if same else None

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 import dolfinx.mesh
 import gmsh
@@ -55,7 +56,7 @@ def estimated_cells(shape_name: str, h: float) -> float:
     """
     shape, edge = shape_of(shape_name), 0.65 * h
     cells = shape.measure / (edge**2 * math.sqrt(3) / 4 if shape.dim == 2 else edge**3 / (6 * math.sqrt(2)))
-    return _allowed(cells, h, shape_name)
+    return allowed(cells, h, shape_name)
 
 
 def build_domain(comm: MPI.Comm, shape_name: str, h: float, *, mesh: str, diagonal: str | None = None) -> Domain:
@@ -165,48 +166,123 @@ def height_of_cells(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> A
     return np.asarray(middle[0] - middle[1], dtype=np.float64)
 
 
+class Source(Protocol):
+    """Whatever a mesh is read or made from, on rank 0, that is no named shape."""
+
+    @property
+    def name(self) -> str:
+        """Name of the domain."""
+
+    @property
+    def words(self) -> str:
+        """What it is, in words for messages."""
+
+    @property
+    def made(self) -> str:
+        """How the mesh is made, in words."""
+
+    def size(self, h: float | None) -> tuple[int, float]:
+        """Dimension and number of cells of the mesh; with h an estimate (rank 0).
+
+        Raises:
+            InputError: If the mesh cannot be used, or there are more than MAX_CELLS.
+        """
+
+    def read(self, h: float | None) -> tuple[FileMesh, int]:
+        """The mesh with largest cell diameter h, or with sizes of its own; how often it is to be refined (rank 0).
+
+        Raises:
+            InputError: If the mesh cannot be used.
+        """
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh file, or a `.geo` file, as the source of a mesh."""
+
+    path: str
+
+    @property
+    def name(self) -> str:
+        """See `Source`."""
+        return Path(self.path).name
+
+    @property
+    def words(self) -> str:
+        """See `Source`."""
+        return f"mesh {self.path}"
+
+    @property
+    def made(self) -> str:
+        """See `Source`."""
+        return "Gmsh" if is_geometry(self.path) else "file"
+
+    def size(self, h: float | None) -> tuple[int, float]:
+        """See `Source`."""
+        return expected_size(self.path, h)
+
+    def read(self, h: float | None) -> tuple[FileMesh, int]:
+        """See `Source`."""
+        levels, by_gmsh = _file_refinements(self.path, h)
+        return _coarse_enough(self.path, h, levels, by_gmsh), levels
+
+
 def own_domain(
     comm: MPI.Comm,
-    path: str,
+    source: Source,
     h: float | None,
     conditions: Mapping[str, Sequence[str]],
     sides: Mapping[str, Side] | None = None,
 ) -> Domain:
-    """Read a mesh, or make the mesh of a `.geo` file, and check it (collective).
+    """Read or make a mesh that is of no named shape, and check it (collective).
 
     Args:
         comm: Communicator of the mesh; rank 0 reads it.
-        path: Path of the file.
-        h: Wanted largest cell diameter for the mesh of a `.geo` file; None for the sizes in the file.
+        source: Its source.
+        h: Wanted largest cell diameter of a mesh that is made; None for the sizes of the source.
         conditions: The parts with each kind of condition, see `check_boundary`; the mesh is cut along those of "inner".
         sides: The named sides of inner parts, see `cut.opened`.
 
     Raises:
-        InputError: If the file, its mesh or its parts cannot be used, or the mesh does not fit into memory.
+        InputError: If the source, its mesh or its parts cannot be used, or the mesh does not fit into memory.
     """
     read: list[FileMesh] = []
-    inner = conditions.get("inner", ())
     if h is not None:
-        check_memory(comm, f"mesh {path}, h = {h:g}", *on_root(comm, lambda: expected_size(path, h)), h)
+        check_memory(comm, f"{source.words}, h = {h:g}", *on_root(comm, lambda: source.size(h)), h)
 
     def about() -> tuple[int, int, int]:
-        levels, by_gmsh = _file_refinements(path, h)
-        mesh = _coarse_enough(path, h, levels, by_gmsh)
-        try:
-            mesh = opened(mesh, inner, sides or {}) if inner else mesh
-            check_boundary(mesh, conditions)
-        except InputError as error:
-            raise InputError(f"mesh {path}: {error}") from None
-        read.append(mesh)
+        mesh, levels = source.read(h)
+        read.append(usable(source, mesh, conditions, sides or {}))
         return mesh.dim, len(mesh.cells), levels
 
     dim, size, levels = on_root(comm, about)
-    check_memory(comm, f"mesh {path}", dim, size * 2 ** (dim * levels))
-    made = "Gmsh" if is_geometry(path) else "file"
-    domain = handed_out(comm, read[0] if read else None, Path(path).name, made)
+    check_memory(comm, source.words, dim, size * 2 ** (dim * levels))
+    domain = handed_out(comm, read[0] if read else None, source.name, source.made)
     for _ in range(levels):
         domain = refined_uniformly(domain)
     return domain
+
+
+def usable(
+    source: Source, mesh: FileMesh, conditions: Mapping[str, Sequence[str]], sides: Mapping[str, Side]
+) -> FileMesh:
+    """The mesh of a source, cut along its inner parts (rank 0).
+
+    Args:
+        source: The source, for messages.
+        mesh: The mesh.
+        conditions: See `own_domain`.
+        sides: See `own_domain`.
+
+    Raises:
+        InputError: If its parts do not define a problem.
+    """
+    try:
+        mesh = opened(mesh, inner, sides) if (inner := conditions.get("inner", ())) else mesh
+        check_boundary(mesh, conditions)
+    except InputError as error:
+        raise InputError(f"{source.words}: {error}") from None
+    return mesh
 
 
 def handed_out(comm: MPI.Comm, whole: FileMesh | None, name: str, made: str = "given") -> Domain:
@@ -249,7 +325,7 @@ def _file_refinements(path: str, h: float | None) -> tuple[int, int]:
         return 0, 0
     dim, cells = expected_size(path, h)
     levels = refinements(cells, dim)
-    if _own_size(path).straight:
+    if own_size(path).straight:
         return levels, 0
     return 0, levels if dim == 2 else 0
 
@@ -268,7 +344,7 @@ def _coarse_enough(path: str, h: float | None, levels: int, by_gmsh: int) -> Fil
 
 
 @dataclass(frozen=True)
-class _Own:
+class OwnSize:
     """Properties of the mesh of a file with the file's own sizes."""
 
     dim: int
@@ -277,16 +353,16 @@ class _Own:
     straight: bool
 
 
-def _own_size(path: str) -> _Own:
+def own_size(path: str) -> OwnSize:
     """The properties of a file as it is now; a file that has not changed is read once."""
     about = os.stat(path) if os.path.exists(path) else None
     return _read_own_size(path, about and (about.st_ino, about.st_size, about.st_mtime_ns))
 
 
 @functools.cache
-def _read_own_size(path: str, _version: tuple[int, int, int] | None) -> _Own:
+def _read_own_size(path: str, _version: tuple[int, int, int] | None) -> OwnSize:
     mesh = read_mesh_file(path)
-    return _Own(mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max()), mesh.straight)
+    return OwnSize(mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max()), mesh.straight)
 
 
 def expected_size(path: str, h: float | None) -> tuple[int, float]:
@@ -295,11 +371,16 @@ def expected_size(path: str, h: float | None) -> tuple[int, float]:
     Raises:
         InputError: If the file or its mesh cannot be used, or there are more than MAX_CELLS.
     """
-    own = _own_size(path)
-    return own.dim, own.cells if h is None else _allowed(own.cells * (own.h / h) ** own.dim, h, path)
+    own = own_size(path)
+    return own.dim, own.cells if h is None else allowed(own.cells * (own.h / h) ** own.dim, h, path)
 
 
-def _allowed(cells: float, h: float, name: str) -> float:
+def allowed(cells: float, h: float, name: str) -> float:
+    """This number of cells of a mesh.
+
+    Raises:
+        InputError: If there are more than MAX_CELLS.
+    """
     if cells > MAX_CELLS:
         raise InputError(f"h = {h:g} asks for about {cells:.1e} cells of {name}; at most {MAX_CELLS:.0e} are made")
     return cells

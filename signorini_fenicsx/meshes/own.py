@@ -69,7 +69,7 @@ def domain_of(
     }
     cells = {region: _entities(mesh, dim, f"regions['{region}']", chosen) for region, chosen in (regions or {}).items()}
     if inner:
-        whole, cut = _gathered(mesh, facets, cells), list[FileMesh]()
+        whole, cut = gathered(mesh, facets, cells), list[FileMesh]()
 
         def open_them() -> frozenset[str]:
             assert whole is not None
@@ -124,7 +124,7 @@ def _owned(mesh: dolfinx.mesh.Mesh, dim: int, numbers: Indices) -> Entities:
     return np.flatnonzero(sums_at(index_map, numbers)[: index_map.size_local]).astype(np.int32)
 
 
-def _gathered(
+def gathered(
     mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Entities], regions: Mapping[str, Entities]
 ) -> FileMesh | None:
     """The whole mesh on rank 0; None elsewhere (collective)."""

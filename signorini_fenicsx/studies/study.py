@@ -224,8 +224,7 @@ def make_run(case: CaseFile, task: Convergence | None = None, *, fields: bool = 
     Keys with default values do not enter the digest, so old runs stay valid when a new key is introduced.
     """
     values = flattened(case.model_dump(mode="json", exclude_defaults=True))
-    if case.geometry.file is not None:
-        values["geometry.file"] = _file_digest(case.geometry.file)
+    values |= {key: _file_digest(file) for key, file in case.geometry.files.items()}
     if case.file_h is not None:  # without h, a `.geo` file uses its own sizes
         values["solve.h"] = case.file_h
     content = {

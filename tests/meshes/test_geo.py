@@ -94,7 +94,7 @@ def test_curved_geometries_are_refined_from_coarser_meshes(monkeypatch: pytest.M
     asked = []
     monkeypatch.setattr(meshing, "read_mesh_file", lambda *about: asked.append(about) or read_mesh_file(*about))
     parts = {"signorini": ["toe", "heel"], "neumann": ["washer", "free"], "dirichlet": ["stop"]}
-    domain = meshing.own_domain(MPI.COMM_SELF, str(data_folder("meshes") / "clamp.geo"), 1.2, parts)
+    domain = meshing.own_domain(MPI.COMM_SELF, meshing.MeshFile(str(data_folder("meshes") / "clamp.geo")), 1.2, parts)
     assert asked[-1][2] == 2
     assert 0.6 < domain.h <= 1.2
     toe = domain.mesh.geometry.x[dolfinx.mesh.entities_to_geometry(domain.mesh, 1, domain.facets["toe"])]

@@ -13,7 +13,7 @@ from signorini_fenicsx.base.rows import Order, fetch_rows, find_rows
 from signorini_fenicsx.meshes import meshing
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
-from signorini_fenicsx.meshes.meshing import build_domain, own_domain
+from signorini_fenicsx.meshes.meshing import MeshFile, build_domain, own_domain
 from signorini_fenicsx.meshes.shapes import SHAPES
 from signorini_fenicsx.meshes.uniform import parents, refined_diameter, refined_uniformly
 
@@ -109,7 +109,7 @@ def test_geometries_from_files(tmp_path: Path):
     assert read_mesh_file(str(straight)).straight
     assert not read_mesh_file(str(curved)).straight
     h = 0.009
-    domain = own_domain(COMM, str(straight), h, {"signorini": ["bottom"]})
+    domain = own_domain(COMM, MeshFile(str(straight)), h, {"signorini": ["bottom"]})
     assert domain.origin() == "Gmsh, refined uniformly 1 time"
     assert h / 2 < domain.h <= h
     assert len(domain.regions["all"]) == len(corners(domain))
