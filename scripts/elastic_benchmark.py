@@ -40,18 +40,10 @@ from p2_contact import Box, solve_p2
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.spaces import build_elastic_spaces
-from signorini_fenicsx.physics.elasticity.problem import (
-    Contact,
-    Coulomb,
-    Dirichlet,
-    ElasticBoundary,
-    Elasticity,
-    ElasticProblem,
-    Neumann,
-    Tresca,
-)
+from signorini_fenicsx.physics.elasticity.problem import Dirichlet, ElasticBoundary, Elasticity, ElasticProblem, Neumann
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
 from signorini_fenicsx.solving.options import Options

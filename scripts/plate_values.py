@@ -21,7 +21,8 @@ from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb
+from signorini_fenicsx.physics.elasticity.problem import Elasticity
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 from signorini_fenicsx.solving.solver import solve

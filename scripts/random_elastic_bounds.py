@@ -35,6 +35,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     SplitQuadrature,
@@ -42,14 +43,12 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     to_entries,
 )
 from signorini_fenicsx.physics.elasticity.problem import (
-    Contact,
     Dirichlet,
     ElasticBoundary,
     Elasticity,
     ElasticProblem,
     Neumann,
     Pressure,
-    Tresca,
 )
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.solver import solve

@@ -92,7 +92,8 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
-from signorini_fenicsx.physics.elasticity.problem import Contact, Coulomb, Elasticity, Pressure, Support, Tresca
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Pair, Tied, Tresca
+from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure, Support
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.evolving import evolve
@@ -114,6 +115,7 @@ __all__ = [
     "NumericalFailure",
     "Obstacle",
     "Options",
+    "Pair",
     "Pressure",
     "Reaction",
     "Regulator",
@@ -125,6 +127,7 @@ __all__ = [
     "StepBounds",
     "Storage",
     "Support",
+    "Tied",
     "Tresca",
     "TwoSided",
     "Wall",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
@@ -12,9 +13,13 @@ from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs, extreme_around
 
 
-def bodies(spaces: MeshSpaces) -> Indices:
-    """A number of its body for each owned cell, from 0 without gaps over all ranks (collective)."""
-    comm, space = spaces.mesh.comm, spaces.crouzeix_raviart
+def bodies(space: fem.FunctionSpace) -> Indices:
+    """A number of its body for each owned cell, from 0 without gaps over all ranks (collective).
+
+    Args:
+        space: Functions with one unknown per facet.
+    """
+    comm = space.mesh.comm
     facets = cell_dofs(space)
     piece = np.unique(joined(int(facets.max(initial=-1)) + 1, facets)[facets[:, 0]], return_inverse=True)[1]
     number = int(piece.max(initial=-1)) + 1

@@ -25,45 +25,65 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.matrices import OfCells, identity_with, of_cells
 
 
-@dataclass(frozen=True)
 class Sides:
-    """The owned unknowns of facets inside the domain, across each of which the mesh is cut.
+    """Facets whose unknowns are jumps: û less a mean of û on facets that are opposite.
 
-    The unknowns û⁺ and û⁻, on the named side and on the other one, become the jump û⁺ − û⁻ and û⁻. The equation of the
-    jump is then that of û⁺ before, which says what σn is, and the equation of û⁻ says that both sides have the same σn.
-    So a law between the jump and σn is imposed like one between û and σn on the boundary, and the matrix stays positive
-    definite.
-
-    Attributes:
-        named: The unknowns of the named sides.
-        across: Those of the other sides.
-        present: Whether there are any on some rank.
+    The unknowns x of such facets, and those of the opposite ones, stand for û = x + Px, where P has rows of the former
+    and columns of the latter. On parts inside the domain P is a copy: x is û⁺ − û⁻ and û⁻. Of two surfaces that share
+    no nodes its entries are means over the pieces of their overlay. The equation of the jump is that of û before, which
+    says what σn is, and the equation of û on the other side says that it takes this σn. So a law between the jump and
+    σn is imposed like one between û and σn on the boundary, and the matrix stays positive definite. As P² = 0, the
+    way back is x = û − Pû.
     """
 
-    named: npt.NDArray[np.integer]
-    across: npt.NDArray[np.integer]
-    present: bool
+    def __init__(self, traces: fem.FunctionSpace, entries: tuple[Indices, Indices, Array], *, present: bool):
+        """Make the matrix (collective).
+
+        Args:
+            traces: A block of unknowns per facet.
+            entries: Rows, as owned unknowns of this rank; columns, as unknowns over all ranks; and values of P.
+            present: Whether there are any on some rank.
+        """
+        self._traces, self._entries, self._present = traces, entries, present
+        self._owned = traces.dofmap.index_map_bs * traces.dofmap.index_map.size_local
+        self._matrix = self.matrix() if present else None
 
     def values(self, x: Array) -> Array:
-        """Traces on both sides, from the jumps and those of the other side."""
-        on_sides = x.copy()
-        on_sides[self.named] += x[self.across]
-        return on_sides
+        """û from the unknowns x of this rank, ghosts too, which are no jumps (collective)."""
+        return x if self._matrix is None else np.append(self._image(self._matrix.mult, x), x[self._owned :])
 
     def forces(self, forces: Array) -> Array:
-        """The forces on the jumps and on the traces of the other side, from those on both sides."""
-        of_jumps = forces.copy()
-        of_jumps[self.across] += forces[self.named]
-        return of_jumps
+        """The forces on the owned unknowns x, from those on û (collective)."""
+        return forces if self._matrix is None else self._image(self._matrix.multTranspose, forces)
 
-    def matrix(self, traces: fem.FunctionSpace, *, back: bool = False) -> PETSc.Mat | None:
-        """The matrix that is `values`, or its inverse; None without such facets (collective)."""
-        if not self.present:
+    def _image(self, product: Callable[[PETSc.Vec, PETSc.Vec], None], x: Array) -> Array:
+        assert self._matrix is not None
+        start, image = self._matrix.createVecs()
+        start.array_w[:] = x[: self._owned]
+        product(start, image)
+        values: Array = image.array_r.copy()
+        start.destroy()
+        image.destroy()
+        return values
+
+    def matrix(self, *, back: bool = False) -> PETSc.Mat | None:
+        """I + P, or its inverse I − P; None without such facets (collective)."""
+        if not self._present:
             return None
-        numbers, size = traces.dofmap.index_map, traces.dofmap.index_map_bs
-        named, across = (size * numbers.local_range[0] + each for each in (self.named, self.across))
-        values = np.full(len(named), -1.0 if back else 1.0)
-        return identity_with(traces.mesh.comm, size * numbers.size_local, named, across, values, block=size)
+        rows, columns, values = self._entries
+        numbers, size = self._traces.dofmap.index_map, self._traces.dofmap.index_map_bs
+        rows = size * numbers.local_range[0] + rows
+        return identity_with(
+            self._traces.mesh.comm, self._owned, rows, columns, -values if back else values, block=size
+        )
+
+
+def copies(
+    traces: fem.FunctionSpace, named: npt.NDArray[np.integer], across: npt.NDArray[np.integer]
+) -> tuple[Indices, Indices, Array]:
+    """The entries of P where the other side has the same facets, from the owned unknowns of both, see `Sides`."""
+    first = traces.dofmap.index_map_bs * traces.dofmap.index_map.local_range[0]
+    return named.astype(np.int64), first + across.astype(np.int64), np.ones(len(named))
 
 
 @dataclass(frozen=True)
@@ -215,7 +235,7 @@ class HybridSystem(ABC):
     def _assembled(self) -> PETSc.Mat:
         """Eliminate, and assemble the matrix (collective)."""
         matrix = of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], self._parts())
-        jumps = self._sides.matrix(self._traces)
+        jumps = self._sides.matrix()
         return matrix if jumps is None else matrix.ptap(jumps)
 
     def assemble_again(self) -> None:

@@ -17,7 +17,7 @@ from dolfinx import fem
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
-from signorini_fenicsx.discrete.hybrid_system import Sides
+from signorini_fenicsx.discrete.hybrid_system import Sides, copies
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs
 from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 
@@ -192,10 +192,15 @@ class LinearTraces(MeshSpaces):
 
     @cached_property
     def sides(self) -> Sides:
-        """The unknowns of the facets inside the domain."""
+        """The facets whose unknowns are jumps (collective when first used)."""
+        return Sides(self.traces, self.jumps, present=self.inner.present)
+
+    @property
+    def jumps(self) -> tuple[Indices, Indices, Array]:
+        """The entries of P on parts inside the domain, see `Sides`."""
         blocks, size = (self.contact.blocks[self.inner.rows], self.across.blocks), self.traces.dofmap.index_map_bs
         named, across = ((each[:, None].astype(np.int64) * size + np.arange(size)).ravel() for each in blocks)
-        return Sides(named, across, self.inner.present)
+        return copies(self.traces, named, across)
 
 
 def linear_traces(spaces: MeshSpaces, shape: tuple[int, ...]) -> dict[str, Any]:

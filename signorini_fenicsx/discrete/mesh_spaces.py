@@ -33,6 +33,7 @@ from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.meshes.domain import Domain, facet_pairs
 
 type Names = Sequence[str]
+type Facets = npt.NDArray[np.int32]
 
 SIGNORINI = 1
 DIRICHLET = 2
@@ -105,7 +106,7 @@ class MeshSpaces:
         """The number of its body for each owned cell, see `discrete.bodies` (collective when first used)."""
         from signorini_fenicsx.discrete.bodies import bodies  # which needs these spaces
 
-        return bodies(self)
+        return bodies(self.crouzeix_raviart)
 
     @property
     def facets_of_mesh(self) -> int:
@@ -243,19 +244,21 @@ class MeshSpaces:
         return self.kept_forms.get(build, make, coefficients)
 
 
-def build_mesh_spaces(domain: Domain, signorini: Names, neumann: Names = (), inner: Names = ()) -> MeshSpaces:
+def build_mesh_spaces(
+    domain: Domain, signorini: Names, neumann: Names = (), inner: Names = (), free: Sequence[Facets] = ()
+) -> MeshSpaces:
     """Create P0 and the facets for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective).
 
-    The parts of Γ_S in `inner` are inside the domain.
+    The parts of Γ_S in `inner` are inside the domain. Facets of `free` are in Γ_N, whatever part they are in.
     """
     mesh = domain.mesh
     dim = mesh.topology.dim
-    gamma, entity_map = fenicsx.submesh(mesh, dim - 1, _facets_of(domain, signorini))
+    gamma, entity_map = fenicsx.submesh(mesh, dim - 1, np.setdiff1d(_facets_of(domain, signorini), _all(free)))
     Lambda = fenicsx.function_space(gamma, ("DG", 0))
     submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
     facets = np.empty_like(submesh_cells)
     facets[Lambda.dofmap.list[:, 0]] = entity_map.sub_topology_to_topology(submesh_cells, inverse=False)
-    neumann_facets = _facets_of(domain, neumann)
+    neumann_facets = _all([_facets_of(domain, neumann), *free])
     across = inner_facets(domain, facets, inner)
     dirichlet_facets = np.setdiff1d(
         dolfinx.mesh.exterior_facet_indices(mesh.topology), np.concatenate([facets, neumann_facets, across.facets])
@@ -290,8 +293,12 @@ def build_mesh_spaces(domain: Domain, signorini: Names, neumann: Names = (), inn
     )
 
 
-def _facets_of(domain: Domain, parts: Names) -> npt.NDArray[np.int32]:
-    return np.unique(np.concatenate([np.empty(0, dtype=np.int32), *(domain.facets[name] for name in parts)]))
+def _facets_of(domain: Domain, parts: Names) -> Facets:
+    return _all([domain.facets[name] for name in parts])
+
+
+def _all(facets: Sequence[Facets]) -> Facets:
+    return np.unique(np.concatenate([np.empty(0, dtype=np.int32), *facets]))
 
 
 def cells_and_dofs(

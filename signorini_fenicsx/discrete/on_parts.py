@@ -13,7 +13,7 @@ from signorini_fenicsx.contact.law import OnParts
 from signorini_fenicsx.meshes.domain import Domain, other_side
 
 
-def check_conditions(conditions: object, *kinds: type[OnParts], example: str) -> None:
+def check_conditions(conditions: object, *kinds: Any, example: str) -> None:
     """Refuse what is no list of conditions of these kinds, and parts with two of them.
 
     Raises:
@@ -32,7 +32,7 @@ def check_conditions(conditions: object, *kinds: type[OnParts], example: str) ->
             listed.add(part)
 
 
-def names_all(domain: Domain, conditions: Sequence[OnParts]) -> bool:
+def names_all(domain: Domain, conditions: Sequence[Any]) -> bool:
     """Whether the parts of the conditions are the whole boundary (collective).
 
     Raises:

@@ -82,7 +82,9 @@ class Faces:
         return f"{counted(len(facets), 'facet')}, the first around {_in_words(first + self.origin)}"
 
 
-def check_joined(spaces: MeshSpaces, named: Mapping[str, Sequence[str]]) -> None:
+def check_joined(
+    spaces: MeshSpaces, named: Mapping[str, Sequence[str]], joints: Sequence[tuple[Sequence[str], Sequence[str]]] = ()
+) -> None:
     """Refuse bodies that overlap, and facets of the boundary that lie on one another (collective).
 
     Faces on one another that are both in Γ_N, as those of an open crack, are noted in `spaces.notices`. Named shapes
@@ -91,6 +93,7 @@ def check_joined(spaces: MeshSpaces, named: Mapping[str, Sequence[str]]) -> None
     Args:
         spaces: The spaces.
         named: The parts of each kind of boundary.
+        joints: Names of parts that are paired, on both sides; these may lie on one another, and overlap.
 
     Raises:
         InputError: If there are such bodies, or such facets but for the two sides of an inner part.
@@ -102,12 +105,17 @@ def check_joined(spaces: MeshSpaces, named: Mapping[str, Sequence[str]]) -> None
     listed = {part for parts in named.values() for part in parts} | set(others.values())
     names = ["", *sorted(spaces.domain.parts, key=lambda part: part in listed)]
     faces = Faces.of(spaces, names)
-    _check_apart(spaces, faces)
+    if not joints:
+        _check_apart(spaces, faces)
     pairs, same = seams(faces.corners, faces.apexes, faces.rows)
     is_cut = np.zeros((len(names), len(names)), dtype=bool)
     for part, other in others.items():
         two = [names.index(part), names.index(other)]
         is_cut[two, two[::-1]] = True
+    for slave, master in joints:
+        paired = np.ix_([names.index(part) for part in slave], [names.index(part) for part in master])
+        is_cut[paired] = True
+        is_cut |= is_cut.T
     lying = ~is_cut[tuple(faces.parts[pairs].T)]
     pairs, same = (np.concatenate(spaces.mesh.comm.allgather(each[lying])) for each in (pairs, same))
     if same.any():

@@ -133,7 +133,8 @@ def system_on(domain: Domain, problem: Any) -> System:
         InputError: If the boundary does not suit the mesh, or bodies in it are not joined.
     """
     system: System = PHYSICS[problem.boundary.physics].system(domain, problem)
-    check_joined(system.spaces, system.boundary.named)
+    pairs = getattr(system.boundary, "pairs", ())
+    check_joined(system.spaces, system.boundary.named, [(pair.slave, pair.master) for pair in pairs])
     return system
 
 

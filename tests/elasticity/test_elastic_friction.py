@@ -22,14 +22,8 @@ from signorini_fenicsx.linear import gmres, kept_factors
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.physics.elasticity.problem import (
-    Contact,
-    Coulomb,
-    CoulombLaw,
-    ElasticBoundary,
-    Elasticity,
-    ElasticProblem,
-)
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, CoulombLaw
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, Elasticity, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve import coulomb
 from signorini_fenicsx.solving.options import Options

@@ -16,16 +16,10 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.case import ElasticCase
+from signorini_fenicsx.physics.elasticity.conditions import Contact
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.spaces import build_elastic_spaces
-from signorini_fenicsx.physics.elasticity.problem import (
-    Contact,
-    Dirichlet,
-    ElasticBoundary,
-    Elasticity,
-    ElasticProblem,
-    Neumann,
-)
+from signorini_fenicsx.physics.elasticity.problem import Dirichlet, ElasticBoundary, Elasticity, ElasticProblem, Neumann
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem
 from signorini_fenicsx.solving.options import Options

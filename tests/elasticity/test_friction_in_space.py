@@ -19,18 +19,10 @@ from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, CoulombLaw, ElasticLaw
 from signorini_fenicsx.physics.elasticity.discrete import friction
 from signorini_fenicsx.physics.elasticity.discrete.friction import Slipping
-from signorini_fenicsx.physics.elasticity.problem import (
-    Contact,
-    Coulomb,
-    CoulombLaw,
-    ElasticBoundary,
-    Elasticity,
-    ElasticLaw,
-    ElasticProblem,
-    InputError,
-)
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, Elasticity, ElasticProblem, InputError
 from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES
 from signorini_fenicsx.physics.elasticity.show.shown import STATES, ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution

@@ -27,8 +27,8 @@ from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.problem import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.show.shown import ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem

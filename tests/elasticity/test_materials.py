@@ -9,7 +9,8 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.physics.elasticity.problem import Contact, Dirichlet, Elasticity, Neumann
+from signorini_fenicsx.physics.elasticity.conditions import Contact
+from signorini_fenicsx.physics.elasticity.problem import Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.physics.elasticity.show.readings import von_mises
 from signorini_fenicsx.physics.elasticity.show.shown import in_space
 from signorini_fenicsx.solving.solver import solve

@@ -12,7 +12,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.meshes.own import domain_of
-from signorini_fenicsx.physics.elasticity.problem import Contact
+from signorini_fenicsx.physics.elasticity.conditions import Contact
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 RADIUS, YOUNG, MU = 8.0, 200.0, 0.3

@@ -27,7 +27,7 @@ from signorini_fenicsx import (
 )
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Wall
-from signorini_fenicsx.physics.elasticity.problem import Contact
+from signorini_fenicsx.physics.elasticity.conditions import Contact
 
 COMM = MPI.COMM_WORLD
 

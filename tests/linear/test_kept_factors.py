@@ -11,17 +11,8 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.discrete import trace_backend as elastic
 from signorini_fenicsx.linear import kept_factors
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.elasticity.problem import (
-    Contact,
-    Coulomb,
-    CoulombLaw,
-    Dirichlet,
-    ElasticBoundary,
-    Elasticity,
-    ElasticProblem,
-    Neumann,
-    Tresca,
-)
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, CoulombLaw, Tresca
+from signorini_fenicsx.physics.elasticity.problem import Dirichlet, ElasticBoundary, Elasticity, ElasticProblem, Neumann
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve

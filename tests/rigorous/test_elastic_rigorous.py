@@ -23,6 +23,7 @@ from signorini_fenicsx.expressions import Binary, Tree, exactly, read, values
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import enclosing
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, stretch
+from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, ElasticLaw
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     hats_in_subcells,
@@ -30,7 +31,7 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     split_vertices,
     to_matrices,
 )
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticLaw, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.elasticity.discrete import ElasticDiscrete, Given, gathered
 from signorini_fenicsx.rigorous.elasticity.loads import PROVED, Moments, constants, off_subcells

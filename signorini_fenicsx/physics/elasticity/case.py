@@ -25,9 +25,8 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
 from signorini_fenicsx.discrete.on_parts import one_value
 from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca
 from signorini_fenicsx.physics.elasticity.problem import (
-    Contact,
-    Coulomb,
     ElasticBoundary,
     ElasticProblem,
     GivenAxes,
@@ -37,7 +36,6 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenVector,
     GivenVectorByPart,
     Plane,
-    Tresca,
     of_meeting,
 )
 from signorini_fenicsx.physics.elasticity.scope import outside

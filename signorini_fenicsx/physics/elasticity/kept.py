@@ -11,10 +11,11 @@ from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.meshes.domain import facet_vertices
+from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, Slipping, law_of_sites
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticBoundary, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.physics.elasticity.show.shown import STATES
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.residuals import elastic_kkt

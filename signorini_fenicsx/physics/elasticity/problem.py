@@ -8,8 +8,7 @@ from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from types import NoneType
-from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy.typing as npt
 from ufl.core.expr import Expr
@@ -20,8 +19,17 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law, OnParts
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
+from signorini_fenicsx.discrete.pairing import PairedParts
 from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
+from signorini_fenicsx.physics.elasticity.conditions import (
+    Contact,
+    CoulombLaw,
+    ElasticLaw,
+    Pair,
+    Tied,
+    is_normal,
+)
 
 if TYPE_CHECKING:
     from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -50,98 +58,6 @@ class Plane(StrEnum):
 
     STRAIN = "strain"
     STRESS = "stress"
-
-
-@dataclass(frozen=True)
-class CoulombLaw:
-    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
-
-    Attributes:
-        parts: Names of parts of Γ_C.
-        mu: μ ≥ 0.
-    """
-
-    parts: Sequence[str]
-    mu: Given
-    name: ClassVar[str] = "coulomb"
-
-    def __post_init__(self) -> None:
-        """Refuse a string in the place of a list."""
-        check_names("parts", self.parts)
-
-    def with_data(self, change: Callable[[str, Any], Any]) -> CoulombLaw:
-        """The law with μ changed by a function of its name and value, see `Law.with_data`."""
-        return replace(self, mu=change(f"{self.name}.mu", self.mu))
-
-
-type ElasticLaw = Law | CoulombLaw
-"""Friction with a given bound of the shear (Tresca) or with one by the pressure; or a law between opening and
-pressure."""
-
-
-@dataclass(frozen=True)
-class Tresca:
-    """Friction by Tresca's law, |σ_t| ≤ g.
-
-    Attributes:
-        g: g ≥ 0.
-    """
-
-    g: Given
-
-    def law(self, parts: Sequence[str]) -> ElasticLaw:
-        """The law on some parts."""
-        return Friction(parts, self.g)
-
-
-@dataclass(frozen=True)
-class Coulomb:
-    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
-
-    Attributes:
-        mu: μ ≥ 0.
-    """
-
-    mu: Given
-
-    def law(self, parts: Sequence[str]) -> ElasticLaw:
-        """The law on some parts."""
-        return CoulombLaw(parts, self.mu)
-
-
-@dataclass(frozen=True)
-class Contact(OnParts):
-    """Contact with a rigid foundation: u_n ≤ gap, σ_nn ≤ 0, one of them equal.
-
-    Attributes:
-        parts: Name of a part, or a list of names.
-        gap: The distance to the foundation along the outer normal.
-        surface: A file with a mesh of the surface of the foundation, such as STL, in the plane of a line. The gap is
-            then the distance to it along the normal, and `gap` more.
-        friction: `Tresca` or `Coulomb`; None for σ_t = 0.
-        force: For a rigid tool that moves: what acts on it along each axis along which it can, such as {"y": -1}. The
-            gap is that before it moves, and the part is one. Along other axes it is held.
-        moment: For each axis about which it turns the moment about the middle of the part, in the plane {"z": 0}.
-
-    Raises:
-        InputError: If the friction is something else, or several parts have one tool.
-    """
-
-    gap: Given = 0.0
-    surface: str | Path | None = None
-    friction: Tresca | Coulomb | None = None
-    force: Mapping[str, Given] = field(default_factory=dict)
-    moment: Mapping[str, Given] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Refuse another friction, and a tool on several parts."""
-        super().__post_init__()
-        check_kind("friction", self.friction, Tresca, Coulomb, NoneType)
-        check_kind("surface", self.surface, str, Path, NoneType)
-        for name, given in (("force", self.force), ("moment", self.moment)):
-            check_kind(name, given, Mapping, hint='; an example is {"y": -1}')
-        if (self.force or self.moment) and len(self.parts) != 1:
-            raise InputError("force: a tool is on one part; give each part a condition of its own")
 
 
 @dataclass(frozen=True)
@@ -216,7 +132,7 @@ class Elasticity(Body):
     """
 
     u_D: GivenVector | None = None
-    conditions: Sequence[OnParts] = ()
+    conditions: Sequence[OnParts | Pair] = ()
 
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
@@ -226,7 +142,7 @@ class Elasticity(Body):
         others = [condition for condition in self.conditions if not self._loads_held(condition)]
         if any(isinstance(condition, Friction) for condition in others):
             raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
-        check_conditions(others, Law, Contact, Pressure, Support, example=example)
+        check_conditions(others, Law, Contact, Pair, Pressure, Support, example=example)
         check_conditions(loads_held, Neumann, Pressure, example=example)
 
     def _loads_held(self, condition: object) -> bool:
@@ -253,13 +169,20 @@ class Elasticity(Body):
         springs = [condition for condition in self.conditions if isinstance(condition, Support)]
         meeting: list[Contact | Law] = [condition for condition in self.conditions if isinstance(condition, Contact)]
         meeting += [condition for condition in self.conditions if is_normal(condition)]
+        pairs = [condition for condition in self.conditions if isinstance(condition, Pair)]
+        gaps = {part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}
+        gaps |= {part: pair.added[1] for pair in pairs if not isinstance(pair.law, Tied) for part in pair.slave}
+        inner = [part for each in meeting for part in each.parts if other_side(part) in domain.parts]
+        meeting += [on_slave for pair in pairs if (on_slave := pair.on_slave) is not None]
+        beside = [part for pair in pairs for part in (pair.parts if isinstance(pair.law, Tied) else pair.master)]
         fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
         pulled = dict.fromkeys(part for each in [*loads, *springs] for part in each.parts)
         boundary = ElasticBoundary(
             contact=[part for each in meeting for part in each.parts],
-            neumann=[part for part in pulled if part not in fixed],
+            neumann=[*(part for part in pulled if part not in fixed), *beside],
             fixed=fixed,
-            inner=[part for each in meeting for part in each.parts if other_side(part) in domain.parts],
+            inner=inner,
+            pairs=[pair.on_boundary for pair in pairs],
         )
         u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
         if not names_all(domain, self.conditions):
@@ -272,7 +195,7 @@ class Elasticity(Body):
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
             support={part: each.stiffness for each in springs for part in each.parts},
-            gap=one_value({part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}, 0.0),
+            gap=one_value(gaps, 0.0),
             **of_meeting(meeting),
         )
 
@@ -306,12 +229,14 @@ class ElasticBoundary:
             of symmetry is fixed in "n". In the others σn is given.
         inner: Names of the parts of Γ_C inside the domain, where two bodies touch: u_n is then the jump of u along n,
             which is outward from the named side.
+        pairs: Pairs of surfaces; the slaves are in `contact` unless they are tied, and all others in `neumann`.
     """
 
     contact: Sequence[str] = ()
     neumann: Sequence[str] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     inner: Sequence[str] = ()
+    pairs: Sequence[PairedParts] = ()
     physics: ClassVar[str] = "elasticity"
 
     def __post_init__(self) -> None:
@@ -319,6 +244,8 @@ class ElasticBoundary:
         for key in ("contact", "neumann", "inner"):
             check_names(key, getattr(self, key))
             object.__setattr__(self, key, list(getattr(self, key)))  # as they are read from files
+        pairs = [PairedParts(**each) if isinstance(each, Mapping) else each for each in self.pairs]
+        object.__setattr__(self, "pairs", pairs)
         check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
         for part, components in self.fixed.items():
             check_kind(f"fixed: part '{part}'", components, str)
@@ -415,11 +342,6 @@ class ElasticProblem(Body):
     def normal(self) -> list[tuple[int, Law]]:
         """The laws between opening and pressure, each with its number among all laws."""
         return [(index, law) for index, law in enumerate(self.laws) if is_normal(law)]
-
-
-def is_normal(law: object) -> TypeGuard[Law]:
-    """Whether a law is one between opening and pressure."""
-    return isinstance(law, Law) and not isinstance(law, Friction | Dirichlet | Neumann)
 
 
 def _changed_in(index: int, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:

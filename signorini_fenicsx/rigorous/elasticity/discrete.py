@@ -19,9 +19,10 @@ from signorini_fenicsx.expressions.intervals import Elementary
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of
+from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
-from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw
+from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.discrete import Cells, alike, gathered_rows
 

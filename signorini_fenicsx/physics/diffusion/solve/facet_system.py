@@ -16,7 +16,7 @@ from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values, s
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.hybrid_system import Sides
+from signorini_fenicsx.discrete.hybrid_system import Sides, copies
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
@@ -94,10 +94,11 @@ class FacetSystem:
         self.dofs = self.space.dofmap.index_map.size_global
         self.large = tuning.is_large(self.dofs, DIRECT_UP_TO)
         across = cells_and_dofs(self.space, spaces.inner.facets)[1]
-        self.sides = Sides(self.trace_dofs[spaces.inner.rows], across, spaces.inner.present)
+        named = self.trace_dofs[spaces.inner.rows]
+        self.sides = Sides(self.space, copies(self.space, named, across), present=spaces.inner.present)
         self._facets, self._cells = spaces.site_kinds
         self.sources = sources(spaces, data)
-        self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, self.sides.matrix(self.space))
+        self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, self.sides.matrix())
         self.matrix = self.operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = self.matrix.createVecs()

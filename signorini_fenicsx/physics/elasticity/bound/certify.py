@@ -37,6 +37,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.forms.elasticity import off_law, square
@@ -84,6 +85,8 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     certificate is quadratic also where the bound has a better one, and lacks the d of `lifted`.
     """
     spaces, data = solution.spaces, solution.data
+    if spaces.joints:
+        raise InputError("certify: there is no bound yet where surfaces that share no nodes are paired")
     comm = spaces.mesh.comm
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)

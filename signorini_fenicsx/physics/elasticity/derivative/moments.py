@@ -15,10 +15,11 @@ from signorini_fenicsx.discrete.seen_on_facets import moments_seen
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_points, lines_by_data
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
-from signorini_fenicsx.physics.elasticity.problem import NORMAL, CoulombLaw, ElasticProblem, is_normal
+from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
 
 
 def on_boundary(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, Effect]]:

@@ -19,7 +19,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
-from signorini_fenicsx.discrete.linear_traces import linear_values
+from signorini_fenicsx.discrete.linear_traces import linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
@@ -214,6 +214,10 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     g_N, before = tractions_given(spaces, problem), before or FromBefore()
     pulls = pulls_of(spaces, before.pulls)
     gap = beyond_surfaces(spaces, datum_on_parts(spaces, "gap", problem.gap), problem.surface)
+    for joint in spaces.joints:
+        if joint.pair.distance and not joint.pair.tied:
+            opened = linear_from_means(joint.pieces.means(len(joint.slaves)))
+            gap = RaisedGap.of(gap, spaces.boundary_facets(joint.slaves), opened)
     own = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
     quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, own + 1), LARGEST_DEGREE))
     lift = fem.Function(spaces.traces)
@@ -389,7 +393,8 @@ def _on_split(
 
 def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Function) -> npt.NDArray[np.int32]:
     """Write what û is where it is given, or g on Γ_C; returns the unknowns that are given (collective)."""
-    unknowns = []
+    tied = spaces.boundary_facets(spaces.tied)
+    unknowns = [spaces.unknowns(tied, k).ravel() for k in range(spaces.dim)]
     for facets, k, letter in spaces.fixed:
         moments = facet_moments(spaces, "u_D", u_D, facets, "where the displacement is given")
         values = linear_values(moments, facets.measure)

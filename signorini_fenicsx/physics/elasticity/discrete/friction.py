@@ -22,9 +22,10 @@ from signorini_fenicsx.discrete.lattices import lattice
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.expressions.given import Given, parsed
+from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, ElasticLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool
-from signorini_fenicsx.physics.elasticity.problem import CoulombLaw, ElasticLaw, GivenVector, is_normal
+from signorini_fenicsx.physics.elasticity.problem import GivenVector
 
 STICKS = 1e300
 """The bound where nothing slips, with which Coulomb's friction starts."""

@@ -12,6 +12,7 @@ from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals, squares_off
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
+from signorini_fenicsx.discrete.pairing import Joint
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, hats_in_subcells, to_entries
@@ -150,6 +151,8 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
         else:
             left[facets.blocks, :, k] = 0.0
     left[spaces.across.blocks] += left[spaces.contact.blocks[spaces.inner.rows]]
+    for joint in spaces.joints:
+        _pass_on(spaces, joint, left)
     left[spaces.contact.blocks] -= data.pulled
     _drop_normal(left, spaces.contact)
     left[spaces.rough.blocks] = 0.0
@@ -158,6 +161,19 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     squares = (left**2).sum(axis=(1, 2)) + (left.sum(axis=1) ** 2).sum(axis=1)
     weighted = size ** (1 + 1 / (dim - 1)) * squares / (dim * (dim + 1))
     return float(weighted[: index_map.size_local].sum())
+
+
+def _pass_on(spaces: ElasticSpaces, joint: Joint, left: Array) -> None:
+    """Add the tractions on a slave, where a law holds along them, to those on its master (collective)."""
+    slaves, masters = spaces.boundary_facets(joint.slaves), spaces.boundary_facets(joint.masters)
+    passed = left[slaves.blocks]
+    smooth = ~np.isin(slaves.facets, np.append(spaces.rough.facets, spaces.tied))
+    along = np.einsum("nai,ni->na", passed, slaves.normals)[:, :, None] * slaves.normals[:, None]
+    passed[smooth] = along[smooth]
+    moments = joint.onto_masters(spaces.mesh.comm, passed)
+    left[masters.blocks] += linear_values(moments, masters.measure)
+    if joint.pair.tied:
+        left[slaves.blocks] = 0.0
 
 
 def _left_on_tools(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:

@@ -12,6 +12,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
+from signorini_fenicsx.discrete.pairing import Joint
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells
@@ -246,12 +248,41 @@ class Bodies:
             kept = vectors[:, sizes <= FREE**2 * max(float(total), 1e-300)]
             free.append(np.zeros((self.number, size, kept.shape[1])))
             free[-1][body] = kept
-        of_bodies = np.concatenate(free, axis=2).reshape(self.number * size, -1)
+        of_bodies = self._tied_together(np.concatenate(free, axis=2).reshape(self.number * size, -1))
         tools = len(loads_of(self.tools))
         rows = np.zeros((len(of_bodies) + tools, of_bodies.shape[1] + tools))
         rows[: len(of_bodies), : of_bodies.shape[1]] = of_bodies
         rows[len(of_bodies) :, of_bodies.shape[1] :] = np.eye(tools)
         return rows
+
+    def _tied_together(self, free: Array) -> Array:
+        """The combinations of free motions under which no two surfaces that are tied move apart (collective)."""
+        tied = [joint for joint in self.spaces.joints if joint.pair.tied]
+        if not tied or free.shape[1] == 0:
+            return free
+        gram, total = np.zeros((free.shape[1], free.shape[1])), 0.0
+        for joint in tied:
+            jumps = self._jumps(joint).reshape(len(joint.slaves), -1, len(free)) @ free
+            gram += np.einsum("njr,njs,n->rs", jumps, jumps, joint.slave.measure)
+            total += float(joint.slave.measure.sum())
+        gram, total = self.spaces.mesh.comm.allreduce(gram), self.spaces.mesh.comm.allreduce(total)
+        sizes, vectors = np.linalg.eigh(gram)
+        return np.asarray(free @ vectors[:, sizes <= FREE**2 * total])
+
+    def _jumps(self, joint: Joint) -> Array:
+        """The means of the motions on the slaves of a pair less those opposite, shape (slaves, d, d, bodies, motions).
+
+        Collective.
+        """
+        spaces, pieces = self.spaces, joint.pieces
+        slave_of = self.of_cell[spaces.boundary_facets(joint.slaves).cells]
+        master_of = joint.of_masters(spaces.mesh.comm, self.of_cell[spaces.boundary_facets(joint.masters).cells])
+        moved = self._moved(joint.slave.corners)
+        jumps = np.zeros((*moved.shape[:3], self.number, moved.shape[3]))
+        jumps[np.arange(len(moved)), :, :, slave_of] = means_of_linear(moved)
+        opposite = np.einsum("nab,nbir->nair", pieces.weights, self._moved(joint.master.corners[pieces.master]))
+        np.subtract.at(np.moveaxis(jumps, 3, 1), (pieces.slave, master_of[pieces.master]), opposite)
+        return jumps
 
     def relative(self, directions: Array) -> Array:
         """The motions along directions at the vertices of the facets of Γ_C, shape (facets, d, all motions).
@@ -268,6 +299,10 @@ class Bodies:
         each = np.arange(len(along))
         of_each[each, :, self.of_cell[spaces.contact.cells]] = along
         of_each[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
+        for joint in spaces.joints:
+            if not joint.pair.tied:
+                mine, jumps = spaces.rows_of(joint), linear_from_means(self._jumps(joint))
+                of_each[mine] = np.einsum("nai,naibr->nabr", directions[mine], jumps)
         of_bodies = of_each.reshape(*along.shape[:2], self.number * along.shape[2])
         return np.concatenate([of_bodies, -moves_along(spaces, self.tools, directions)], axis=2)
 

@@ -1,0 +1,204 @@
+"""Pairs of surfaces on a mesh: which facets carry pressure, and the overlay with the surfaces opposite to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import dolfinx.mesh
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+
+from signorini_fenicsx.base import fenicsx
+from signorini_fenicsx.base.arguments import check_names
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets, number_of_cells
+from signorini_fenicsx.discrete.bodies import bodies
+from signorini_fenicsx.discrete.linear_traces import node_ranks
+from signorini_fenicsx.discrete.mesh_spaces import Facets
+from signorini_fenicsx.discrete.overlay import WHOLE, Pieces, Surface, overlay
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.seams import unit_normals
+
+
+@dataclass(frozen=True)
+class PairedParts:
+    """Two surfaces that share no nodes, as a boundary has them.
+
+    Attributes:
+        slave: Names of the parts that carry the pressure.
+        master: Names of those opposite to them.
+        direction: Along which points are paired: "normal" for the normal of each slave facet, or a vector.
+        within: The largest distance; None for half the diameter of the smaller body.
+        tied: Whether nothing may move.
+        distance: Whether the gap is the distance, and what else is given more.
+    """
+
+    slave: Sequence[str]
+    master: Sequence[str]
+    direction: str | Sequence[float] = "normal"
+    within: float | None = None
+    tied: bool = False
+    distance: bool = True
+
+    def __post_init__(self) -> None:
+        """Make lists, as they are read from files; refuse what is no direction.
+
+        Raises:
+            InputError: If it is none, or a part is on both sides.
+        """
+        for key in ("slave", "master"):
+            check_names(key, getattr(self, key))
+            object.__setattr__(self, key, list(getattr(self, key)))
+        if both := sorted({*self.slave} & {*self.master}):
+            raise InputError(f"pair: part '{both[0]}' is slave and master")
+        if self.direction != "normal":
+            vector = np.asarray(self.direction)
+            if vector.ndim != 1 or vector.dtype.kind not in "if" or not np.isfinite(vector).all() or not vector.any():
+                raise InputError(f"pair: direction is {self.direction!r}; use normal or a vector such as [0, -1]")
+            object.__setattr__(self, "direction", [float(each) for each in vector])
+        if self.within is not None and not (isinstance(self.within, int | float) and 0 < self.within < np.inf):
+            raise InputError(f"pair: within is {self.within!r}; it must be a length above 0")
+
+    @property
+    def words(self) -> str:
+        """Both sides in words."""
+        return f"{', '.join(self.slave)} on {', '.join(self.master)}"
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A pair of surfaces on a mesh.
+
+    Attributes:
+        pair: The parts.
+        slaves: The covered slave facets of this rank, all owned.
+        left_out: Its slave facets that are not covered; they are free.
+        slave: Vertices and normals of `slaves`, in the order of `LinearTraces`.
+        directions: d of each.
+        masters: The master facets that this rank owns.
+        master: Vertices and normals of the master facets of all ranks, one rank after the other.
+        first: How many of these are before those of this rank.
+        pieces: The overlay; slave facets are rows of `slaves`, master facets rows of `master`.
+        covered: The shares of all slave facets of this rank, in the order of their numbers.
+    """
+
+    pair: PairedParts
+    slaves: Facets
+    left_out: Facets
+    slave: Surface
+    directions: Array
+    masters: Facets
+    master: Surface
+    first: int
+    pieces: Pieces
+    covered: Array = field(default_factory=lambda: np.empty(0))
+
+    def of_masters(self, comm: MPI.Intracomm, rows: npt.NDArray) -> npt.NDArray:
+        """Rows of this rank's master facets as those of all ranks (collective)."""
+        return np.concatenate(comm.allgather(rows))
+
+    def onto_masters(self, comm: MPI.Intracomm, values: Array) -> Array:
+        """∫ χ_*(t) Φ_b on this rank's master facets, shape (masters, d, components) (collective).
+
+        Args:
+            comm: Communicator.
+            values: t at the vertices of the slave facets, between which it is linear, shape (slaves, d, components).
+        """
+        pieces, shares = self.pieces, self.slave.measure / values.shape[1]
+        sums = np.zeros((len(self.master.corners), *values.shape[1:]))
+        passed = np.einsum("n,nab,nai->nbi", shares[pieces.slave], pieces.weights, values[pieces.slave])
+        np.add.at(sums, pieces.master, passed)
+        return np.asarray(comm.allreduce(sums)[self.first : self.first + len(self.masters)])
+
+
+def joints(domain: Domain, pairs: Sequence[PairedParts], *, cut: bool) -> tuple[Joint, ...]:
+    """The pairs on a mesh (collective).
+
+    Args:
+        domain: The domain.
+        pairs: The pairs.
+        cut: Whether the mesh is cut inside the domain, see `node_ranks`.
+
+    Raises:
+        InputError: If a direction has not as many components as the mesh, or no facet of a pair is covered.
+    """
+    if not pairs:
+        return ()
+    mesh = domain.mesh
+    ranks, extents = node_ranks(mesh, cut=cut), _Extents(mesh)
+    return tuple(_joint(domain, pair, ranks, extents) for pair in pairs)
+
+
+class _Extents:
+    """The bodies of a mesh, and how long the diagonal of the box around each is (collective)."""
+
+    def __init__(self, mesh: dolfinx.mesh.Mesh):
+        self.of_cell = bodies(fenicsx.function_space(mesh, ("CR", 1)))
+        number = mesh.comm.allreduce(int(self.of_cell.max(initial=-1)), MPI.MAX) + 1
+        x = mesh.geometry.x[cell_nodes(mesh)[: number_of_cells(mesh)]]
+        ends = np.full((2, number, 3), -np.inf)
+        np.maximum.at(ends[0], self.of_cell, x.max(axis=1))
+        np.maximum.at(ends[1], self.of_cell, -x.min(axis=1))
+        mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+        self.diameters = np.linalg.norm(ends.sum(axis=0), axis=1)
+
+    def least(self, mesh: dolfinx.mesh.Mesh, *sides: Facets) -> float:
+        """The diameter of the smallest body that one of these facets belongs to (collective)."""
+        mine = [self.diameters[self.of_cell[cells_of_facets(mesh, facets)[0]]].min(initial=np.inf) for facets in sides]
+        return float(mesh.comm.allreduce(min(mine), MPI.MIN))
+
+
+def _joint(domain: Domain, pair: PairedParts, ranks: Indices, extents: _Extents) -> Joint:
+    mesh, comm = domain.mesh, domain.mesh.comm
+    slaves, masters = (
+        np.unique(np.concatenate([domain.facets[part] for part in parts])) for parts in (pair.slave, pair.master)
+    )
+    slave, own = _surface(mesh, slaves, ranks), _surface(mesh, masters, ranks)
+    master = Surface(*(np.concatenate(comm.allgather(each)) for each in (own.corners, own.normals)))
+    directions = slave.normals
+    if pair.direction != "normal":
+        if len(pair.direction) != slave.normals.shape[1]:
+            raise InputError(f"pair {pair.words}: direction has {len(pair.direction)} components")
+        directions = np.tile(np.array(pair.direction) / np.linalg.norm(pair.direction), (len(slaves), 1))
+    within = extents.least(mesh, slaves, masters) / 2 if pair.within is None else pair.within
+    pieces = overlay(slave, master, directions, within)
+    shares = pieces.covered(len(slaves))
+    whole = np.abs(shares - 1) <= WHOLE
+    if not comm.allreduce(bool(whole.any()), MPI.LOR):
+        raise InputError(
+            f"pair {pair.words}: no facet of the slave is covered by the master within {within:.4g} along direction; "
+            "check which side is which, the direction, or give a larger within"
+        )
+    pieces = pieces.take(whole[pieces.slave])
+    rows = np.flatnonzero(whole)
+    pieces.slave[:] = np.searchsorted(rows, pieces.slave)
+    return Joint(
+        pair=pair,
+        slaves=slaves[rows],
+        left_out=slaves[~whole],
+        slave=Surface(slave.corners[rows], slave.normals[rows]),
+        directions=directions[rows],
+        masters=masters,
+        master=master,
+        first=comm.scan(len(masters)) - len(masters),
+        pieces=pieces,
+        covered=shares,
+    )
+
+
+def _surface(mesh: dolfinx.mesh.Mesh, facets: Facets, ranks: Indices) -> Surface:
+    """Facets with their vertices in the order of the ranks of nodes."""
+    dim = mesh.topology.dim
+    nodes = np.empty((0, dim), dtype=np.int32)
+    if len(facets) > 0:
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, facets)
+    nodes = np.take_along_axis(nodes, np.argsort(ranks[nodes], axis=1), axis=1)
+    cells, local = cells_of_facets(mesh, facets)
+    corners = mesh.geometry.x[nodes, :dim]
+    normals = unit_normals(corners[:, 1:] - corners[:, :1])
+    apart = corners[:, 0] - mesh.geometry.x[cell_nodes(mesh)[cells, local], :dim]
+    normals *= np.sign(np.einsum("ni,ni->n", apart, normals))[:, None]
+    return Surface(corners, normals)

@@ -1,0 +1,193 @@
+"""Conditions on elastic bodies where they meet something: contact, friction, pairs of surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import NoneType
+from typing import Any, ClassVar, TypeGuard
+
+from signorini_fenicsx.base.arguments import check_kind, check_names, names_of
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.law import Law, OnParts
+from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
+from signorini_fenicsx.discrete.pairing import PairedParts
+from signorini_fenicsx.expressions.given import Given
+
+
+@dataclass(frozen=True)
+class CoulombLaw:
+    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
+
+    Attributes:
+        parts: Names of parts of Γ_C.
+        mu: μ ≥ 0.
+    """
+
+    parts: Sequence[str]
+    mu: Given
+    name: ClassVar[str] = "coulomb"
+
+    def __post_init__(self) -> None:
+        """Refuse a string in the place of a list."""
+        check_names("parts", self.parts)
+
+    def with_data(self, change: Callable[[str, Any], Any]) -> CoulombLaw:
+        """The law with μ changed by a function of its name and value, see `Law.with_data`."""
+        return replace(self, mu=change(f"{self.name}.mu", self.mu))
+
+
+type ElasticLaw = Law | CoulombLaw
+"""Friction with a given bound of the shear (Tresca) or with one by the pressure; or a law between opening and
+pressure."""
+
+
+@dataclass(frozen=True)
+class Tresca:
+    """Friction by Tresca's law, |σ_t| ≤ g.
+
+    Attributes:
+        g: g ≥ 0.
+    """
+
+    g: Given
+
+    def law(self, parts: Sequence[str]) -> ElasticLaw:
+        """The law on some parts."""
+        return Friction(parts, self.g)
+
+
+@dataclass(frozen=True)
+class Coulomb:
+    """Friction by Coulomb's law, |σ_t| ≤ −μ σ_nn.
+
+    Attributes:
+        mu: μ ≥ 0.
+    """
+
+    mu: Given
+
+    def law(self, parts: Sequence[str]) -> ElasticLaw:
+        """The law on some parts."""
+        return CoulombLaw(parts, self.mu)
+
+
+@dataclass(frozen=True)
+class Contact(OnParts):
+    """Contact with a rigid foundation: u_n ≤ gap, σ_nn ≤ 0, one of them equal.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        gap: The distance to the foundation along the outer normal.
+        surface: A file with a mesh of the surface of the foundation, such as STL, in the plane of a line. The gap is
+            then the distance to it along the normal, and `gap` more.
+        friction: `Tresca` or `Coulomb`; None for σ_t = 0.
+        force: For a rigid tool that moves: what acts on it along each axis along which it can, such as {"y": -1}. The
+            gap is that before it moves, and the part is one. Along other axes it is held.
+        moment: For each axis about which it turns the moment about the middle of the part, in the plane {"z": 0}.
+
+    Raises:
+        InputError: If the friction is something else, or several parts have one tool.
+    """
+
+    gap: Given = 0.0
+    surface: str | Path | None = None
+    friction: Tresca | Coulomb | None = None
+    force: Mapping[str, Given] = field(default_factory=dict)
+    moment: Mapping[str, Given] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse another friction, and a tool on several parts."""
+        super().__post_init__()
+        check_kind("friction", self.friction, Tresca, Coulomb, NoneType)
+        check_kind("surface", self.surface, str, Path, NoneType)
+        for name, given in (("force", self.force), ("moment", self.moment)):
+            check_kind(name, given, Mapping, hint='; an example is {"y": -1}')
+        if (self.force or self.moment) and len(self.parts) != 1:
+            raise InputError("force: a tool is on one part; give each part a condition of its own")
+
+
+@dataclass(frozen=True)
+class Tied:
+    """Two surfaces that stay as they are to each other: [u] = 0."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two surfaces that need not share nodes, and may be apart: contact, or another law between opening and pressure.
+
+    A point of a slave facet is opposite to the nearest point of a master facet along the direction. Slave facets that
+    are not covered by the master are free. The coarser surface should be the slave.
+
+    Attributes:
+        slave: Name of a part, or a list of names; it carries the pressure, and its normals are those of the law.
+        master: Likewise, the other side.
+        law: None for contact without friction, `Tresca`, `Coulomb`, `Tied`, or a law between opening and pressure that
+            was made without parts, such as `Wall((), beta=5)`.
+        direction: "normal" for the normals of the slave facets, or a vector.
+        within: The largest distance of points that belong to each other; None for half the diameter of the smaller
+            body.
+        gap: "distance", which is negative where the surfaces overlap; "distance" with something added, as
+            "distance - 1e-3"; or what is in its place, a number or a text.
+
+    Raises:
+        InputError: If the law is something else, or a part is on both sides.
+    """
+
+    slave: str | Sequence[str]
+    master: str | Sequence[str]
+    law: Tresca | Coulomb | Tied | Law | None = None
+    direction: str | Sequence[float] = "normal"
+    within: float | None = None
+    gap: Given = "distance"
+    side: ClassVar[None] = None
+
+    def __post_init__(self) -> None:
+        """Make lists of names, refuse other laws."""
+        for key in ("slave", "master"):
+            object.__setattr__(self, key, names_of(key, getattr(self, key)))
+        check_kind("law", self.law, Tresca, Coulomb, Tied, Law, NoneType)
+        if isinstance(self.law, Law) and (self.law.parts or not is_normal(self.law)):
+            raise InputError("pair: law must be one between opening and pressure without parts, as Wall((), beta=5)")
+        _ = self.added, self.on_boundary
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The parts of both sides."""
+        return (*self.slave, *self.master)
+
+    @property
+    def added(self) -> tuple[bool, Given]:
+        """Whether the gap is the distance, and what is given more, or in its place.
+
+        Raises:
+            InputError: If the distance is not alone or the first term.
+        """
+        if not isinstance(self.gap, str) or "distance" not in self.gap:
+            return False, self.gap
+        begin, rest = self.gap.split("distance", 1)
+        rest = rest.strip()
+        if begin.strip() or "distance" in rest or rest[:1] not in ("", "+", "-"):
+            raise InputError(f'pair: gap is "{self.gap}"; use "distance", or "distance + ..." with what is more')
+        return True, 0.0 if rest == "" else f"0 {rest}"
+
+    @property
+    def on_boundary(self) -> PairedParts:
+        """What the boundary has of it."""
+        tied = isinstance(self.law, Tied)
+        return PairedParts(self.slave, self.master, self.direction, self.within, tied, self.added[0])
+
+    @property
+    def on_slave(self) -> Contact | Law | None:
+        """The condition on the slave as if there were a foundation, without the distance; None if it is tied."""
+        if isinstance(self.law, Tied):
+            return None
+        if isinstance(self.law, Law):
+            return replace(self.law, parts=self.slave)
+        return Contact(self.slave, gap=self.added[1], friction=self.law)
+
+
+def is_normal(law: object) -> TypeGuard[Law]:
+    """Whether a law is one between opening and pressure."""
+    return isinstance(law, Law) and not isinstance(law, Friction | Dirichlet | Neumann)
