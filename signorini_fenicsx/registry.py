@@ -118,6 +118,40 @@ class Elasticity(Physics):
         return PROOFS
 
 
+class Stokes(Physics):
+    """A viscous flow, its pressure and laws on its boundary."""
+
+    @cached_property
+    def problem(self) -> Any:
+        from signorini_fenicsx.physics.stokes.problem import Stokes
+
+        return Stokes
+
+    @cached_property
+    def system(self) -> Any:
+        from signorini_fenicsx.physics.stokes.solving import System
+
+        return System
+
+    @cached_property
+    def keeping(self) -> Any:
+        from signorini_fenicsx.physics.stokes.kept import KEEPING
+
+        return KEEPING
+
+    @cached_property
+    def case(self) -> Any:
+        from signorini_fenicsx.physics.stokes.case import StokesCase
+
+        return StokesCase
+
+    @cached_property
+    def pictures(self) -> Any:
+        from signorini_fenicsx.physics.stokes.show.pictures import PICTURES
+
+        return PICTURES
+
+
 def _write(*given: Any, **wanted: Any) -> None:
     from signorini_fenicsx.output.writing import publish_solution
 
@@ -136,5 +170,5 @@ def _html(*given: Any) -> Any:
     return html(*given)
 
 
-PHYSICS.update({DIFFUSION: Diffusion(), "elasticity": Elasticity()})
+PHYSICS.update({DIFFUSION: Diffusion(), "elasticity": Elasticity(), "stokes": Stokes()})
 OUTPUT.update(write=_write, plot=_plot, html=_html)

@@ -270,7 +270,7 @@ def largest_degree(data: Iterable[Datum]) -> int | None:
 def quadrature_degree(*data: Datum, power: int = 1) -> int:
     """Degree of a quadrature for a power of the sum of some data."""
     least, most = DEGREES
-    return min(max(least, power * max(datum.degree for datum in data)), most)
+    return min(max(least, power * max((datum.degree for datum in data), default=0)), most)
 
 
 def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Datum:

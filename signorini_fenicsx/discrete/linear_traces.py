@@ -5,7 +5,7 @@ Both elements of order two have them: that of Johnson and Mercier for stresses, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -57,7 +57,8 @@ class BoundaryFacets(Hats):
         local: Which vertex of that cell is opposite, in the order of `LinearTraces.order`.
         blocks: Block of unknowns of each.
         vertices: Shape (facets, d, d).
-        normals: Outer unit normals.
+        normals: Outer unit normals; inner ones where a law is from the other side, see `turned`.
+        outward: 1 where they are outer ones, −1 elsewhere.
     """
 
     facets: npt.NDArray[np.int32]
@@ -66,6 +67,12 @@ class BoundaryFacets(Hats):
     blocks: npt.NDArray[np.int32]
     vertices: Array
     normals: Array
+    outward: Array
+
+    def turned(self, rows: Indices) -> BoundaryFacets:
+        """The facets with inner normals on these rows, along which a law then counts."""
+        outward = np.where(np.isin(np.arange(len(self.facets)), rows), -1.0, 1.0)
+        return replace(self, normals=outward[:, None] * self.normals, outward=outward)
 
 
 def linear_values(moments: Array, measure: Array) -> Array:
@@ -248,4 +255,5 @@ def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDAr
         vertices=np.take_along_axis(vertices, opposite(dim)[local][:, :, None], axis=1),
         normals=areas / measure[:, None],
         measure=measure,
+        outward=np.ones(len(facets)),
     )

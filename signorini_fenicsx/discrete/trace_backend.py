@@ -190,8 +190,8 @@ class TraceBackend(PlainBackend):
         """Add what acts at the sites in this solution to what forces of σ leave, in place."""
         left[self._unknowns] += self.given_forces(posed, self.openings(x))
 
-    def after_solve(self, posed: Posed) -> bool:
-        """What is done with x after each solve; whether the solve went to its end for it (collective)."""
+    def after_solve(self, posed: Posed, *, ended: bool) -> bool:
+        """What is done with x after each solve, which may have ended; whether it did for this (collective)."""
         return True
 
     @property
@@ -290,7 +290,7 @@ class TraceBackend(PlainBackend):
         self._iterations, ended = self._factors.solve_by_any(load, self._x, posed.imposed)
         self._last, self._state = posed, State.POSED
         self._x.axpy(1.0, self._held)
-        ended &= self.after_solve(posed)
+        ended &= self.after_solve(posed, ended=ended)
         self._state = State.SOLVED if ended else State.ROUGH
 
     def before_solve(self) -> None:

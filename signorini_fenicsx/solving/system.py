@@ -169,7 +169,8 @@ def with_sides(domain: Domain, problem: Any) -> Domain:
 def _problems() -> str:
     """What the problems of all physics are called."""
     names = [physics.problem.__name__ for physics in PHYSICS.values()]
-    return " or ".join(f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" for name in names)
+    *others, last = [f"{'an' if name[0] in 'AEIOU' else 'a'} {name}" for name in names]
+    return f"{', '.join(others)} or {last}"
 
 
 def sorted_on(domain: Domain, problem: Any) -> Any:

@@ -215,7 +215,7 @@ def test_bad_input():
     assert "no traction is given on part 'y1', as no part is in Γ_N" in complaint(held, g_N={"y1": ["0", "1"]})
     assert "gap: not finite everywhere on part 'y0'" in complaint(held, gap="1/x")
     assert "unknown part 'lid'" in complaint(ElasticBoundary(["y0"], fixed={"lid": "x"}))
-    assert "inside the domain or in another part" in complaint(ElasticBoundary(["y0"], fixed={"y0": "x"}))
+    assert "beside them fixed there is 't', not 'x'" in complaint(ElasticBoundary(["y0"], fixed={"y0": "x"}))
     assert "unknown region 'core'" in complaint(held, young={"core": 1.0})
     assert "rigidly, along (1, 0)" in complaint(loaded, f=["0", "-1"]).replace("(-1,", "(1,").replace("-0)", "0)")
     sliding = ElasticBoundary(["y0"], neumann=["x1", "y1"], fixed={"x0": "x"})

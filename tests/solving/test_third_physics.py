@@ -30,7 +30,7 @@ COMM = MPI.COMM_WORLD
 def test_a_folder_and_a_name(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     """It is solved, measured, written, drawn, read again, compared and reported; no bound is known, which is said."""
     domain = build_domain(COMM, "square", 0.3, mesh="structured")
-    with pytest.raises(InputError, match="must be a Diffusion or an Elasticity, not Bed"):
+    with pytest.raises(InputError, match="must be a Diffusion, an Elasticity or a Stokes, not Bed"):
         solve(domain, Bed(2.0, -1.0, Edges(["bottom"])))
     monkeypatch.setitem(PHYSICS, "springs", Springs())
     solution = solve(domain, Bed(2.0, -1.0, Edges(["bottom"])), name="bed")

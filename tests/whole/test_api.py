@@ -352,7 +352,10 @@ def test_arguments_of_the_wrong_kind():
         (lambda: replace(scalar, boundary=pressed.boundary), "boundary: must be a Boundary, not ElasticBoundary"),
         (lambda: solve(domain, scalar, {"algorithm": "alg1"}), "options: must be an Options, not dict"),
         (lambda: solve(domain.mesh, pressed), "domain: must be a Domain, not Mesh"),
-        (lambda: solve(domain, Wall("bottom", beta=1)), "problem: must be a Diffusion or an Elasticity, not Wall"),
+        (
+            lambda: solve(domain, Wall("bottom", beta=1)),
+            "must be a Diffusion, an Elasticity or a Stokes, not Wall",
+        ),
         (lambda: Solver(domain, scalar).solve(pressed), "problem: is of another physics"),
         (lambda: solve(domain, pressed, "alg1"), "options: must be an Options, not string"),
         (

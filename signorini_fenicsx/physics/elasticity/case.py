@@ -1,6 +1,6 @@
 """Case files of elastic contact, `physics = "elasticity"`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -65,13 +65,13 @@ class ElasticParts(Parts):
             raise ValueError(str(error)) from None
         return self
 
-    def read(self, contact: list[str]) -> ElasticBoundary:
-        """The boundary for the solver, with these parts in contact.
+    def read(self, contact: list[str], turned: Sequence[str] = ()) -> ElasticBoundary:
+        """The boundary for the solver, with these parts in contact, some of which have their law from the other side.
 
         Raises:
             InputError: If a component is unknown.
         """
-        return ElasticBoundary(contact, self.neumann, self.fixed, self.inner)
+        return ElasticBoundary(contact, self.neumann, self.fixed, self.inner, turned=turned)
 
 
 OF_DATA = OF_LAWS | {
@@ -86,7 +86,15 @@ OF_DATA = OF_LAWS | {
 
 
 WITHOUT_FRICTION = data_section(
-    Contact, OF_DATA, ("surface",), surface=str | None, gap=None, parts=None, side=None, friction=None
+    Contact,
+    OF_DATA,
+    ("surface", "behind"),
+    surface=str | None,
+    behind=bool,
+    gap=None,
+    parts=None,
+    side=None,
+    friction=None,
 )
 
 
@@ -152,6 +160,7 @@ OF_PROBLEM = data_section(
     exact=None,
     laws=None,
     boundary=None,
+    viscosity=None,
 )
 
 
@@ -212,8 +221,13 @@ class ElasticCase(CaseFile):
     @property
     def lists(self) -> dict[str, list[str]]:
         """The parts of laws, and those in contact without one, see `CaseFile.lists`."""
-        in_laws = super().meeting
-        return super().lists | {"contact": [part for part in self.boundary.contact if part not in in_laws]}
+        in_laws, fixed = super().meeting, self.boundary.fixed
+        alone = {key: [part for part in parts if part not in fixed] for key, parts in super().lists.items()}
+        friction = [f"law.{i}.parts" for i, law in enumerate(self.law) if law.kind == "friction"]
+        for key in friction:  # beside a law in the normal direction
+            others = [part for other, parts in alone.items() if other not in friction for part in parts]
+            alone |= {key: [part for part in alone.get(key, []) if part not in others]}
+        return alone | {"contact": [part for part in self.boundary.contact if part not in in_laws]}
 
     @property
     def meeting(self) -> list[str]:
@@ -252,8 +266,10 @@ class ElasticCase(CaseFile):
         gaps = dict.fromkeys(self.boundary.contact, self.problem.gap)
         gaps |= {part: self.problem.gap if law.gap is None else law.gap for law in self.law for part in law.parts}
         values["gap"] = one_value(gaps, self.problem.gap)
-        meeting = of_meeting([law.made() for law in self.law])
-        problem = ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=self.boundary.read(self.meeting))
+        laws = [law.made() for law in self.law]
+        turned = [part for law in laws if getattr(law, "behind", False) for part in law.parts]
+        meeting, boundary = of_meeting(laws), self.boundary.read(self.meeting, turned)
+        problem = ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=boundary)
         if step is None or self.time is None:
             return problem
         return problem.in_time(dim).at(self.time.evolution().time(step))

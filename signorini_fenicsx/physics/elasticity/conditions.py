@@ -8,9 +8,11 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, ClassVar, TypeGuard
 
+import numpy as np
+
 from signorini_fenicsx.base.arguments import check_kind, check_names, names_of
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.law import Law, OnParts
+from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.pairing import PairedParts
 from signorini_fenicsx.expressions.given import Given
@@ -36,6 +38,22 @@ class CoulombLaw:
     def with_data(self, change: Callable[[str, Any], Any]) -> CoulombLaw:
         """The law with μ changed by a function of its name and value, see `Law.with_data`."""
         return replace(self, mu=change(f"{self.name}.mu", self.mu))
+
+
+@dataclass(frozen=True)
+class Closed(Law):
+    """u_n is given: a vertical line, whatever the pressure is.
+
+    Attributes:
+        parts: Names of parts of Γ_C.
+    """
+
+    segments = ("closed",)
+    places = ("parts",)
+
+    def graph(self, values: Values) -> Graph:
+        """A vertical line."""
+        return Graph((0.0, 0.0), [(0.0, 0.0)], np.inf, np.inf)
 
 
 type ElasticLaw = Law | CoulombLaw
@@ -86,6 +104,7 @@ class Contact(OnParts):
         force: For a rigid tool that moves: what acts on it along each axis along which it can, such as {"y": -1}. The
             gap is that before it moves, and the part is one. Along other axes it is held.
         moment: For each axis about which it turns the moment about the middle of the part, in the plane {"z": 0}.
+        behind: Whether the foundation is on the other side, like a hook that holds: u_n ≥ −gap, σ_nn ≥ 0.
 
     Raises:
         InputError: If the friction is something else, or several parts have one tool.
@@ -96,6 +115,7 @@ class Contact(OnParts):
     friction: Tresca | Coulomb | None = None
     force: Mapping[str, Given] = field(default_factory=dict)
     moment: Mapping[str, Given] = field(default_factory=dict)
+    behind: bool = False
 
     def __post_init__(self) -> None:
         """Refuse another friction, and a tool on several parts."""
@@ -106,6 +126,8 @@ class Contact(OnParts):
             check_kind(name, given, Mapping, hint='; an example is {"y": -1}')
         if (self.force or self.moment) and len(self.parts) != 1:
             raise InputError("force: a tool is on one part; give each part a condition of its own")
+        if self.behind and (self.surface or self.force or self.moment):
+            raise InputError("behind: a foundation on the other side is no tool, and has no surface")
 
 
 @dataclass(frozen=True)

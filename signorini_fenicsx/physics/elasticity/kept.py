@@ -66,7 +66,10 @@ def _slipping(sticks: Mask, shear: Array, slip: Array) -> Slipping:
     return Slipping(np.where(sticks[:, :, None], 0.0, direction), np.where(slips, moved, 1.0))
 
 
-def _read(problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored) -> ElasticSolution:
+def read(
+    problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored, kind: type[ElasticSolution] = ElasticSolution
+) -> ElasticSolution:
+    """A solution of a kind from what is kept of it (collective)."""
     stresses, u = (stored.in_cells(spaces, key) for key in ("sigma", "u"))
     p, condition, slip, state, bound = stored.on_facets(spaces.mesh.comm, "p", "condition", "slip", "state", "bound")
     rough, slipped = spaces.rough_rows, None
@@ -100,7 +103,7 @@ def _read(problem: ElasticProblem, spaces: ElasticSpaces, stored: Stored) -> Ela
         sigma=spaces.split.stress(stresses),
         u=spaces.displacement(u),
     )
-    return ElasticSolution(
+    return kind(
         spaces=spaces,
         data=data,
         outcome=stored.outcome(iterate, conditions),
@@ -118,7 +121,7 @@ KEEPING = Keeping(
     codes={"facet_condition": len(Condition), "facet_state": len(Friction.segments)},
     in_cells=lambda solution: {"sigma": solution.stresses, "u": solution.spaces.displacement_values(solution.u)},
     on_facets=_on_facets,
-    read=_read,
+    read=read,
     own=("bound_changes", "moved"),
     of_some={
         "facet_slipped": (np.float64, "facets", "dim"),

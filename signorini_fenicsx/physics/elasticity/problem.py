@@ -23,6 +23,7 @@ from signorini_fenicsx.discrete.pairing import PairedParts
 from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
 from signorini_fenicsx.physics.elasticity.conditions import (
+    Closed,
     Contact,
     CoulombLaw,
     ElasticLaw,
@@ -43,6 +44,8 @@ type GivenByPart = Mapping[str, Given]
 """A scalar for each part of the boundary."""
 type GivenModulus = Given | Sequence[Given] | Mapping[str, Given | Sequence[Given]]
 """A modulus, or three along the axes of the material; or one of these for each region of the mesh."""
+type GivenViscosity = Given | Mapping[str, Given]
+"""A viscosity, or one for each region of the mesh."""
 type GivenStiffness = Given | Sequence[Given] | Sequence[Sequence[Given]]
 """Of springs per area: one in all directions, two along the normal and across it, or a symmetric matrix; numbers."""
 type GivenSupports = Mapping[str, GivenStiffness]
@@ -50,7 +53,7 @@ type GivenSupports = Mapping[str, GivenStiffness]
 type GivenAxes = Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]]
 """Directions of the axes of the material, one in the plane and two in space; or these for each region of the mesh."""
 
-NORMAL = "n"
+NORMAL, TANGENTIAL = "n", "t"
 
 
 class Plane(StrEnum):
@@ -143,17 +146,21 @@ class Elasticity(Body):
         if any(isinstance(condition, Friction) for condition in others):
             raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
         check_conditions(others, Law, Contact, Pair, Pressure, Support, example=example)
-        check_conditions(loads_held, Neumann, Pressure, example=example)
+        check_conditions(loads_held, Law, Contact, Pressure, example=example)
 
     def _loads_held(self, condition: object) -> bool:
-        """Whether a condition is a load on parts that are fixed in some components, or on springs."""
+        """Whether a condition is a load or a law on parts that are fixed in some components, or a load on springs."""
         held = {
             part
             for other in self.conditions
             if isinstance(other, Support) or (isinstance(other, Dirichlet) and other.components is not None)
             for part in other.parts
         }
-        return isinstance(condition, Neumann | Pressure) and set(condition.parts) <= held
+        if isinstance(condition, Neumann | Pressure):
+            return set(condition.parts) <= held
+        fixed = [each for each in self.conditions if isinstance(each, Dirichlet) and each.components is not None]
+        some = {part for each in fixed for part in each.parts}
+        return (isinstance(condition, Contact) or is_normal(condition)) and set(condition.parts) <= some
 
     @property
     def solution_type(self) -> type[ElasticSolution]:
@@ -183,6 +190,7 @@ class Elasticity(Body):
             fixed=fixed,
             inner=inner,
             pairs=[pair.on_boundary for pair in pairs],
+            turned=[part for each in meeting if getattr(each, "behind", False) for part in each.parts],
         )
         u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
         if not names_all(domain, self.conditions):
@@ -225,11 +233,13 @@ class ElasticBoundary:
     Attributes:
         contact: Names of the parts of Γ_C; those of laws are added.
         neumann: Names of the parts of Γ_N.
-        fixed: For a part the components of u that are given there, letters of "xyz", or "n" for the normal one: a plane
-            of symmetry is fixed in "n". In the others σn is given.
+        fixed: For a part the components of u that are given there, letters of "xyz", or "n" for the normal one and "t"
+            for the tangential ones: a plane of symmetry is fixed in "n". In the others σn is given, or what a law says:
+            on parts of Γ_C with friction u_n may be fixed, on those without it u_t, each as 0.
         inner: Names of the parts of Γ_C inside the domain, where two bodies touch: u_n is then the jump of u along n,
             which is outward from the named side.
         pairs: Pairs of surfaces; the slaves are in `contact` unless they are tied, and all others in `neumann`.
+        turned: Names of the parts of Γ_C whose law is from the other side: its p is g + u_n, its flux σ_nn.
     """
 
     contact: Sequence[str] = ()
@@ -237,11 +247,13 @@ class ElasticBoundary:
     fixed: Mapping[str, str] = field(default_factory=dict)
     inner: Sequence[str] = ()
     pairs: Sequence[PairedParts] = ()
+    turned: Sequence[str] = ()
     physics: ClassVar[str] = "elasticity"
+    words: ClassVar[tuple[str, str, str]] = ("the foundation", "the gap", "displacement")
 
     def __post_init__(self) -> None:
         """Refuse strings in the place of lists, and unknown components."""
-        for key in ("contact", "neumann", "inner"):
+        for key in ("contact", "neumann", "inner", "turned"):
             check_names(key, getattr(self, key))
             object.__setattr__(self, key, list(getattr(self, key)))  # as they are read from files
         pairs = [PairedParts(**each) if isinstance(each, Mapping) else each for each in self.pairs]
@@ -249,16 +261,19 @@ class ElasticBoundary:
         check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
         for part, components in self.fixed.items():
             check_kind(f"fixed: part '{part}'", components, str)
-            is_known = components == NORMAL or (
+            is_known = components in (NORMAL, TANGENTIAL) or (
                 set(components) <= set(AXES) and len(set(components)) == len(components)
             )
             if not is_known or not components:
-                raise InputError(f"fixed: part '{part}' has '{components}'; use letters of {AXES}, or {NORMAL}")
+                raise InputError(
+                    f"fixed: part '{part}' has '{components}'; use letters of {AXES}, {NORMAL} or {TANGENTIAL}"
+                )
 
     @property
     def named(self) -> dict[str, Sequence[str]]:
         """The parts of each kind."""
-        return {"contact": self.contact, "neumann": self.neumann, "fixed": list(self.fixed), "inner": self.inner}
+        alone = [part for part in self.fixed if part not in self.contact]
+        return {"contact": self.contact, "neumann": self.neumann, "fixed": alone, "inner": self.inner}
 
 
 @dataclass(frozen=True)
@@ -289,6 +304,7 @@ class ElasticProblem(Body):
             can.
         moment: Likewise about each axis about which it turns.
         boundary: The parts of Γ_C, of Γ_N, and fixed in some components; those of laws are added to Γ_C.
+        viscosity: That of a fluid in the place of the moduli, with u for its velocity; None for a body.
     """
 
     g_N: GivenVectorByPart | None = None
@@ -300,6 +316,7 @@ class ElasticProblem(Body):
     force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     boundary: ElasticBoundary = field(default_factory=ElasticBoundary)
+    viscosity: GivenViscosity | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is neither strain nor stress, other laws, and parts with two; add the parts of laws to Γ_C."""
@@ -309,12 +326,36 @@ class ElasticProblem(Body):
             raise InputError('laws: must be a list of laws, such as [CoulombLaw("bottom", 0.3)]')
         if any(isinstance(law, Law) and law.region for law in self.laws):
             raise InputError("laws: those of an elastic body hold on parts, not in regions")
-        parts = [part for law in self.laws for part in law.parts]
-        if twice := [part for part, times in Counter(parts).items() if times > 1]:
-            raise InputError(f"laws: part '{twice[0]}' has two laws")
+        parts = [(part, is_normal(law)) for law in self.laws for part in law.parts]
+        if twice := [part for (part, _), times in Counter(parts).items() if times > 1]:
+            raise InputError(f"laws: part '{twice[0]}' has two laws in one direction")
         check_kind("boundary", self.boundary, ElasticBoundary)
-        contact = list(dict.fromkeys([*self.boundary.contact, *parts]))
+        contact = list(dict.fromkeys([*self.boundary.contact, *(part for part, _ in parts)]))
         object.__setattr__(self, "boundary", replace(self.boundary, contact=contact))
+
+    def check_fixed(self) -> None:
+        """Refuse parts of Γ_C on which what is fixed leaves nothing to a law, or leaves it in other directions.
+
+        Raises:
+            InputError: If there is one.
+        """
+        normal = [part for law in self.laws if is_normal(law) for part in law.parts]
+        paired = [part for pair in self.boundary.pairs for part in (*pair.slave, *pair.master)]
+        for part in [part for part in self.boundary.contact if part in self.boundary.fixed]:
+            wanted = TANGENTIAL if part not in self.rough else NORMAL if part not in normal else ""
+            if self.boundary.fixed[part] != wanted:
+                told = f"fixed there is '{wanted}'" if wanted else "nothing is fixed there"
+                raise InputError(
+                    f"fixed: part '{part}' has laws; beside them {told}, not '{self.boundary.fixed[part]}'"
+                )
+            if isinstance(self.u_D, Mapping) and self.u_D.get(part) is not None:
+                raise InputError(f"u_D.{part}: beside a law u is fixed as 0")
+            if part in self.boundary.inner or part in paired:
+                raise InputError(f"fixed: '{part}' is where two bodies meet, and has laws alone")
+        by_pressure = [part for law in self.laws if isinstance(law, CoulombLaw) for part in law.parts]
+        for part in by_pressure:
+            if part in normal or part in self.boundary.turned:
+                raise InputError(f"laws: Coulomb's friction on '{part}' needs contact there, and no other normal law")
 
     def in_time(self, dim: int) -> ElasticProblem:
         """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
@@ -340,8 +381,10 @@ class ElasticProblem(Body):
 
     @property
     def normal(self) -> list[tuple[int, Law]]:
-        """The laws between opening and pressure, each with its number among all laws."""
-        return [(index, law) for index, law in enumerate(self.laws) if is_normal(law)]
+        """The laws between opening and pressure, each with its number among all laws, and that of closed parts."""
+        laws = [(index, law) for index, law in enumerate(self.laws) if is_normal(law)]
+        closed = [part for part in self.boundary.contact if self.boundary.fixed.get(part) == NORMAL]
+        return [*laws, *([(len(self.laws), Closed(closed))] if closed else [])]
 
 
 def _changed_in(index: int, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:

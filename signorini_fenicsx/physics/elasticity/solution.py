@@ -21,6 +21,7 @@ from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, law_of_sites
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, to_entries
+from signorini_fenicsx.physics.elasticity.discrete.material import regular
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
@@ -287,7 +288,7 @@ class ElasticSolution(Solution):
             strain = to_entries(exact.gradients(points)) - self.data.material.strain(points)
             sigma = to_entries(np.einsum("qa,nsaij->nsqij", quadrature.local, mine)).reshape(strain.shape)
             off = strain - np.einsum("nqef,nqf->nqe", compliance, sigma)
-            product = (off * np.linalg.solve(compliance, off[..., None])[..., 0]).sum(axis=2).reshape(shape)
+            product = (off * np.linalg.solve(regular(compliance), off[..., None])[..., 0]).sum(axis=2).reshape(shape)
             displaced = self.data.exact.values(points).reshape(*shape, dim) - np.einsum(
                 "sqv,nvi->nsqi", quadrature.hats, nodes
             )
@@ -340,7 +341,7 @@ class ElasticSolution(Solution):
 
     def _sets(self) -> dict[str, Any]:
         return {
-            "physics": "elasticity",
+            "physics": self.physics,
             "contact_facets": self.spaces.Lambda.dofmap.index_map.size_global,
             "dofs": self.outcome.dofs,
             "touching_vertices": self.touching_vertices,
@@ -357,7 +358,11 @@ class ElasticSolution(Solution):
 
     def notes(self) -> list[str]:
         """See `Solved.notes`."""
-        return [*notes_of(self.spaces, self.data), *super().notes(), *large_deformation(self)]
+        return [*notes_of(self.spaces, self.data), *super().notes(), *self.own_notes()]
+
+    def own_notes(self) -> list[str]:
+        """What the size of u says (collective)."""
+        return large_deformation(self)
 
     def _particular(self) -> dict[str, Any]:
         normal = self.spaces.site_kinds["normal"]  # of g, before tools move

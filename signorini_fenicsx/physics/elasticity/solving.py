@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -51,10 +51,11 @@ class System:
         """Set up the spaces (collective).
 
         Raises:
-            InputError: If a part is unknown, empty or not on the boundary.
+            InputError: If a part is unknown, empty or not on the boundary, or fixed where a law is.
         """
         self.boundary = problem.boundary
         check_parts(domain, self.boundary.named)
+        problem.check_fixed()
         self.spaces = build_elastic_spaces(domain, self.boundary, problem.rough)
         self._rough = sorted(problem.rough)
         self.kept = KeptBackend()
@@ -92,6 +93,10 @@ class System:
             watch=wish.watch,
             kept=self.kept,
         )
+        return self.run(task, options)
+
+    def run(self, task: ElasticTask, options: Options) -> ElasticRun:
+        """The problem, ready to be solved."""
         return ElasticRun(task, options)
 
     def check(self, problem: ElasticProblem) -> list[str]:
@@ -134,6 +139,7 @@ class ElasticRun:
 
     task: ElasticTask
     options: Options
+    solution_type: ClassVar[type[ElasticSolution]] = ElasticSolution
 
     def remarks(self) -> list[str]:
         """Data that jump and should not, and along what the gap is measured (collective)."""
@@ -161,7 +167,7 @@ class ElasticRun:
     def solution(self, outcome: Outcome, **about: Any) -> ElasticSolution:
         """The solution."""
         self.task.kept.solved(outcome, self.task.data)
-        return ElasticSolution(
+        return self.solution_type(
             spaces=self.task.spaces,
             data=self.task.kept.present.data_found(),
             outcome=outcome,

@@ -17,12 +17,10 @@ from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Elementary
 from signorini_fenicsx.forms.elasticity import pairs
-from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.discrete import Cells, alike, gathered_rows
 
@@ -228,13 +226,13 @@ def _given(solution: ElasticSolution, collected: _Collected) -> dict[str, npt.ND
     """What is given of u (collective)."""
     spaces = solution.spaces
     displacement = _nowhere(spaces, spaces.dim)
-    for facets, _, letter in spaces.fixed:
-        if letter == NORMAL:
+    for facets, k, _, of in spaces.fixed:
+        if len(of) > 1:
             flat = np.ptp(facets.vertices, axis=1) == 0
             along = np.argmax(flat, axis=1)
             collected.unread += [] if flat.any(axis=1).all() else ["u_D along normals that are no axes"]
         else:
-            along = np.full(len(facets.facets), AXES.index(letter))
+            along = np.full(len(facets.facets), k)
         for axis, component in enumerate(solution.data.u_D.scalars):
             mine = np.flatnonzero(along == axis)
             numbers = collected.on_facets(component, "u_D", facets.facets[mine])

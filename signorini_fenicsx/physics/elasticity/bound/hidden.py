@@ -57,7 +57,6 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells,
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 
 MUCH = 0.5
 """If what may be missed is more than this share of the bound, loads are not resolved."""
@@ -245,10 +244,9 @@ def force_near(
 def without_given(spaces: ElasticSpaces, part: BoundaryFacets, values: Array) -> Array:
     """Tractions on a part without their components along which u is given there, shape (facets, points, d)."""
     values = values.copy()
-    for fixed, k, letter in spaces.fixed[spaces.dim :]:
-        mine = np.flatnonzero(np.isin(part.facets, fixed.facets))
-        axes = np.broadcast_to(np.eye(spaces.dim)[k], (len(mine), spaces.dim))
-        axes = part.normals[mine] if letter == NORMAL else axes
+    for fixed, _, directions, _ in spaces.fixed[spaces.dim :]:
+        mine, order = np.flatnonzero(np.isin(part.facets, fixed.facets)), np.argsort(fixed.facets)
+        axes = directions[order[np.searchsorted(fixed.facets, part.facets[mine], sorter=order)]]
         values[mine] -= np.einsum("nqj,nj,ni->nqi", values[mine], axes, axes)
     return values
 

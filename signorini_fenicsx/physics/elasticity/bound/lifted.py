@@ -44,7 +44,6 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 
 QUADRATIC = 2
 """What is a polynomial of this degree is interpolated exactly."""
@@ -120,12 +119,8 @@ def of_degree(resolution: Resolution, names: Sequence[str], degree: int, floors:
 
 def _given(spaces: ElasticSpaces, data: ElasticData) -> Iterator[_Given]:
     """What is given on facets, in all directions."""
-    for facets, k, letter in spaces.fixed:
-        components = data.u_D.components
-        if letter == NORMAL:
-            yield "u_D", facets, [(each, facets.normals[:, i]) for i, each in enumerate(components)]
-        else:
-            yield "u_D", facets, [(components[k], np.ones(len(facets.facets)))]
+    for facets, _, axes, of in spaces.fixed:
+        yield "u_D", facets, [(data.u_D.components[r], axes[:, r]) for r in of]
     yield "gap", spaces.contact, [(data.gap, np.ones(len(spaces.contact.facets)))]
 
 

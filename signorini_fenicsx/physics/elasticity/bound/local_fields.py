@@ -30,6 +30,7 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     symmetric,
     to_entries,
 )
+from signorini_fenicsx.physics.elasticity.discrete.material import regular
 
 INSIDE, ON_FACETS = 2, 3
 """Degrees of l and of r; z has the degree of r."""
@@ -79,7 +80,7 @@ class LocalStresses:
         dim, F = cells.dim, cells.derivative / np.sqrt(cells.determinant)[:, None, None]
         mapped = np.einsum("nik,nsqklb,njl->nsqijb", F, stresses, F, optimize=True)
         size = np.sqrt(cells.measure[:, None] / (dim + 1) * self.weights)
-        root = np.linalg.cholesky(compliance).swapaxes(1, 2)
+        root = np.linalg.cholesky(regular(compliance)).swapaxes(1, 2)
         values = to_entries(np.moveaxis(mapped, -1, -3)).swapaxes(-1, -2)
         weighted: Array = root[:, None, None] @ values * size[:, None, :, None, None]
         return weighted.reshape(len(F), -1, stresses.shape[-1])

@@ -28,6 +28,7 @@ from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_F
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution, beyond
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.material import regular
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 
@@ -74,7 +75,7 @@ def compliances_above(spaces: ElasticSpaces, data: ElasticData) -> Array:
 def above(compliance: Array) -> Array:
     """For each cell one compliance that is at least those in its points, and equal to them if they are equal."""
     mean = compliance.mean(axis=1)
-    root = np.linalg.inv(np.linalg.cholesky(mean))[:, None]
+    root = np.linalg.inv(np.linalg.cholesky(regular(mean)))[:, None]
     largest = np.linalg.eigvalsh(root @ compliance @ root.swapaxes(-1, -2)).max(axis=(1, 2), initial=0.0)
     return largest[:, None, None] * mean
 

@@ -14,23 +14,21 @@ from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_valu
 from signorini_fenicsx.discrete.seen_on_facets import moments_seen
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_points, lines_by_data
 from signorini_fenicsx.expressions.given import parsed
-from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
-from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 
 
 def on_boundary(spaces: ElasticSpaces, data: ElasticData) -> Iterator[tuple[str, Effect]]:
     """What moments of u_D, gaps and tractions make: values of û ("lift"), its right side ("load") (collective)."""
-    for number, (facets, k, letter) in enumerate(spaces.fixed):
-        for r, component in enumerate(data.u_D.components):
-            if letter in (NORMAL, AXES[r]):
-                share = facets.normals[:, r] if letter == NORMAL else np.ones(len(facets.facets))
-                matrices = share[:, None, None] * _to_values(facets)
-                places = spaces.unknowns(facets, k).astype(np.int64)
-                yield from _of_datum(spaces, f"u_D.{number}.{r}", "lift", component, facets, places, matrices)
+    for number, (facets, k, axes, of) in enumerate(spaces.fixed):
+        places = spaces.unknowns(facets, k).astype(np.int64)
+        for r in of:
+            matrices = axes[:, r, None, None] * _to_values(facets)
+            component = data.u_D.components[r]
+            yield from _of_datum(spaces, f"u_D.{number}.{r}", "lift", component, facets, places, matrices)
     contact = spaces.contact
     normal = spaces.site_kinds["normal"]
     places = normal.rows_of(normal.unknown).astype(np.int64)

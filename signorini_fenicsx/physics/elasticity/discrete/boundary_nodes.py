@@ -33,7 +33,6 @@ from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import VectorDatum
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 
 ALONG = 1e-12
 """v is given at a node along directions on which the squares of what is given of unit directions add up to more."""
@@ -237,10 +236,9 @@ def given_nodes(
     dim, index_map = spaces.dim, space.dofmap.index_map
     products, pulls = la.vector(index_map, dim**2), la.vector(index_map, dim)  # sums of d dᵀ and of (d·u_D)d
     on_facets = []
-    for facets, k, letter in spaces.fixed:
+    for facets, _, axes, _ in spaces.fixed:
         coefficients = facet_coefficients(split, space, facets)
-        axis = np.broadcast_to(np.eye(dim)[k], coefficients.facets.normals.shape)
-        directions = (coefficients.facets.normals if letter == NORMAL else axis)[:, None]
+        directions = axes[coefficients.rows][:, None]
         displacement = (
             coefficients.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[coefficients.nodes]
         )
@@ -324,7 +322,7 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     Raises:
         InputError: If it does; the place is told.
     """
-    split, dim, comm = spaces.split, spaces.dim, spaces.mesh.comm
+    split, dim, comm, words = spaces.split, spaces.dim, spaces.mesh.comm, spaces.boundary.words
     element = basix.ufl.element("P", split.mesh.basix_cell(), 1, basix.LagrangeVariant.bernstein, shape=(dim,))
     space = fenicsx.function_space(split.mesh, element)
     at, contact = given_nodes(spaces, data, split, space), contact_coefficients(spaces, split, space)
@@ -338,9 +336,7 @@ def check_against_foundation(spaces: ElasticSpaces, data: ElasticData) -> None:
     if worst[0] > LINEAR * size + spaces.displacement_rounding:
         facet, place = np.unravel_index(int(past.argmax()), past.shape)
         u_n, g, x = passed[facet, place], gap[facet, place], place_in_words(contact.places()[facet, place])
-        worst = worst[0], f"u_n = {u_n:.4g} is given and the gap is {g:.4g} at {x}"
+        worst = worst[0], f"u_n = {u_n:.4g} is given and {words[1]} is {g:.4g} at {x}"
     _, told = max(comm.allgather(worst))
     if told:
-        raise InputError(
-            f"[problem] u_D passes the foundation where parts meet, {told}: no displacement satisfies both"
-        )
+        raise InputError(f"[problem] u_D passes {words[0]} where parts meet, {told}: no {words[2]} satisfies both")

@@ -24,14 +24,15 @@ from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
-from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, FromBefore, friction_bounds
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.material import (
+    STIFF_VOLUME,
     Material,
     check_material,
     material_of,
     mean_compliances,
+    regular,
 )
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import normal_laws
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
@@ -54,7 +55,8 @@ from signorini_fenicsx.physics.elasticity.discrete.vector_datum import (
     vector_datum_of,
     vector_on_parts,
 )
-from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticProblem
+from signorini_fenicsx.physics.elasticity.discrete.viscous import Viscous
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 
 DEGREE, LARGEST_DEGREE = DEGREES
 
@@ -156,6 +158,7 @@ class ElasticData:
         largest = 0.0
         for cells in blocks_of_cells(spaces.mesh):
             of_shape, of_volume = mean_compliances(self.compliances(spaces, cells))
+            of_volume = np.maximum(of_volume, of_shape / (spaces.dim * STIFF_VOLUME))
             largest = max(largest, float((2 * (of_shape / of_volume - 1) / spaces.dim).max(initial=0.0)))
         return float(spaces.mesh.comm.allreduce(largest, MPI.MAX))
 
@@ -207,7 +210,8 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
             region has no value; if plane stress is asked for in space.
     """
     dim = spaces.dim
-    material = material_of(spaces, problem)
+    viscosity = problem.viscosity
+    material = material_of(spaces, problem) if viscosity is None else Viscous.of(spaces, viscosity)
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
     _check_where_given(spaces, problem.u_D)
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
@@ -332,7 +336,7 @@ def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh
         return material.compliance(points)[..., lower[0], lower[1]]
 
     def stiffness(points: CellPoints) -> Array:
-        return np.linalg.inv(material.compliance(points))[..., lower[0], lower[1]]
+        return np.linalg.inv(regular(material.compliance(points)))[..., lower[0], lower[1]]
 
     def on_split(of_points: Callable[[CellPoints], Array], *shape: int, constant: bool) -> fem.Function:
         return _on_split(spaces, split, rule, of_points, shape, constant=constant)
@@ -395,16 +399,15 @@ def _set_given(spaces: ElasticSpaces, u_D: VectorDatum, gap: Datum, lift: fem.Fu
     """Write what û is where it is given, or g on Γ_C; returns the unknowns that are given (collective)."""
     tied = spaces.boundary_facets(spaces.tied)
     unknowns = [spaces.unknowns(tied, k).ravel() for k in range(spaces.dim)]
-    for facets, k, letter in spaces.fixed:
+    for facets, k, axes, _ in spaces.fixed:
         moments = facet_moments(spaces, "u_D", u_D, facets, "where the displacement is given")
-        values = linear_values(moments, facets.measure)
-        along = np.einsum("nar,nr->na", values, facets.normals) if letter == NORMAL else values[..., AXES.index(letter)]
         places = spaces.unknowns(facets, k)
-        lift.x.array[places] = along
+        lift.x.array[places] = np.einsum("nar,nr->na", linear_values(moments, facets.measure), axes)
         unknowns.append(places.ravel())
     for index, part in enumerate(spaces.part_names):
         check_nodes(spaces, "gap", gap, spaces.contact.facets[spaces.part_of_facet == index], f"on part '{part}'")
     moments = facet_moments(spaces, "gap", gap, spaces.contact, "on Γ_C")
     normal = spaces.site_kinds["normal"]
     lift.x.array[normal.unknown] = moments.ravel() / normal.measure
-    return np.concatenate(unknowns)
+    given = np.concatenate(unknowns)
+    return given[~np.isin(given, normal.unknown)]  # a site that is closed is held by its law

@@ -30,6 +30,8 @@ SPACE = entries(3)
 BEYOND = SPACE.index((2, 2))
 POSITIVE = 1e-12
 """Least eigenvalue of the 𝔸 of three normal stresses, of diagonal 1."""
+STIFF_VOLUME = 1e6
+"""The bulk modulus over 2μ that stands for none that is finite, see `regular`."""
 DEPENDENT = 1e-6
 """Directions whose part across the others is less than this share are no axes."""
 
@@ -98,6 +100,8 @@ class Material:
     shear: tuple[Datum, ...]
     axes: tuple[tuple[Datum, ...], ...]
     own: tuple[Strain, ...]
+
+    incompressible = False
 
     @property
     def uniform(self) -> bool:
@@ -271,6 +275,20 @@ def mean_compliances(compliance: Array) -> tuple[Array, Array]:
     return (np.trace(compliance, axis1=-2, axis2=-1) - under_pressure) / (number - 1), under_pressure
 
 
+def regular(compliance: Array) -> Array:
+    """A compliance, or near one that leaves the volume as it is another whose inverse there is, shape (…, n, n).
+
+    It is larger, so that an energy of stresses by it is one above.
+    """
+    of_shape, of_volume = mean_compliances(compliance)
+    if (of_volume > ROUNDING * of_shape).any():
+        return compliance
+    dim = {3: 2, 6: 3}[compliance.shape[-1]]
+    of_pressures = np.zeros(compliance.shape[-2:])
+    of_pressures[:dim, :dim] = 1 / (dim**2 * STIFF_VOLUME)
+    return np.asarray(compliance + of_shape[..., None, None] * of_pressures)
+
+
 def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
     """Read the law of the material (collective).
 
@@ -293,11 +311,11 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
         poisson=_along_axes(spaces, "poisson", problem.poisson),
         shear=() if problem.shear is None else _along_axes(spaces, "shear", _filled(problem, problem.shear, 0.0)),
         axes=tuple(
-            tuple(_read(spaces, "axes", _entry("axes", each, i, dim, "components")) for i in range(dim))
+            tuple(read_datum(spaces, "axes", _entry("axes", each, i, dim, "components")) for i in range(dim))
             for each in directions
         ),
         own=tuple(
-            Strain(name, _read(spaces, name, given, matrix=True), _read(spaces, name, _beyond(given)))
+            Strain(name, read_datum(spaces, name, given, matrix=True), read_datum(spaces, name, _beyond(given)))
             for name, given in (("eigenstrain", problem.eigenstrain), ("initial_stress", problem.initial_stress))
             if given is not None
         ),
@@ -307,7 +325,7 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
     return material
 
 
-def _read(spaces: MeshSpaces, key: str, given: Any, *, matrix: bool = False) -> Datum:
+def read_datum(spaces: MeshSpaces, key: str, given: Any, *, matrix: bool = False) -> Datum:
     """A datum that may have a value for each region (collective)."""
     names = "xyz"[: spaces.mesh.geometry.dim]
     return regional_datum(spaces, key, parsed(given, names, f"[problem] {key}"), matrix=matrix)
@@ -317,7 +335,9 @@ def _along_axes(spaces: MeshSpaces, key: str, given: Any) -> tuple[Datum, ...]:
     """One datum, or three if somewhere three are given (collective)."""
     lists = [given, *given.values()] if isinstance(given, Mapping) else [given]
     number = 3 if any(isinstance(each, list | tuple) for each in lists) else 1
-    return tuple(_read(spaces, key, _entry(key, given, i, 3, "values along axes", alone=True)) for i in range(number))
+    return tuple(
+        read_datum(spaces, key, _entry(key, given, i, 3, "values along axes", alone=True)) for i in range(number)
+    )
 
 
 def _entry(key: str, given: Any, i: int, number: int, what: str, *, alone: bool = False) -> Any:
@@ -364,10 +384,11 @@ def check_material(spaces: MeshSpaces, material: Material, blocks: Iterable[Cell
             (low, high), values = extremes.get(key, (np.inf, -np.inf)), np.nan_to_num(values, nan=-np.inf)
             extremes[key] = min(low, float(values.min(initial=np.inf))), max(high, float(values.max(initial=-np.inf)))
     ends = {key: extent(np.array(pair), spaces.mesh.comm) for key, pair in extremes.items()}
-    for key in ("young", "poisson", "shear", "energy", "axes"):
+    for key in ("viscosity", "young", "poisson", "shear", "energy", "axes"):
         if key in ends:
             _check_ends(key, *ends[key])
-    check_means("young", "in the domain", np.array(ends["young"]), spaces)
+    first = next(iter(ends))
+    check_means(first, "in the domain", np.array(ends[first]), spaces)
     for strain in material.own:
         check_means(strain.name, "in the domain", np.array(ends[strain.name]), spaces)
         skew, size = (np.abs(ends[name]).max() for name in (f"{strain.name}, skew", strain.name))
@@ -381,8 +402,8 @@ def _check_ends(key: str, low: float, high: float) -> None:
     Raises:
         InputError: If they may not.
     """
-    if key == "young" and not (low > 0 and high < np.inf):
-        raise InputError(f"[problem] young: must be positive and finite everywhere; its smallest value is {low:.3g}")
+    if key in ("young", "viscosity") and not (low > 0 and high < np.inf):
+        raise InputError(f"[problem] {key}: must be positive and finite everywhere; its smallest value is {low:.3g}")
     if key == "poisson" and not (low > -1 and high < 0.5):
         wrong = low if not low > -1 else high
         raise InputError(f"[problem] poisson: must be between -1 and 1/2, without these; it is {wrong:.6g} somewhere")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,17 +23,33 @@ from signorini_fenicsx.discrete.pairing import Joint, joints
 from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh, split_mesh
-from signorini_fenicsx.physics.elasticity.problem import NORMAL, ElasticBoundary
+from signorini_fenicsx.physics.elasticity.problem import NORMAL, TANGENTIAL, ElasticBoundary
+
+
+class Fixed(NamedTuple):
+    """Facets on which a component of u is given.
+
+    Attributes:
+        facets: The facets.
+        k: Its number among the unknowns of a vertex.
+        axes: Its direction on each facet, shape (facets, d).
+        of: Which components of u_D it is made of.
+    """
+
+    facets: BoundaryFacets
+    k: int
+    axes: Array
+    of: range
 
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticSpaces(LinearTraces):
     """Spaces on one domain, with the cells' vertices in an order that is the same on any rank, see `LinearTraces`.
 
-    Unknown (a, k) of a facet is at its vertex a. On Γ_C and on parts that are fixed in the normal component k = 0 is
-    that along n, in other places k is a coordinate. On Γ_C the normal part is in the basis dual to the hats φ_a, so
-    that its coefficient is the φ_a-weighted mean of u_n, and the residual that belongs to it |e|/d times σ_nn at the
-    vertex a.
+    Unknown (a, k) of a facet is at its vertex a. On Γ_C and on parts that are fixed in the normal or in the tangential
+    components k = 0 is that along n, in other places k is a coordinate. On Γ_C the normal part is in the basis dual to
+    the hats φ_a, so that its coefficient is the φ_a-weighted mean of u_n, and the residual that belongs to it |e|/d
+    times σ_nn at the vertex a. Where a law is from the other side, n on Γ_C is the inner normal.
 
     On a part inside the domain the unknowns of the named side are the jump, û of this side less û of the other one;
     those of the other side are in the same frame.
@@ -83,7 +100,7 @@ class ElasticSpaces(LinearTraces):
         frames[0][1][self.rough_rows] = _frame_matrices(self.rough.normals, dual, dual)
         frames.append((self.across, frames[0][1][self.inner.rows]))
         for name, components in self.boundary.fixed.items():
-            if components == NORMAL:
+            if components in (NORMAL, TANGENTIAL) and name not in self.boundary.contact:
                 part = self.part(name)
                 frames.append((part, _frame_matrices(part.normals, np.eye(self.dim))))
         if self.tied.size:
@@ -135,19 +152,34 @@ class ElasticSpaces(LinearTraces):
         used = values != 0
         return rows[used], places[used], values[used]
 
+    def rows_on(self, part: str) -> Indices:
+        """The rows of `contact` that are on a part of Γ_C."""
+        return np.flatnonzero(self.part_of_facet == self.part_names.index(part))
+
     def unknowns(self, facets: BoundaryFacets, k: int) -> npt.NDArray[np.int32]:
         """The unknowns (a, k) of facets, shape (facets, d)."""
         dim = self.dim
         return facets.blocks[:, None] * dim**2 + np.arange(dim, dtype=np.int32) * dim + k
 
     @cached_property
-    def fixed(self) -> list[tuple[BoundaryFacets, int, str]]:
-        """Facets and the component k in which u is given, and what that is: a letter of "xyz", or "n"."""
-        numbers = [(self.dirichlet, k, AXES[k]) for k in range(self.dim)]
+    def fixed(self) -> list[Fixed]:
+        """Where components of u are given: those of Γ_D first, one after the other."""
+        dim, everything = self.dim, range(self.dim)
+
+        def along(facets: BoundaryFacets, k: int) -> Fixed:
+            return Fixed(facets, k, np.broadcast_to(np.eye(dim)[k], facets.normals.shape), everything[k : k + 1])
+
+        given = [along(self.dirichlet, k) for k in everything]
         for name, components in self.boundary.fixed.items():
-            part = self.part(name)
-            numbers += [(part, 0 if letter == NORMAL else AXES.index(letter), letter) for letter in components]
-        return numbers
+            on_contact = name in self.boundary.contact
+            part = self.contact.take(self.rows_on(name)) if on_contact else self.part(name)
+            if components in (NORMAL, TANGENTIAL):
+                frames = _frames(part.normals)
+                numbers = everything[:1] if components == NORMAL else everything[1:]
+                given += [Fixed(part, k, frames[:, k], everything) for k in numbers]
+            else:
+                given += [along(part, AXES.index(letter)) for letter in components]
+        return given
 
     @cached_property
     def displacement_rounding(self) -> float:
@@ -157,7 +189,7 @@ class ElasticSpaces(LinearTraces):
     @cached_property
     def rough(self) -> BoundaryFacets:
         """The facets of Γ_C with friction."""
-        return self.boundary_facets(self.contact.facets[self.rough_rows])
+        return self.contact.take(self.rough_rows)
 
     @cached_property
     def tangents(self) -> Array:
@@ -212,7 +244,7 @@ class ElasticSpaces(LinearTraces):
     def tractions(self, facets: BoundaryFacets, stresses: Array) -> Array:
         """σn at the vertices of boundary facets, shape (facets, d, d), of values as in `SplitMesh.values`."""
         at_vertices = stresses[facets.cells, facets.local, : self.dim]
-        return np.einsum("naij,nj->nai", at_vertices, facets.normals)
+        return np.einsum("naij,nj->nai", at_vertices, facets.outward[:, None] * facets.normals)
 
     def shear(self, stresses: Array) -> Array:
         """σ_t at the sites with friction."""
@@ -234,18 +266,24 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
     if domain.mesh.geometry.dim == 2 and flat:
         raise InputError(f"[boundary] fixed: part '{flat[0]}' is fixed in z, which there is only in space")
     pairs = joints(domain, boundary.pairs, cut=bool(boundary.inner))
-    pulled, free = [*boundary.neumann, *boundary.fixed], [each.left_out for each in pairs]
-    on_mesh = build_mesh_spaces(domain, boundary.contact, pulled, boundary.inner, free)
+    loaded = [*boundary.neumann, *(part for part in boundary.fixed if part not in boundary.contact)]
+    free = [each.left_out for each in pairs]
+    on_mesh = build_mesh_spaces(domain, boundary.contact, loaded, boundary.inner, free)
     dim = domain.mesh.topology.dim
     displacements = fenicsx.function_space(domain.mesh, ("DG", 1, (dim,)))
-    names = [index for index, name in enumerate(on_mesh.part_names) if name in rough]
-    return ElasticSpaces(
+
+    def rows(parts: Sequence[str]) -> Indices:
+        names = [index for index, name in enumerate(on_mesh.part_names) if name in parts]
+        return np.flatnonzero(np.isin(on_mesh.part_of_facet, names))
+
+    spaces = ElasticSpaces(
         **linear_traces(on_mesh, (dim, dim)),
         boundary=boundary,
         displacements=displacements,
-        rough_rows=np.flatnonzero(np.isin(on_mesh.part_of_facet, names)),
+        rough_rows=rows(rough),
         joints=pairs,
     )
+    return replace(spaces, contact=spaces.contact.turned(rows(boundary.turned))) if boundary.turned else spaces
 
 
 def _frame_matrices(normals: Array, dual: Array, beside: Array | None = None) -> Array:

@@ -139,7 +139,7 @@ def unseen_work(resolution: Resolution, together: float, kind: Force, apart: fem
     if not comm.allreduce(float(linear.sum())) > 0:
         return 0.0
     moved = np.concatenate([spaces.domain.facets[part] for part in kind.parts])
-    given = np.concatenate([facets.facets for facets, _, _ in spaces.fixed])
+    given = np.concatenate([facets.facets for facets, *_ in spaces.fixed])
     held, others = comm.allreduce(np.array([np.isin(given, moved).sum(), (~np.isin(given, moved)).sum()])).tolist()
     if held == 0:
         return 0.0  # ŵ = 0

@@ -12,7 +12,6 @@ from signorini_fenicsx.discrete.curved import curved_parts
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.show.readings import largest_of
 
 if TYPE_CHECKING:  # it has these
@@ -25,9 +24,8 @@ SMALL = 0.1
 def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
     """Where displacements that are given jump, or the gap (collective)."""
     given = [("gap", data.gap, spaces.contact.facets, TIGHTER)]
-    for facets, k, letter in spaces.fixed:
-        components = data.u_D.components if letter == NORMAL else [data.u_D.components[k]]
-        given += [("u_D", datum, facets.facets, NO_TRACE) for datum in components]
+    for facets, _, _, of in spaces.fixed:
+        given += [("u_D", data.u_D.components[r], facets.facets, NO_TRACE) for r in of]
     notes = [
         note
         for name, datum, facets, so in given

@@ -27,6 +27,7 @@ from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBound
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import neighbours
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Moving
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import ENOUGH, MOST
 from signorini_fenicsx.physics.elasticity.solve.rigid_motions import check_rigid_motions, is_free
 from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.solve.weak_springs import SPRING, WeakSprings
@@ -157,14 +158,28 @@ class ElasticBackend(TraceBackend):
         """Take the last motions of tools from x, so that iterations start near the body."""
         self._x.array_w[:] = self._x.array_r - self.tools.forget()
 
-    def after_solve(self, posed: Posed) -> bool:
-        """Let the tools move, and the body with them (collective)."""
+    def after_solve(self, posed: Posed, *, ended: bool) -> bool:
+        """Let the tools move, and the body with them; keep the volume of an incompressible one (collective)."""
+        if self.system.mean is not None and ended:
+            self._keep_volume(posed)
         if not self.tools:
             return True
         self._respond(posed)
         forces = self._factors.forces(self._x) - self.system.load[self._unknowns]
         self._x.array_w[:] = self._x.array_r + self.tools.take(forces)
         return self._solver.share == 0.0
+
+    def _keep_volume(self, posed: Posed) -> None:
+        """Take the mean pressures from solve to solve until no cell loses volume, see `mean_pressure` (collective)."""
+        change, before = self._x.duplicate(), np.inf
+        for _ in range(MOST):
+            means, share = self.system.means(self.system.everywhere(self._x.array_r) + self.data.lift)
+            if share <= ENOUGH or share > before / 2:
+                break
+            change.set(0.0)
+            self._factors.solve_by_any(-self.system.take_means(means), change, posed.imposed)
+            self._x.axpy(1.0, change)
+            before = share
 
     def posed(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
         """The problem under these conditions; weak springs are left out if the body is held (collective)."""

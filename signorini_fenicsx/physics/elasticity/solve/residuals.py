@@ -19,7 +19,6 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells,
 from signorini_fenicsx.physics.elasticity.discrete.material import mean_compliances
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import unbalanced
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 
 
 @dataclass(frozen=True)
@@ -145,16 +144,13 @@ def _jumps(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> float:
     left[spaces.neumann.blocks] -= linear_values(data.tractions, spaces.neumann.measure)
     held = data.supports.facets.blocks
     left[held] = data.supports.let_go(left[held])
-    for facets, k, letter in spaces.fixed:
-        if letter == NORMAL:
-            _drop_normal(left, facets)
-        else:
-            left[facets.blocks, :, k] = 0.0
     left[spaces.across.blocks] += left[spaces.contact.blocks[spaces.inner.rows]]
     for joint in spaces.joints:
         _pass_on(spaces, joint, left)
     left[spaces.contact.blocks] -= data.pulled
-    _drop_normal(left, spaces.contact)
+    for facets, _, axes, _ in spaces.fixed:
+        _drop(left, facets, axes)
+    _drop(left, spaces.contact, spaces.contact.normals)
     left[spaces.rough.blocks] = 0.0
     size = np.zeros(len(left))
     size[spaces.dofs] = measures
@@ -186,9 +182,10 @@ def _left_on_tools(spaces: ElasticSpaces, data: ElasticData, stresses: Array) ->
     return total
 
 
-def _drop_normal(values: Array, facets: BoundaryFacets) -> None:
-    along = np.einsum("nai,ni->na", values[facets.blocks], facets.normals)
-    values[facets.blocks] -= along[:, :, None] * facets.normals[:, None]
+def _drop(values: Array, facets: BoundaryFacets, axes: Array) -> None:
+    """Take the components of values along axes of facets away, in place."""
+    along = np.einsum("nai,ni->na", values[facets.blocks], axes)
+    values[facets.blocks] -= along[:, :, None] * axes[:, None]
 
 
 def resultants(spaces: ElasticSpaces, stresses: Array) -> dict[str, Array]:

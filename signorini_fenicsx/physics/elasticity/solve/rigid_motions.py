@@ -27,7 +27,6 @@ from signorini_fenicsx.physics.elasticity.discrete.tools import (
     normal_and_tangential,
     tools_at,
 )
-from signorini_fenicsx.physics.elasticity.problem import NORMAL
 from signorini_fenicsx.physics.elasticity.solve.motion_limits import FREE, SLACK, Limits
 
 HELD = 1e-12
@@ -181,10 +180,6 @@ def _motions(x: Array) -> Array:
     return np.stack(motions, axis=-1)
 
 
-def _at(normals: Array, dim: int) -> Array:
-    return np.repeat(normals[:, None], dim, axis=1)
-
-
 @dataclass(frozen=True)
 class Bodies:
     """The rigid motions of all bodies: for each body the translations, then the rotations about the middle.
@@ -231,10 +226,9 @@ class Bodies:
         spaces, dim = self.spaces, self.spaces.dim
         size = dim * (dim + 1) // 2
         grams, totals = np.zeros((self.number, size, size)), np.zeros(self.number)
-        for facets, k, letter in spaces.fixed:
+        for facets, _, axes, _ in spaces.fixed:
             motions, of = self._moved(facets.vertices), self.of_cell[facets.cells]
-            normals = _at(facets.normals, dim)
-            along = np.einsum("nai,nair->nar", normals, motions) if letter == NORMAL else motions[:, :, k]
+            along = np.einsum("ni,nair->nar", axes, motions)
             grams += self._summed(of, np.einsum("nar,nas,n->nrs", along, along, facets.measure))
             totals += self._summed(of, facets.measure)
         facets = supports.facets

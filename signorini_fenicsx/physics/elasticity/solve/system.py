@@ -5,11 +5,12 @@ See `forms/elasticity.py` for what is eliminated on each cell.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import blake2b
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import la
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
@@ -23,8 +24,10 @@ from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     to_entries,
     to_matrices,
 )
+from signorini_fenicsx.physics.elasticity.discrete.material import mean_compliances
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BULK, MeanPressure
 
 
 class ElasticSystem(HybridSystem):
@@ -34,13 +37,19 @@ class ElasticSystem(HybridSystem):
         spaces: The spaces.
         element: The reference element.
         loaded: Whether there are loads, or strains and stresses that the body has without them.
+        mean: The mean pressures of cells where the body is incompressible; None where it is not.
     """
+
+    mean: MeanPressure | None = None
 
     def __init__(self, spaces: ElasticSpaces, data: ElasticData):
         """Eliminate and assemble (collective)."""
         self.spaces, self.element = spaces, reference(spaces.dim)
         self._take(data)
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
+        if data.material.incompressible:
+            softness = np.concatenate([self._softness(cells) for cells in blocks_of_cells(spaces.mesh)])
+            self.mean = MeanPressure(spaces, softness, Cells(spaces.vertices).measure)
         self._take_loads()
 
     def _take(self, data: ElasticData) -> None:
@@ -68,6 +77,8 @@ class ElasticSystem(HybridSystem):
         owned = self._size * self._numbers.size_local
         self.tractions = data.load[:owned]
         self.load = self.load_of(self._blocks, data.lift) + self.tractions
+        if self.mean is not None:
+            self.load -= self._pulls_of_means(self.mean.values)
         given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
         self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
 
@@ -80,6 +91,42 @@ class ElasticSystem(HybridSystem):
         for loads in (of_f, of_f[:0] if strains is None else strains):
             of_loads.update(loads.tobytes())
         return compliances, of_f, strains
+
+    def _softness(self, numbers: npt.NDArray[np.int32]) -> Array:
+        """The mean of 1/2μ on cells (collective)."""
+        return mean_compliances(self._data.compliances(self.spaces, numbers))[0].mean(axis=1)
+
+    def _pulls_of_means(self, means: Array) -> Array:
+        """⟨mn, q⟩ summed over the cells for each owned unknown (collective)."""
+        assert self.mean is not None
+        pulls = la.vector(self._numbers, self._size)
+        cells = np.arange(len(means), dtype=np.int32)
+        np.add.at(pulls.array, self._unknowns(cells), self.mean.pulls(means))
+        pulls.scatter_reverse(la.InsertMode.add)
+        return self._sides.forces(pulls.array[: self._size * self._numbers.size_local])
+
+    def means(self, x: Array) -> tuple[Array, float]:
+        """What all unknowns of this rank add to the mean pressures, see `MeanPressure.of` (collective)."""
+        assert self.mean is not None
+        cells = np.arange(len(self.spaces.order), dtype=np.int32)
+        return self.mean.of(self._sides.values(x), self._unknowns(cells))
+
+    def take_means(self, means: Array) -> Array:
+        """Take means of pressures as given besides; what they take from the right side (collective)."""
+        assert self.mean is not None
+        pulls = self._pulls_of_means(means)
+        self.mean.values += means
+        self.load = self.load - pulls
+        return pulls
+
+    def recover(
+        self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None
+    ) -> tuple[Array, Array]:
+        """σ and u as `HybridSystem.recover` gives them, with the mean pressures that are given."""
+        sigma, u = super().recover(x, with_f=with_f, blocks=blocks)
+        if with_f and blocks is None and self.mean is not None:
+            sigma += self.mean.values[:, None, None, None, None] * np.eye(self.spaces.dim)
+        return sigma, u
 
     def eliminated(self, stresses: Array | None = None, moments: Array | None = None) -> Iterator[Eliminated]:
         """The cells after elimination, with the data or another right side (collective).
@@ -105,6 +152,10 @@ class ElasticSystem(HybridSystem):
             if given is not None:
                 functional = np.einsum("nve,nveb->nb", given.reshape(basis.shape[:3]), basis)
             product = compliance_product(basis, masses)
+            if data.material.incompressible:
+                traces = basis[:, :, : spaces.dim].sum(axis=2).mean(axis=1)
+                weight = self._softness(numbers) * cells.measure / (spaces.dim**2 * BULK)
+                product += weight[:, None, None] * traces[:, :, None] * traces[:, None]
             tractions = cells.tractions(self.element.tractions)
             spaces.to_unknowns(tractions, numbers)
             balance = -np.linalg.solve(cells.derivative, of_f.transpose(0, 2, 1)).transpose(0, 2, 1)

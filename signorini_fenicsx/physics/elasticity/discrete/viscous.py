@@ -1,0 +1,52 @@
+"""The law of a viscous fluid, ε = 𝔸σ with 𝔸σ = dev σ/2μ: that of an incompressible body, with E = 3μ and ν = ½."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.physics.elasticity.discrete.material import SPACE, Material, read_datum
+from signorini_fenicsx.physics.elasticity.problem import GivenViscosity, Plane
+
+
+class Viscous(Material):
+    """The law on a mesh; the viscosity μ is in the place of E."""
+
+    incompressible = True
+
+    @classmethod
+    def of(cls, spaces: MeshSpaces, viscosity: GivenViscosity) -> Viscous:
+        """Read the viscosity, a number or a text, or one of these for each region (collective).
+
+        Raises:
+            InputError: If it cannot be read, or a region has no value.
+        """
+        young = (read_datum(spaces, "viscosity", viscosity),)
+        return cls(spaces.mesh.geometry.dim, Plane.STRAIN, young, poisson=(), shear=(), axes=(), own=())
+
+    def compliance(self, points: CellPoints) -> Array:
+        """𝔸 in points, shape (cells, points, entries, entries) (collective)."""
+        number = len(self._kept)
+        deviator = np.eye(number)
+        deviator[: self.dim, : self.dim] -= 1 / self.dim
+        return np.asarray(deviator / (2 * self.young[0].values(points)[..., None, None]))
+
+    def out_of_plane(self, points: CellPoints) -> tuple[Array, Array]:
+        """The σ_zz = −p by the entries of σ, and without σ, see `Material.out_of_plane`."""
+        share = np.zeros((*points.shape, len(self._kept)))
+        share[..., : self.dim] = 1 / self.dim
+        return share, np.zeros(points.shape)
+
+    def looked_at(self, points: CellPoints) -> Iterator[tuple[str, Array]]:
+        """What has to be checked in points (collective)."""
+        with np.errstate(all="ignore"):
+            yield "viscosity", self.young[0].values(points)
+
+    def softness_in_space(self, points: CellPoints) -> Array:
+        """The eigenvalues of 𝔸 in space, shape (cells, points, 6) (collective)."""
+        one = 1 / (2 * self.young[0].values(points))
+        return np.stack([0 * one, *[one] * (len(SPACE) - 1)], axis=-1)

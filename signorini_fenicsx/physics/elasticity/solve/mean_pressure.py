@@ -1,0 +1,66 @@
+"""The mean pressure of each cell of an incompressible body, which elimination on cells leaves out.
+
+A stress without a deviator, q on T and 0 elsewhere, has no energy, and is in balance. So σ is given by û but for one
+number m of each cell, and this goes with one equation: ∫_∂T û·n = 0. Let a bulk modulus of 2μK hold the mean pressure
+alone, with (∫tr τ)(∫tr τ')/(2μd²K|T|) added to (𝔸τ, τ'). Then
+
+    ∫_∂T û·n = |T|/(2μK) m_T      with m_T the mean of tr σ/d on T,
+
+and the matrix is that of an ordinary body. Now take m_T as a stress that is given, and solve again: what is left of the
+flow ∫_∂T û·n falls by about K each time. That is the method of Hestenes and Powell for [S Bᵀ; B 0].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py.MPI import MAX
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.discrete.simplices import facet_normals
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+
+BULK = 1e4
+"""K."""
+MOST = 8
+"""Solves at most, besides the first one."""
+ENOUGH = 1e-14
+"""The flow out of a cell is rounding if it is at most this share of the largest of what flows through one."""
+
+
+class MeanPressure:
+    """The means m of cells, which grow from solve to solve.
+
+    Attributes:
+        values: m_T of each owned cell, that part of it which û does not give.
+    """
+
+    def __init__(self, spaces: ElasticSpaces, softness: Array, measure: Array):
+        """Begin with none.
+
+        Args:
+            spaces: The spaces.
+            softness: 1/2μ of each owned cell.
+            measure: Their |T|.
+        """
+        self._comm, dim = spaces.mesh.comm, spaces.dim
+        out = np.repeat(facet_normals(spaces.vertices)[:, :, None] / dim, dim, axis=2)
+        self._out = out.reshape(len(measure), -1, 1)
+        spaces.to_unknowns(self._out, np.arange(len(measure), dtype=np.int32))
+        self._stiffness = BULK / (softness * measure)
+        self.values = np.zeros(len(measure))
+
+    def of(self, x: Array, unknowns: Indices) -> tuple[Array, float]:
+        """What û adds to the means, and the flow out of cells as a share of that through them (collective).
+
+        Args:
+            x: û in all unknowns of this rank, on both sides of parts inside the domain.
+            unknowns: Those of each cell, shape (cells, n).
+        """
+        flows = self._out[:, :, 0] * x[unknowns]
+        out = flows.sum(axis=1)
+        largest = self._comm.allreduce(np.array([np.abs(out).max(initial=0.0), np.abs(flows).max(initial=0.0)]), MAX)
+        return self._stiffness * out, float(largest[0] / largest[1]) if largest[1] > 0 else 0.0
+
+    def pulls(self, means: Array) -> Array:
+        """∫ m q·n over the boundary of each cell for its unknowns q, shape (cells, n)."""
+        return np.asarray(means[:, None] * self._out[:, :, 0])

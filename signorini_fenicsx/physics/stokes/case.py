@@ -1,0 +1,157 @@
+"""Case files of viscous flow, `physics = "stokes"`."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import CaseFile, Cost
+from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
+from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
+from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
+from signorini_fenicsx.cases.parts import Parts
+from signorini_fenicsx.cases.values import (
+    Expression,
+    ExpressionByPart,
+    ExpressionByRegion,
+    Vector,
+    VectorByPart,
+    choice,
+)
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import LAWS, Corners
+from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
+from signorini_fenicsx.physics.elasticity.solving import rule_of
+from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, StokesProblem, of_laws
+from signorini_fenicsx.solving.options import Options
+
+COSTS = {2: Cost(4, 1e4, 4.8e3, 2.4e3), 3: Cost(9, 4.5e4, 390, 170)}
+"""Those of bodies, and the solves that keep the volume of cells besides; an order of magnitude."""
+OF_DATA = OF_LAWS | {
+    GivenVector: Vector,
+    GivenVectorByPart: VectorByPart,
+    GivenByPart: ExpressionByPart,
+    GivenViscosity: ExpressionByRegion,
+}
+KINDS: Mapping[str, type] = {"outflow": Outflow, "slip": Slip, "leak": Leak, Corners.word: LAWS[Corners.word]}
+
+
+class FlowParts(Parts):
+    """`[boundary]`: the parts with a given traction, and those fixed in some components; on the rest u is given."""
+
+    neumann: list[str] = Field(default=[])
+    fixed: dict[str, str] = Field(default={})
+    dirichlet: list[str] | None = None
+
+
+class FlowLaw(KindSection):
+    """`[[law]]`: an outlet that does not suck, a wall with slip, one that leaks, or a graph of u_n and σ_nn."""
+
+    word = "law"
+    of_kind: ClassVar[Mapping[str, type[DataSection]]] = {
+        "outflow": data_section(Outflow, OF_LAWS, ("tangential",), parts=None, region=None, side=None, tangential=str),
+        "slip": data_section(Slip, OF_LAWS, parts=None, side=None),
+        "leak": data_section(Leak, OF_LAWS, parts=None, region=None, side=None),
+        Corners.word: OF_KIND[Corners.word],
+    }
+    kind: Annotated[str, choice("law of viscous flow", tuple(KINDS))]
+    parts: list[str] = Field(min_length=1)
+
+    def made(self) -> Law | Slip:
+        """The law."""
+        law: Law | Slip = KINDS[self.kind](self.parts, **(self.model_extra or {}))
+        return law
+
+
+class FlowTexts(DataSection):
+    """`[problem]`: the data as text in x, y, z; the viscosity may have a value for each region."""
+
+    viscosity: ExpressionByRegion
+    f: Vector | None = None
+    u_D: VectorByPart | None = None
+    g_N: VectorByPart | None = None
+    pressure: ExpressionByPart = Field(default={})
+
+
+class FlowExact(DataSection):
+    """`[exact]`: the velocity and the pressure, where they are known, as text in x, y, z."""
+
+    u: Vector | None = None
+    p: Expression | None = None
+
+
+class StokesCase(CaseFile):
+    """One problem of viscous flow, its discretisation and its algorithm."""
+
+    PHYSICS: ClassVar[str] = "stokes"
+    physics: Literal["stokes"]
+    boundary: FlowParts
+    problem: FlowTexts
+    law: Annotated[list[FlowLaw], Field(default=[], exclude_if=lambda laws: not laws)]
+    exact: FlowExact = FlowExact()
+    first_words = ("outflow", "slip", "leak", SYMMETRIC)
+    first_listed = ("",)
+    first_data = (
+        ("viscosity = 1", "the viscosity", ""),
+        ("f = {zero}", "the load", ""),
+        ("u_D = {zero}", "the velocity on the rest; also by part: {{left = […]}}", HELD),
+        ("g_N = {zero}", "the traction σn on the parts in neumann; also a pressure by part", GIVEN),
+    )
+    first_laws: ClassVar[Mapping[str, tuple[str, list[str]]]] = {
+        "outflow": ("u_n ≥ least and σ_nn ≥ −pressure, one of them equal.", ["least = 0", "pressure = 0"]),
+        "slip": ("u_n = 0, |σ_t| ≤ g, opposite to u_t.", ["g = 1"]),
+        "leak": ("u_t = 0, |σ_nn| ≤ g, opposite to u_n.", ["g = 1"]),
+    }
+    held = "u = u_D"
+    is_vector = True
+
+    @property
+    def costs(self) -> Mapping[int, Cost]:
+        """What it costs to solve it, by dimension."""
+        return COSTS
+
+    @property
+    def states(self) -> tuple[str, str]:
+        """What reports call vertices under the two conditions."""
+        return "open", "held"
+
+    @property
+    def lists(self) -> dict[str, list[str]]:
+        """The parts of laws, but for those that are listed as fixed, see `CaseFile.lists`."""
+        fixed = self.boundary.fixed
+        return {key: [part for part in parts if part not in fixed] for key, parts in super().lists.items()}
+
+    @property
+    def approach(self) -> str:
+        """What is solved and how, in words."""
+        return f"viscous flow, {self.solve.algorithm}"
+
+    @property
+    def unproved(self) -> str:
+        """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
+        return "the proof is not for viscous flow"
+
+    @model_validator(mode="after")
+    def _solvable(self) -> Self:
+        try:
+            rule_of(Options(algorithm=self.solve.algorithm))
+            self.posed(3)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        for key in ("backend", "element", "rho", "eps"):
+            if key in self.solve.model_fields_set:
+                raise ValueError(f"[solve] {key}: viscous flow has no such key")
+        if self.time is not None:
+            raise ValueError("[time]: a viscous flow has no steps in time")
+        if self.inner:
+            raise ValueError("[boundary] inner: a fluid has no parts inside")
+        if self.quantity:
+            raise ValueError("[[quantity]]: there are none of viscous flow")
+        return self
+
+    def posed(self, dim: int, step: int | None = None) -> StokesProblem:
+        """The parts and the data, see `CaseFile.posed`."""
+        values: dict[str, Any] = dict(self.problem)
+        laws = of_laws([law.made() for law in self.law], self.boundary.neumann, self.boundary.fixed)
+        return StokesProblem(**values, **laws, exact=self.exact.u, exact_p=self.exact.p)

@@ -1,0 +1,225 @@
+"""A problem of viscous flow as the user gives it, and sorted by the kinds of its boundary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
+from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
+from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
+from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.physics.elasticity.conditions import is_normal
+from signorini_fenicsx.physics.elasticity.problem import (
+    NORMAL,
+    TANGENTIAL,
+    ElasticBoundary,
+    ElasticProblem,
+    GivenVector,
+    GivenViscosity,
+    Pressure,
+    nothing_for_0,
+)
+
+if TYPE_CHECKING:
+    from signorini_fenicsx.physics.stokes.solution import StokesSolution
+
+FREE, HELD = "free", "held"
+
+
+@dataclass(frozen=True)
+class Outflow(Law):
+    """u_n ≥ least and σ_nn ≥ −pressure, one of them equal: an outlet through which nothing is sucked in.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        least: The least velocity out of the domain.
+        pressure: That outside.
+        tangential: "free" for σ_t = 0, "held" for u_t = 0.
+    """
+
+    least: Given = 0.0
+    pressure: Given = 0.0
+    tangential: str = FREE
+    segments = ("closed", "open")
+    levels = ("least", None)
+    places = ("parts",)
+    word = "outflow"
+
+    def __post_init__(self) -> None:
+        """Refuse what is neither free nor held."""
+        super().__post_init__()
+        if self.tangential not in (FREE, HELD):
+            raise InputError(f"tangential: unknown '{self.tangential}'; use {FREE} or {HELD}")
+
+    def _data_names(self) -> list[str]:
+        return ["least", "pressure"]
+
+    def graph(self, values: Values) -> Graph:
+        """The corner is the reference."""
+        corner = values["least"], -values["pressure"]
+        return Graph(corner, [corner], before=float("inf"))
+
+
+@dataclass(frozen=True)
+class Leak(Law):
+    """u_t = 0 and |σ_nn| ≤ g; u_n = 0 where it is less, σ_nn = −g where u_n > 0, g where u_n < 0: a wall that leaks.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        g: g ≥ 0.
+    """
+
+    g: Given = 0.0
+    segments = ("inwards", "closed", "outwards")
+    places = ("parts",)
+    word = "leak"
+
+    def graph(self, values: Values) -> Graph:
+        """The reference is in the middle of the vertical segment."""
+        return Graph((0.0, 0.0), [(0.0, values["g"]), (0.0, -values["g"])])
+
+    refused = Friction.refused
+
+
+@dataclass(frozen=True)
+class Slip(OnParts):
+    """u_n = 0 and |σ_t| ≤ g; u_t = 0 where it is less, else σ_t is opposite to u_t: a wall on which fluid may slip.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        g: g ≥ 0; with 0 the wall is smooth.
+    """
+
+    g: Given = 0.0
+
+
+@dataclass(frozen=True)
+class Flow:
+    """What a problem of flow has wherever its conditions are, see `Stokes`."""
+
+    viscosity: GivenViscosity
+    f: GivenVector | None = None
+    u_D: GivenVector | None = None
+
+
+@dataclass(frozen=True)
+class Stokes(Flow):
+    """−∇·σ = f, σ = 2με(u) − pI, ∇·u = 0, with a condition on each part of the boundary; u = u_D where there is none.
+
+    The conditions are `Dirichlet`, also of components "n" or "t" or of letters of "xyz", `Neumann` for a traction σn,
+    `Pressure`, `Outflow`, `Slip`, `Leak`, and other laws, with u_n for u and σ_nn for κ∇u·n. A part that is fixed in
+    some components may have a `Neumann` or a `Pressure` condition for the others, one that is fixed in "t" a law for
+    u_n.
+
+    Attributes:
+        viscosity: μ, a number or a text; or one of these for each region of the mesh.
+        f: Force per volume; None for none.
+        u_D: Velocity on the parts that no condition names; None for 0.
+        exact: u itself, where it is known.
+        exact_p: p itself, where it is known.
+        conditions: The conditions, each on its parts.
+
+    Raises:
+        InputError: If `conditions` is not a list of them, or a part has two.
+    """
+
+    exact: GivenVector | None = None
+    exact_p: Given | None = None
+    conditions: Sequence[OnParts] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse other conditions, and parts with two."""
+        example = '[Outflow("right"), Dirichlet("left", [1, 0])]'
+        check_kind("conditions", self.conditions, Sequence, hint=f"; an example is {example}")
+        some = [each for each in self.conditions if isinstance(each, Dirichlet) and each.components is not None]
+        fixed = {part for each in some for part in each.parts}
+        beside = [each for each in self.conditions if set(getattr(each, "parts", ())) <= fixed and each not in some]
+        others = [each for each in self.conditions if each not in beside]
+        check_conditions(others, Law, Pressure, Slip, example=example)
+        check_conditions(beside, Law, Pressure, example=example)
+        if any(isinstance(each, Friction) for each in self.conditions):
+            raise InputError('conditions: friction of a flow is Slip("wall", g=0.1), and of what leaks Leak')
+
+    @property
+    def solution_type(self) -> type[StokesSolution]:
+        """The class of its solutions."""
+        from signorini_fenicsx.physics.stokes.solution import StokesSolution  # which knows problems
+
+        return StokesSolution
+
+    def on(self, domain: Domain) -> StokesProblem:
+        """The problem on a domain, sorted by the kinds of its boundary (collective)."""
+        dirichlet = [each for each in self.conditions if isinstance(each, Dirichlet)]
+        loads = [each for each in self.conditions if isinstance(each, Neumann | Pressure)]
+        laws = [each for each in self.conditions if isinstance(each, Slip) or is_normal(each)]
+        fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
+        u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
+        if not names_all(domain, self.conditions):
+            u_D |= {"": self.u_D}
+        loaded = dict.fromkeys(part for each in loads for part in each.parts)
+        sorted_laws = of_laws(laws, [part for part in loaded if part not in fixed], fixed)
+        return StokesProblem(
+            viscosity=self.viscosity,
+            f=self.f,
+            exact=self.exact,
+            exact_p=self.exact_p,
+            u_D=one_value(u_D | dict.fromkeys(sorted(set(sorted_laws["boundary"].fixed) - set(fixed))), None),
+            g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
+            pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
+            **sorted_laws,
+        )
+
+
+def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[str, str]) -> dict[str, Any]:
+    """The fields of a `StokesProblem` for laws, and its boundary with these parts that are loaded, or fixed."""
+    slips = [law for law in laws if isinstance(law, Slip)]
+    normal = [law for law in laws if isinstance(law, Law)]
+    held = [law for law in normal if isinstance(law, Leak) or getattr(law, "tangential", FREE) == HELD]
+    more = {part: NORMAL for law in slips for part in law.parts}
+    more |= {part: TANGENTIAL for law in held for part in law.parts}
+    for part in more:
+        if fixed.get(part, more[part]) != more[part]:
+            raise InputError(f"fixed: part '{part}' has a law, by which '{more[part]}' is fixed, not '{fixed[part]}'")
+    parts = [part for law in normal for part in law.parts]
+    return {
+        "laws": tuple(law if isinstance(law, Law) else Friction(law.parts, law.g) for law in laws),
+        "boundary": StokesBoundary(
+            contact=[*parts, *(part for law in slips for part in law.parts)],
+            neumann=neumann,
+            fixed={**fixed, **more},
+            turned=parts,
+        ),
+    }
+
+
+@dataclass(frozen=True)
+class StokesBoundary(ElasticBoundary):
+    """The parts of the boundary as those of an elastic body: Γ_C has the laws, those for u_n from the other side."""
+
+    physics: ClassVar[str] = "stokes"
+    words: ClassVar[tuple[str, str, str]] = ("what a law allows", "its −least", "velocity")
+
+
+@dataclass(frozen=True)
+class StokesProblem(ElasticProblem):
+    """The problem of an incompressible body with u for its velocity, see `ElasticProblem`.
+
+    Attributes:
+        exact_p: p itself, where it is known.
+    """
+
+    young: None = None
+    poisson: None = None
+    boundary: ElasticBoundary = field(default_factory=StokesBoundary)
+    exact_p: Given | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is missing, and see `ElasticProblem`."""
+        super().__post_init__()
+        if self.viscosity is None:
+            raise InputError("viscosity: is missing")

@@ -1,0 +1,41 @@
+"""What is drawn of a viscous flow: the speed with streamlines, the pressure, u_n and σ_nn along laws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.pictures import style
+from signorini_fenicsx.pictures.panels import File, Panel, Pictures, Where, error_panel
+from signorini_fenicsx.pictures.scene import Scene
+from signorini_fenicsx.pictures.streams import streamlines
+
+
+def files(scene: Scene) -> dict[str, File]:
+    """The pictures of a solution."""
+    fields, line = scene.fields, {"linewidth": 1.6}
+    speed = np.linalg.norm(fields.at_points["u"], axis=1)
+    ends = scene.usual(np.linalg.norm(fields.in_cells["u"], axis=1))
+    flow = Panel(speed, Where.MAP, "speed", "$|u_h|$", style.FLUX_MAP, ends=ends)
+    panels = [flow]
+    if scene.dim == 2:
+        in_cells = {"sigma": fields.in_cells["u"], "divergence": np.zeros(len(fields.cells))}
+        lines = streamlines(replace(fields, in_cells={**fields.in_cells, **in_cells}))
+        panels = [replace(flow, where=Where.STREAMS, title="streamlines on the speed", lines=lines)]
+    p = fields.at_points["pressure"][:, 0]
+    usual = style.limits(fields.in_cells["pressure"][:, 0], scene.measure)
+    pressure: dict[str, Any] = {"label": "$p_h$", "colours": style.U_MAP, "ends": usual}
+    along = [
+        Panel("gap", Where.GAMMA, "velocity outwards", curves={"gap": ("$u_n$", line | {"color": "C0"})}),
+        Panel("pressure", Where.GAMMA, "traction", curves={"pressure": (r"$\sigma_{nn}$", line | {"color": "C3"})}),
+    ]
+    return {
+        "flow": (f"{scene.title}\n{scene.caption}", [*panels, Panel(p, Where.MAP, "pressure", **pressure)]),
+        "laws": (scene.caption, along if scene.labels else []),
+        "certificate": ("", error_panel(scene)),
+    }
+
+
+PICTURES = Pictures(files)

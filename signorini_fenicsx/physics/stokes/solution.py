@@ -1,0 +1,85 @@
+"""A solution of viscous flow: velocity, stress, pressure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.discrete.datum import datum_of
+from signorini_fenicsx.discrete.points import CellPoints
+from signorini_fenicsx.discrete.simplices import blocks_of_cells, opposite
+from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature
+from signorini_fenicsx.physics.elasticity.solution import ERROR_DEGREE, ElasticSolution
+from signorini_fenicsx.physics.stokes.problem import StokesProblem
+from signorini_fenicsx.physics.stokes.show import shown
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class StokesSolution(ElasticSolution):
+    """A discrete solution of viscous flow and how it was found, see `ElasticSolution`; `pressure` is σ_nn on laws."""
+
+    problem: StokesProblem
+    fields, drawn, lines, columns = shown.fields, shown.drawn, shown.lines, shown.columns
+
+    @property
+    def approach(self) -> str:
+        """The problem and its method, in words."""
+        return f"viscous flow, {self.options.algorithm_name}"
+
+    def linearised(self, tolerance: float) -> Any:
+        """There are no derivatives.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("solutions of viscous flow have no derivatives")
+
+    def own_notes(self) -> list[str]:
+        """A velocity of any size is right: nothing is said."""
+        return []
+
+    @collector_off()
+    def flows(self) -> dict[str, float]:
+        """∫ u·n over each part, outwards: under laws that of û, on other parts that of u_h (collective)."""
+        spaces, flows = self.spaces, {}
+        u, behind = spaces.displacement_values(self.u), opposite(spaces.dim)
+        normal, contact = spaces.site_kinds["normal"], spaces.contact
+        lift = normal.rows_of(self.data.lift[normal.unknown] + self.data.laws.p_h)
+        by_laws = contact.outward * (normal.rows_of(normal.measure) * (lift - self.gap)).sum(axis=1)
+        for name in spaces.domain.parts:
+            if name in spaces.part_names:
+                flow = float(by_laws[spaces.rows_on(name)].sum())
+            else:
+                part = spaces.part(name)
+                means = u[part.cells[:, None], behind[part.local]].mean(axis=1)
+                flow = float(part.measure @ np.einsum("ni,ni->n", means, part.normals))
+            flows[name] = spaces.mesh.comm.allreduce(flow)
+        return flows
+
+    def _particular(self) -> dict[str, Any]:
+        return super()._particular() | {"flows": self.flows()}
+
+    @collector_off()
+    def errors(self) -> dict[str, float] | None:
+        """Those of bodies, where "energy" is that of dev σ; and ‖p − p_h‖ if p is known (collective)."""
+        found, p = super().errors(), self.problem.exact_p
+        if p is None:
+            return found
+        spaces, dim, square = self.spaces, self.spaces.dim, 0.0
+        exact = datum_of(spaces, "exact.p", parsed(p, "xyz"[:dim], "[exact] p"))
+        quadrature = SplitQuadrature.of_degree(dim, ERROR_DEGREE)
+        pressure = shown.pressure_of(self.stresses)
+        for cells in blocks_of_cells(spaces.mesh):
+            points = CellPoints(spaces.mesh, cells, quadrature.points, quadrature.weights)
+            mine = np.empty_like(pressure[cells])
+            mine[spaces.as_dolfinx(cells)] = pressure[cells]
+            values = exact.values(points).reshape(len(cells), dim + 1, -1)
+            off = values - np.einsum("qa,nsa->nsq", quadrature.local, mine)
+            weights = Cells(spaces.vertices[cells]).measure[:, None, None] / (dim + 1) * quadrature.weights
+            square += float((weights * off**2).sum())
+        return (found or {}) | {"p_L2": float(np.sqrt(spaces.mesh.comm.allreduce(square)))}

@@ -1,0 +1,134 @@
+"""Viscous flow: exact solutions under any pressure, laws on the boundary, ranks, CG, space, what is refused."""
+
+import numpy as np
+import pytest
+from elastic import box
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
+from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
+from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
+from signorini_fenicsx.physics.stokes.solution import StokesSolution
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import Solver, solve
+
+COMM = MPI.COMM_WORLD
+MU = 0.7
+
+
+def channel(conditions: list, exact: list[str], *, n: int = 4, comm: MPI.Comm = COMM, dim: int = 2, **options):
+    """A flow in a square or a cube of size 1."""
+    domain = box(comm, n, [0.0] * dim, [1.0] * dim)
+    return solve(domain, Stokes(MU, exact=exact, conditions=conditions), Options(**options))
+
+
+def straight(pressure: float, *beside: object) -> list:
+    """The conditions of a flow along x between two pressures."""
+    ends = [Pressure("x0", pressure + 2 * MU), Pressure("x1", pressure)]
+    return [*ends, *(Dirichlet(part, 0, components="t") for part in ("x0", "x1")), *beside]
+
+
+def leaving(solver: Solver, found: StokesSolution) -> float:
+    """The largest flow out of a cell, as a share of the largest through a facet (collective)."""
+    backend = solver._system.kept.present
+    return backend.system.means(backend.system.everywhere(backend._x.array_r) + found.data.lift)[1]
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("large", [0, 10**9])
+def test_a_large_pressure_changes_nothing(large: int):
+    """Poiseuille's flow is exact by both solvers, in a channel that no velocity drives, and no cell loses fluid."""
+    for pressure, most in ((0.0, 1e-10), (1e6, 2e-9)):
+        problem = Stokes(MU, exact=["y*(1 - y)", "0"], conditions=straight(pressure))
+        solver = Solver(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), problem)
+        found = solver.solve(problem, Options(tuning=Tuning(direct_up_to=large)))
+        assert found.converged
+        assert found.errors()["energy"] < most
+        assert leaving(solver, found) < 1e-13
+
+
+SLIDING = [("y*(1 - y)", Slip("y1", g=1.01 * MU)), (f"(2 - {0.3 / MU})*y - y^2", Slip("y1", g=0.3))]
+
+
+@pytest.mark.parametrize(("u", "wall"), [*SLIDING, ("y*(2 - y)", Slip("y1"))])
+def test_a_threshold_of_slip(u: str, wall: Slip):
+    """The shear at the wall is μu' = μ below its bound, and the bound above; without a bound the wall is smooth."""
+    found = channel(straight(0.0, wall), [u, "0"])
+    assert found.errors()["energy"] < 1e-9
+
+
+def test_an_outlet_lets_poiseuille_out():
+    """Under the pressure outside, whatever it is; a least velocity that is larger than that is refused by no one."""
+    u = "y*(1 - y)"
+    for pressure in (0.0, 1e6):
+        found = channel([Dirichlet("x0", [u, 0]), Outflow("x1", pressure=pressure, tangential="held")], [u, "0"])
+        assert found.errors()["energy"] < 2e-9
+
+
+def test_an_outlet_that_would_suck_is_closed_there():
+    """A force that turns flow back at the plain outlet: there u_n = 0 and the fluid pulls, elsewhere σ_nn = 0."""
+    domain, f = box(COMM, 8, [0.0, 0.0], [1.0, 1.0]), ["32*(0.5 - y)*x", "0"]
+    inlet = Dirichlet("x0", ["y*(1 - y)", 0])
+    plain = solve(domain, Stokes(MU, f=f, conditions=[inlet, Neumann("x1", 0)]))
+    found = solve(domain, Stokes(MU, f=f, conditions=[inlet, Outflow("x1")]))
+    spaces = plain.spaces
+    u = spaces.displacement_values(plain.u)[:, :, 0]
+    assert u.min() < -0.05
+    assert found.converged
+    assert found.gap.min() >= 0
+    assert found.pressure.min() > -1e-12
+    assert 0 < found.touching.sum() < found.touching.size
+    flows = found.spaces.site_kinds["normal"].measure @ found.gap.ravel()
+    assert flows == pytest.approx(1 / 6, rel=1e-12)  # what came in
+
+
+@pytest.mark.parallel([1, 3])
+def test_a_wall_leaks_where_it_is_pressed_enough():
+    """Fluid from the left leaves by the top, with −σ_nn at most g there, all that comes in."""
+    conditions = [Dirichlet("x0", ["y*(1 - y)", 0]), Leak("y1", g=1.0)]
+    found = channel(conditions, ["0", "0"])
+    pressed, out = found.pressure, found.gap
+    assert found.converged
+    assert COMM.allreduce(pressed.min(initial=0.0), MPI.MIN) == pytest.approx(-1.0)
+    assert COMM.allreduce(float(found.spaces.site_kinds["normal"].measure @ out.ravel())) == pytest.approx(1 / 6)
+
+
+def test_a_duct_in_space():
+    """Couette's flow in a cube, its sides symmetric, is exact by CG."""
+    sides = [Dirichlet(side, 0, components="n") for side in ("y0", "y1")]
+    ends = [Dirichlet(end, ["z", 0, 0]) for end in ("x0", "x1")]
+    lids = [Dirichlet("z1", [1, 0, 0]), Dirichlet("z0", 0)]
+    for last in (Outflow("x1", tangential="held"), ends[1]):
+        found = channel([*sides, *lids, ends[0], last], ["z", "0", "0"], n=2, dim=3, tuning=Tuning(direct_up_to=0))
+        assert found.errors()["energy"] < 1e-9
+        assert found.outcome.linear_solver == "cg+mg"
+        assert any("up to a constant" in note for note in found.spaces.notices) == (last is ends[1])
+
+
+@pytest.mark.parallel([1, 3])
+def test_what_comes_in_has_to_go_out():
+    """Into a closed box, out of one by a wall that closes, and below the least that has to leave."""
+    inlet = Dirichlet("x0", ["y*(1 - y)", 0])
+    for beside, told in ((Slip("x1"), "nothing lets"), (Outflow("x1", least=0.2), "0.2 to inf can leave")):
+        with pytest.raises(InputError, match=f"0.166667 more comes in than goes out, and .*{told}"):
+            channel([inlet, beside, Slip(["y0", "y1"])], ["0", "0"])
+
+
+def test_bodies_have_them_as_well():
+    """A block that is pulled off a hook, and one that slides along a wall with friction."""
+    domain = box(COMM, 4, [0.0, 0.0], [1.0, 1.0])
+    sides = [Dirichlet("x0", 0, components="n"), Dirichlet("x1", 0, components="n")]
+    hook = Contact("y0", gap=0.01, behind=True)
+    pulled = solve(domain, Elasticity(1, 0.3, conditions=[*sides, hook, Neumann("y1", [0, 0.2])]))
+    assert pulled.converged
+    assert pulled.gap == pytest.approx(0.0, abs=1e-12)
+    assert pulled.pressure == pytest.approx(0.2)
+    assert pulled.u.x.array[1::2].min() == pytest.approx(0.01)
+    wall = [Contact("y0", friction=Tresca(0.005)), Dirichlet("y0", 0, components="n"), Dirichlet("x0", 0)]
+    found = solve(domain, Elasticity(1, 0.3, conditions=[*wall, Neumann("y1", [0.3, 0.1])]))
+    assert found.converged
+    assert (found.pressure < 0).any()  # the wall holds the block
+    assert np.abs(found.shear).max() == pytest.approx(0.005)
