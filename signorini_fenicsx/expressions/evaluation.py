@@ -263,9 +263,9 @@ def _number(tree: Tree) -> float | None:
         return None
 
 
-def values_and_gradient(tree: Tree, x: Array) -> tuple[Array, Array]:
-    """Values in points, and the derivatives by each coordinate as a last axis."""
-    names = {name: Dual((value,), {name: np.float64(1.0)}) for name, value in _coordinates(x).items()}
+def values_and_gradient(tree: Tree, x: Array, variables: str = "xyz") -> tuple[Array, Array]:
+    """Values in points, and the derivatives by each coordinate, or variable, as a last axis."""
+    names = {name: Dual((value,), {name: np.float64(1.0)}) for name, value in _coordinates(x, variables).items()}
     with np.errstate(all="ignore"):
         dual: Dual = evaluate(tree, Differentiated(Numeric({}), names))
     shape = x.shape[:-1]
@@ -309,6 +309,6 @@ def _branch(choice: Conditional, box: Mapping[str, Interval]) -> Tree | None:
     return None if truth.possibly else decided(choice.otherwise, box)
 
 
-def _coordinates(x: Array) -> dict[str, Array]:
+def _coordinates(x: Array, variables: str = "xyz") -> dict[str, Array]:
     """Points by the names of their coordinates."""
-    return dict(zip("xyz", np.moveaxis(x, -1, 0), strict=False))
+    return dict(zip(variables, np.moveaxis(x, -1, 0), strict=False))

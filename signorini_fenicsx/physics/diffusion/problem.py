@@ -147,7 +147,7 @@ class Problem(Scalar):
         Raises:
             InputError: If a text cannot be read.
         """
-        return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t", key))
+        return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t" + of_u(key), key))
 
     def parsed(self, dim: int) -> "Problem":
         """The problem, with numbers and texts read as trees, but not those of the laws.
@@ -155,9 +155,14 @@ class Problem(Scalar):
         Raises:
             InputError: If a text cannot be read.
         """
-        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim], key), but=("laws", "boundary"))
+        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim] + of_u(key), key), but=("laws", "boundary"))
 
     def _changed(self, change: Callable[[str, Any], Any]) -> "Problem":
         """The problem with changed data, also those of the laws, see `with_data`."""
         laws = tuple(law.with_data(change) for law in self.laws)
         return replace(with_data(self, change, but=("laws", "boundary")), laws=laws)
+
+
+def of_u(key: str) -> str:
+    """The name u for a datum that may depend on it, κ; empty for the others."""
+    return "u" if key == "[problem] kappa" else ""

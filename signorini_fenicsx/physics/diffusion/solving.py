@@ -115,7 +115,9 @@ class System:
             backend=partial(self.kept.take, made_for, partial(_backend, options)),
             start=wish.start,
             alone=_alone,
-            predict=options.predict and (in_cells or len(spaces.part_names) > 0),  # else the problem is linear
+            predict=options.predict
+            and data.quasilinear is None
+            and (in_cells or len(spaces.part_names) > 0),  # else the problem is linear
             whole=in_cells,
             tuning=options.tuning,
             watch=wish.watch,
@@ -222,16 +224,23 @@ class DiffusionRun:
         outcome.iterate.u.x.array[:] += self.constant
         return outcome.ended(violation if outcome.converged else outcome.reason), kkt
 
+    def _data_found(self) -> Any:
+        """The data, where κ depends on u with the one that was found (collective)."""
+        if not self.task.last:
+            return self.data
+        return self.data.with_kappa(self.task.spaces, self.task.present.kappa_values)
+
     def solution(self, outcome: Outcome, **about: Any) -> Solution:
         """The solution (collective)."""
         spaces = self.task.spaces
+        data = self._data_found()
         trace = spaces.site_kinds["facet"].of(outcome.iterate.p) + self.data.psi_h
         if self.trace is not None:
             trace = self.trace + (self.data.psi_h - self.task.data.psi_h)  # the difference is the constant
-        self.kept.solved(outcome, self.task.data)
+        self.kept.solved(outcome, self.task.present)
         return Solution(
             spaces=spaces,
-            data=self.data,
+            data=data,
             p=spaces.multiplier(trace),
             outcome=outcome,
             **about,
@@ -250,10 +259,10 @@ class LinearRun(DiffusionRun):
         spaces, iterate = self.task.spaces, outcome.iterate
         assert isinstance(iterate, LinearIterate)
         iterate.means[spaces.outer_sites] += self.constant
-        self.kept.solved(outcome, self.task.data)
+        self.kept.solved(outcome, self.task.present)
         return LinearSolution(
             spaces=spaces,
-            data=self.data,
+            data=self._data_found(),
             p=spaces.linear_multiplier(linear_from_means(spaces.site_kinds["facet"].rows_of(iterate.means))),
             outcome=outcome,
             **about,
@@ -345,6 +354,10 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
     if data.inside is not None and not method.laws_inside:
         what = "an obstacle" if data.inside.is_obstacle else "laws in Ω"
         raise InputError(f"{options.algorithm_name} does not take {what}; {those(lambda other: other.laws_inside)} do")
+    if data.quasilinear is not None and (
+        method.rule is None or method.rule.penalty is not None or options.backend != "hybrid"
+    ):
+        raise InputError("[problem] kappa: one that depends on u takes alg1 or alg2 with the hybrid backend")
     check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from dolfinx import fem
@@ -30,11 +30,12 @@ from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.discrete.seen import Values, values_in
-from signorini_fenicsx.expressions import TREES, Tree
+from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows
 from signorini_fenicsx.physics.diffusion.discrete.boundary_laws import BoundaryLaws, boundary_laws
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws, cell_laws, with_reactions
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells, Quasilinear, depends_on_u, quasilinear_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -52,7 +53,7 @@ class Data:
 
     Attributes:
         f: Load as given.
-        kappa: κ as given.
+        kappa: κ as given; where it depends on u, that of the last solve.
         u_D: Dirichlet data as given.
         g_N: Flux on Γ_N as given.
         psi: Bound of the trace as given, where no other law holds.
@@ -78,6 +79,7 @@ class Data:
         trees: The data that were given as numbers or as text, by name, as trees: these can be enclosed in intervals. κ
             of regions has names such as "kappa.core".
         given: The constants and functions in the data, with the values that they had.
+        quasilinear: κ as a function of u; None if it does not depend on u.
     """
 
     f: Datum
@@ -102,6 +104,7 @@ class Data:
     trees: Mapping[str, Tree | Rows]
     memory: fem.Function | None = None
     given: Values = ()
+    quasilinear: Quasilinear | None = None
 
     @property
     def chains(self) -> Chains:
@@ -121,6 +124,29 @@ class Data:
         else:
             same = same and np.array_equal(self.c_h.x.array, other.c_h.x.array)
         return bool(spaces.mesh.comm.allreduce(same, MPI.LAND))
+
+    def with_kappa(self, spaces: Spaces, values: Array) -> Self:
+        """The data with another κ, by its values on each owned cell, see `Quasilinear` (collective).
+
+        Raises:
+            InputError: If κ is not positive.
+        """
+        comm = spaces.mesh.comm
+        least = comm.allreduce(float(np.nan_to_num(values, nan=-np.inf).min(initial=np.inf)), MPI.MIN)
+        if not least > 0:
+            raise InputError(f"[problem] kappa: must be positive; for a u that occurs it is {least:.3g}")
+        means = values.mean(axis=1)
+        kappa_h = function_of(spaces.Q, means, "kappa_h")
+        function = kappa_h if values.shape[1] == 1 else spaces.scalar(values)
+        integral = comm.allreduce(float(spaces.cell_measures @ means))
+        conductance = integral / spaces.length ** (spaces.mesh.geometry.dim + 1)
+        return replace(self, kappa=OnCells(function, values), kappa_h=kappa_h, conductance=conductance)
+
+    @property
+    def kappa_values(self) -> Array:
+        """Where κ depends on u its values on each owned cell, see `with_kappa`."""
+        assert isinstance(self.kappa, OnCells)
+        return self.kappa.on_cells
 
     def holds(self, spaces: Spaces) -> bool:
         """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
@@ -199,6 +225,7 @@ class Data:
             u_lift=u_lift,
             psi_h=psi_h,
             inside=self.inside and self.inside.less(constant),
+            quasilinear=self.quasilinear and replace(self.quasilinear, constant=self.quasilinear.constant + constant),
         )
 
     @property
@@ -231,6 +258,8 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known(spaces.mesh.comm)
     problem = with_reactions(spaces, problem)
     # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
+    of_u = quasilinear_of(spaces, problem.kappa) if depends_on_u(problem.kappa) else None
+    problem = problem if of_u is None else replace(problem, kappa=exactly(1.0))
     kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
     f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem, known))
     c, c_h = known.get("c", problem.c, lambda: _reaction(spaces, problem))
@@ -254,7 +283,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
         )
         for flux, in_cell in zip(laws.chains.extent()[2:], in_cells, strict=True)
     )
-    return Data(
+    data = Data(
         f=f,
         kappa=kappa,
         c=c,
@@ -266,8 +295,10 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
         exact=known.get("exact", problem.exact, lambda: _exact(spaces, problem.exact)),
         trees=_trees(problem),
         given=values_in(problem),
+        quasilinear=of_u,
         **boundary,
     )
+    return data if of_u is None else data.with_kappa(spaces, of_u.first(data.extent(spaces)))
 
 
 def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Function]:

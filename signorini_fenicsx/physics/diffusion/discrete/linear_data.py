@@ -201,7 +201,7 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     load.array[sites.unknown] = sites.measure * laws.flux_h
     owned = spaces.dim * spaces.traces.dofmap.index_map.size_local
     given = {name: getattr(data, name) for name in data.__dataclass_fields__}
-    return LinearData(
+    linear = LinearData(
         **given,
         laws_at=laws,
         cells_at=None if data.inside is None else at_vertices(spaces, data.inside),
@@ -210,6 +210,10 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
         given_flux=given_flux,
         fixed=fixed.ravel(),
     )
+    if data.quasilinear is None:
+        return linear
+    of_u = replace(data.quasilinear, spaces=spaces)
+    return replace(linear, quasilinear=of_u).with_kappa(spaces, of_u.first(data.extent(spaces)))
 
 
 def _linear(spaces: LinearSpaces, datum: Datum, facets: BoundaryFacets) -> Array:

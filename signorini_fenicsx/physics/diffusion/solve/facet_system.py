@@ -17,6 +17,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Sides, copies
+from signorini_fenicsx.discrete.matrices import of_cells
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
 from signorini_fenicsx.forms.crouzeix_raviart import outflow, reaction, stiffness
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
@@ -113,8 +114,8 @@ class FacetSystem:
 
     @property
     def follows_cells(self) -> bool:
-        """Whether conditions of cells change `natural`."""
-        return self._data.inside is not None
+        """Whether conditions of cells, or u, change `natural`."""
+        return self._data.inside is not None or self._data.quasilinear is not None
 
     def _form(self, data: Data) -> fem.Form:
         """The bilinear form (collective)."""
@@ -166,6 +167,27 @@ class FacetSystem:
             self._imposed = None
         self._take(data)
         return same
+
+    def on_cells(self, x: PETSc.Vec) -> Array:
+        """û on the facets of the owned cells, shape (cells, d + 1) (collective)."""
+        return np.asarray(self._with_lift(x).x.array[cell_dofs(self.space)])
+
+    def by_kappa(self, x: PETSc.Vec) -> Array:
+        """The derivatives of ∫σ·n on the facets of each cell by its κ, shape (cells, d + 1, 1) (collective).
+
+        That of m_T, with which u_T depends on sources, is left out.
+        """
+        none = fem.Function(self.spaces.Q)
+        through = assembled(self.spaces.kept(_outflow, self._data.kappa_h, none, self._with_lift(x)))
+        of_cells = through[cell_dofs(self.spaces.broken_crouzeix_raviart)] / self._data.kappa_values
+        return np.asarray(of_cells[:, :, None])
+
+    def of_cells(self, matrices: Array) -> PETSc.Mat:
+        """The sum of matrices of the owned cells, between û on their facets (collective)."""
+        nodes, comm = cell_dofs(self.space), self.spaces.mesh.comm
+        matrix = of_cells(comm, self.space.dofmap.index_map, 1, [nodes], [(nodes, matrices)])
+        jumps = self.sides.matrix(self.space)
+        return matrix if jumps is None else matrix.ptap(jumps)
 
     def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
         """The owned unknowns of some sites."""

@@ -18,12 +18,14 @@ from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors
 from signorini_fenicsx.linear.patch import Patch
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solve.auxiliary_space import DEFAULTS, AuxiliarySpace
 from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM, FacetSystem, Loads
 from signorini_fenicsx.physics.diffusion.solve.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_cells
+from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent
 
 FACTORISATION = 10
 """About as many solves take as long as a factorisation."""
@@ -40,9 +42,13 @@ class HybridBackend(FacetBackend):
 
     Systems in between begin with CG, because a factorisation takes as long as several solves. A factorisation takes its
     place if CG takes too many iterations, and for the problems that follow, as it serves many of their sets.
+
+    Attributes:
+        tangent: Where κ depends on u, whose steps take the place of solves; None for solves with the present κ.
     """
 
     name = "hybrid"
+    tangent: Tangent | None = None
 
     def __init__(
         self,
@@ -97,6 +103,42 @@ class HybridBackend(FacetBackend):
         self._offer_precise()
         return True
 
+    def take_kappa(self, data: Data) -> None:
+        """Go on with the same data but for κ (collective)."""
+        self._system.renew(data)
+        self.data, self._applied, self._keeps = data, None, None
+        self._factors = self._none_kept()
+        self._offer_precise()
+
+    @property
+    def x(self) -> PETSc.Vec:
+        """û less the lift, and jumps inside the domain, of the owned unknowns."""
+        return self._system.x
+
+    @property
+    def system(self) -> FacetSystem:
+        """The facet system."""
+        return self._system
+
+    def new_tangent(self) -> Tangent:
+        """Newton's method from the last solution."""
+        return Tangent(self, iterates=self._solver.iterates, preconditioner=self._solver.preconditioner)
+
+    def imposed(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array]:
+        """The matrix under conditions, the unknowns that they fix, their values, and the right side (collective)."""
+        load, held = self._system.posed(conditions)
+        x = self.x.array_r.copy()
+        fixed, self._applied = self._impose(conditions), None
+        self.x.array_w[:] = x
+        return self._system.matrix, fixed, held, load
+
+    def off_laws(self, conditions: SiteConditions) -> Array:
+        """How far the sites are off their laws, as a p, where x need not be a solution (collective)."""
+        p, flux = self._system.traces(self.x, conditions)
+        diagonal = self._system.natural.getDiagonal().array_r[self._system.trace_dofs]
+        unit = np.append(diagonal / self.spaces.facet_measure, 1 / mean_moments(self.spaces, self.data))[: len(p)]
+        return np.max(np.abs(self.chains.distances(p, flux, unit)) / [np.ones_like(unit), unit, unit], axis=0)
+
     def _none_kept(self) -> KeptFactors:
         """What will keep a factorisation for the present κ and c."""
         system, dim = self._system, self.spaces.mesh.topology.dim
@@ -126,7 +168,10 @@ class HybridBackend(FacetBackend):
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
-        self._solve(conditions)
+        if self.tangent is None:
+            self._solve(conditions)
+        else:
+            self.tangent.step(conditions)
         return self._system.recover(conditions, self._iterations)
 
     def respond(self, conditions: SiteConditions, loads: Loads) -> tuple[fem.Function, fem.Function, Array]:

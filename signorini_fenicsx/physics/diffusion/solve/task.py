@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -14,13 +15,14 @@ from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditi
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import Segments
-from signorini_fenicsx.methods.task import Task
+from signorini_fenicsx.methods.task import Loop, Task
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
+from signorini_fenicsx.physics.diffusion.solve.quasilinear import Change, QuasiLinear
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, kkt_residuals
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_sites
 
@@ -34,12 +36,30 @@ class DiffusionTask(Task):
 
     Attributes:
         alone: Gives what runs a method that only diffusion has, by its name there.
+        last: Where κ depends on u the data with the κ of the last run.
+        changes: How κ changed with each problem of the last run, see `QuasiLinear`.
     """
 
     spaces: Spaces
     data: Data
     alone: Callable[[str], Callable[..., Outcome]]
     start: Segments | None = None
+    last: list[Data] = field(default_factory=list)
+    changes: list[Change] = field(default_factory=list)
+
+    @property
+    def present(self) -> Data:
+        """The data, where κ depends on u with the one that was found."""
+        return self.last[-1] if self.last else self.data
+
+    def solved(self, backend: Any, loop: Loop) -> Outcome:
+        """Run the loop, once for each κ where it depends on u (collective)."""
+        if self.data.quasilinear is None:
+            return loop()
+        self.changes.clear()
+        outcome = QuasiLinear(backend, loop, self.changes).solved()
+        self.last[:] = [backend.data]
+        return outcome
 
     def is_large(self, _backend: object) -> bool:
         """Whether the mesh has so many facets that a prediction saves more than it costs."""
@@ -77,7 +97,7 @@ class DiffusionTask(Task):
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
         """KKT residuals of an iterate (collective)."""
         p = self.spaces.multiplier(self.spaces.site_kinds["facet"].of(iterate.p) + self.data.psi_h)
-        return kkt_residuals(self.spaces, self.data, iterate.sigma, iterate.u, p, penalty, self.eps)
+        return kkt_residuals(self.spaces, self.present, iterate.sigma, iterate.u, p, penalty, self.eps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +110,8 @@ class LinearTask(DiffusionTask):
     def kkt(self, iterate: Iterate, penalty: Penalty | None) -> KKTResiduals:
         """KKT residuals of an iterate (collective)."""
         assert isinstance(iterate, LinearIterate)
-        return linear_kkt(self.spaces, self.data, iterate, penalty, self.eps)
+        assert isinstance(self.present, LinearData)
+        return linear_kkt(self.spaces, self.present, iterate, penalty, self.eps)
 
 
 def nothing_yet(spaces: Spaces) -> tuple[Iterate, SiteConditions]:

@@ -1,0 +1,199 @@
+"""κ(x, u) on a mesh: the κ of each cell from û on its facets, and how it changes with û.
+
+The κ of a cell with RT0 is the mean of κ(x, û) over its facets, with x the midpoint of each; with RT1 it is linear on a
+cell, at a vertex the mean over the facets there. From u_T instead fewer soils would have a solution that is found.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.datum import Datum, conductivity_of
+from signorini_fenicsx.discrete.points import Points
+from signorini_fenicsx.discrete.simplices import opposite
+from signorini_fenicsx.expressions import TREES, Tree, exactly, substituted, values_and_gradient
+from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.soils import Soil
+
+type Curve = Callable[[Array, Array], tuple[Array, Array]]
+"""κ and its derivative by u in points, whose coordinates are the last axis, for u there."""
+NUDGE = 6e-6
+"""The share of u, or of 1, by which u is moved for the derivative of a function of the user."""
+
+
+@dataclass(frozen=True)
+class OnCells(Datum):
+    """A scalar that is constant or linear on each cell.
+
+    Attributes:
+        ufl: It as a function.
+        on_cells: Its value, or its values at the vertices, on each owned cell.
+    """
+
+    ufl: fem.Function
+    on_cells: Array
+
+    @property
+    def number(self) -> None:
+        """None: it is not one number."""
+        return
+
+    @property
+    def polynomial(self) -> int:
+        """0 or 1."""
+        return int(self.on_cells.shape[1] > 1)
+
+    def _look(self, points: Points, *, slope: bool) -> Array:
+        if self.polynomial:
+            jet = points.linear(self.ufl, gradient=slope)
+            return jet[:, :, 1:] if slope else jet[:, :, 0]
+        if slope:
+            return np.zeros((*points.shape, points.mesh.geometry.dim))
+        return np.repeat(self.on_cells[points.rows], points.shape[1], axis=1)
+
+
+@dataclass(frozen=True)
+class Quasilinear:
+    """κ as a function of x and u on the owned cells.
+
+    Attributes:
+        spaces: The discrete spaces, of RT0 or of RT1.
+        parts: Masks of owned cells, and κ there.
+        constant: What is taken from u, see `Data.less`.
+    """
+
+    spaces: Spaces
+    parts: list[tuple[Mask, Curve]]
+    constant: float = 0.0
+
+    @cached_property
+    def _places(self) -> tuple[Array, Array]:
+        """The points of each cell where û is looked at, shape (cells, n, dim), and their shares in κ."""
+        spaces = self.spaces
+        if isinstance(spaces, LinearSpaces):
+            vertex = opposite(spaces.dim).ravel()
+            return spaces.vertices[:, vertex], (vertex == np.arange(spaces.dim + 1)[:, None]) / spaces.dim
+        x = corners(spaces.mesh)
+        count = x.shape[1]
+        return (x.sum(axis=1, keepdims=True) - x) / (count - 1), np.full((1, count), 1 / count)
+
+    def of_traces(self, traces: Array) -> tuple[Array, Array]:
+        """κ of each cell and its derivatives by û, shapes (cells, values) and (cells, values, n).
+
+        Args:
+            traces: The values of û less the constant on the facets of the owned cells, shape (cells, n).
+        """
+        x, shares = self._places
+        value, slope = self.at(x, traces + self.constant)
+        return value @ shares.T, shares * slope[:, None]
+
+    def at(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """κ and its derivative by u in points of the owned cells, shape (cells, points)."""
+        value, slope = np.ones_like(u), np.zeros_like(u)
+        for inside, curve in self.parts:
+            value[inside], slope[inside] = curve(x[inside], u[inside])
+        return value, slope
+
+    def first(self, ends: tuple[float, float]) -> Array:
+        """κ to begin with: of saturated soil, elsewhere that for u in the middle of these ends."""
+        u = sum(ends) / 2 if np.isfinite(ends).all() else 0.0
+        x, shares = self._places
+        value = np.ones(x.shape[:2])
+        for inside, curve in self.parts:
+            value[inside] = curve.K if isinstance(curve, Soil) else curve(x[inside], np.full(x[inside].shape[:2], u))[0]
+        return np.asarray(value @ shares.T)
+
+
+def depends_on_u(kappa: Any) -> bool:
+    """Whether κ, or κ in one region, is a function of u as well."""
+    if isinstance(kappa, Mapping):
+        return any(depends_on_u(each) for each in kappa.values())
+    if isinstance(kappa, tuple | list):
+        return any(map(depends_on_u, kappa))
+    return _takes_u(kappa) or (isinstance(kappa, TREES) and substituted(kappa, "u", exactly(0.0)) != kappa)
+
+
+def _takes_u(given: object) -> bool:
+    """Whether it is a function of x and u."""
+    if isinstance(given, Soil):
+        return True
+    if not inspect.isfunction(given):
+        return False
+    return len(inspect.signature(given).parameters) == 2
+
+
+def quasilinear_of(spaces: Spaces, kappa: Any) -> Quasilinear:
+    """κ(x, u) of a problem (collective).
+
+    Raises:
+        InputError: If κ is a matrix that depends on u, or has not one value on each cell.
+    """
+    of_regions = kappa if isinstance(kappa, Mapping) else {"": kappa}
+    fixed = {name: 1.0 if depends_on_u(each) else each for name, each in of_regions.items()}
+    held = conductivity_of(spaces, fixed if isinstance(kappa, Mapping) else fixed[""])
+    parts: list[tuple[Mask, Curve]] = []
+    for name, each in of_regions.items():
+        if isinstance(each, list | tuple) or held.shape:
+            raise InputError("[problem] kappa: a matrix that depends on u is not supported; give a scalar")
+        inside = np.zeros(len(spaces.cell_measures), dtype=bool)
+        inside[spaces.domain.regions[name] if name else slice(None)] = True
+        parts.append((inside, _curve(each, spaces.mesh.geometry.dim)))
+    return Quasilinear(spaces, parts)
+
+
+def _curve(given: Any, dim: int) -> Curve:
+    if isinstance(given, Soil):
+        return given
+    if isinstance(given, TREES):
+        return _OfTree(given, dim)
+    if _takes_u(given):
+        return _OfFunction(given)
+    raise InputError("[problem] kappa: beside a κ that depends on u the others are numbers, texts or soils")
+
+
+@dataclass(frozen=True)
+class _OfTree:
+    """κ as a text in x, y, z and u."""
+
+    tree: Tree
+    dim: int
+
+    def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """See `Curve`."""
+        at = np.concatenate([x, u[..., None]], axis=-1)
+        value, gradient = values_and_gradient(self.tree, at, "xyz"[: self.dim] + "u")
+        return value, gradient[..., -1]
+
+
+@dataclass(frozen=True)
+class _OfFunction:
+    """κ as a function of points of shape (3, n) and u there, in Python."""
+
+    given: Callable[[Array, Array], Any]
+
+    def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """See `Curve`; the derivative by central differences."""
+        points, at = np.zeros((3, u.size)), u.ravel()
+        points[: x.shape[-1]] = x.reshape(-1, x.shape[-1]).T
+        step = NUDGE * np.maximum(np.abs(at), 1.0)
+        of_u = [self._values(points, at + each) for each in (0 * step, step, -step)]
+        return of_u[0].reshape(u.shape), ((of_u[1] - of_u[2]) / (2 * step)).reshape(u.shape)
+
+    def _values(self, points: Array, u: Array) -> Array:
+        found = np.asarray(self.given(points, u), dtype=np.float64)
+        if found.shape not in ((), u.shape):
+            raise InputError(
+                f"[problem] kappa: the function of x and u must give a number for each point, not {found.shape}"
+            )
+        return np.broadcast_to(found, u.shape)

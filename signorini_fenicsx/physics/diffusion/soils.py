@@ -1,0 +1,157 @@
+"""Soils above the water table: how their conductivity and their water content fall with the pressure head ψ.
+
+With the head h as u and the height z as the last coordinate, ψ = h − z, κ = K k_r(ψ) and the water in a unit volume is
+θ(ψ) + S_s ψ. For ψ ≥ 0 a soil is saturated, k_r = 1 and θ = θ_s; S = (θ − θ_r)/(θ_s − θ_r) is the saturation. Sources:
+van Genuchten, Soil Sci. Soc. Am. J. 44, 1980, with Mualem's k_r; Gardner, Soil Science 85, 1958; Brooks and Corey, 1964,
+with Burdine's k_r. The `air_entry` is that of Vogel, van Genuchten and Cislerova, Adv. Water Resour. 24, 2000.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import ClassVar
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+
+FLOOR = 1e-12
+"""k_r is not smaller, so that the equations keep a solution in dry soil."""
+TINY = 1e-14
+"""The least α|ψ| at which slopes are taken: at 0 that of van Genuchten's k_r is infinite for n < 2."""
+
+
+@dataclass(frozen=True)
+class Soil(ABC):
+    """κ and the water content of a soil as functions of the head u. `Diffusion(kappa=soil)` takes it as κ.
+
+    >>> Gardner(K=2.0, alpha=1.0)(np.array([[0.0, 1.0]]), np.array([0.0]))[0].round(4)
+    array([0.7358])
+
+    Attributes:
+        K: The saturated conductivity, > 0.
+        alpha: α > 0, one over a length.
+        n: n > 1 of van Genuchten, λ > 0 of Brooks and Corey; Gardner has none.
+        theta_r: The residual water content, ≥ 0.
+        theta_s: That of the saturated soil.
+        specific_storage: S_s ≥ 0: the water that a unit volume takes up for a rise of the head by 1.
+        air_entry: The soil stays saturated down to ψ = −air_entry; 0 is the model as published.
+
+    Raises:
+        InputError: If a number is out of its range.
+    """
+
+    K: float
+    alpha: float
+    n: float | None = None
+    theta_r: float = 0.0
+    theta_s: float = 1.0
+    specific_storage: float = 0.0
+    air_entry: float = 0.0
+    model: ClassVar[str] = ""
+    least_n: ClassVar[float | None] = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of their ranges."""
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.name == "n" and value is None and self.least_n is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(float(value)):
+                raise InputError(f"{each.name}: must be a number for a {self.model} soil, not {value!r}")
+        for name, least in (("K", 0.0), ("alpha", 0.0), ("n", self.least_n)):
+            if least is not None and not getattr(self, name) > least:
+                raise InputError(f"{name}: must be above {least:g}, not {getattr(self, name):g}")
+        if self.n is not None and self.least_n is None:
+            raise InputError(f"n: a {self.model} soil has none")
+        for name in ("theta_r", "specific_storage", "air_entry"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name}: must not be negative, it is {getattr(self, name):g}")
+        if not self.theta_r < self.theta_s <= 1:
+            raise InputError(
+                f"theta_s: must be above theta_r and at most 1; it is {self.theta_s:g}, theta_r {self.theta_r:g}"
+            )
+
+    @abstractmethod
+    def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:
+        """k_r, its derivative, S and its derivative by α|ψ| > 0, without an air entry."""
+
+    def _relative(self, psi: Array) -> tuple[Array, Array, Array, Array]:
+        """k_r, its derivative by ψ, S and its derivative."""
+        entry, suction = self.alpha * self.air_entry, np.maximum(-self.alpha * psi, TINY)
+        with np.errstate(all="ignore"):
+            found = self.curves(suction)
+            at_entry = self.curves(np.array(max(entry, TINY)))
+        dry = suction > max(entry, TINY)
+        k, dk, s, ds = (
+            np.where(dry, each / unit, wet)
+            for each, unit, wet in zip(found, np.repeat(at_entry[::2], 2), (1.0, 0.0, 1.0, 0.0), strict=True)
+        )
+        on_floor = k <= FLOOR
+        return np.where(on_floor, FLOOR, k), np.where(on_floor, 0.0, -self.alpha * dk), s, -self.alpha * ds
+
+    def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """κ and its derivative by u, in points whose coordinates are the last axis."""
+        k, slope, _, _ = self._relative(u - x[..., -1])
+        return self.K * k, self.K * slope
+
+    def content(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """The water in a unit volume, θ + S_s ψ, and its derivative by u."""
+        psi = u - x[..., -1]
+        _, _, s, slope = self._relative(psi)
+        span = self.theta_s - self.theta_r
+        return self.theta_r + span * s + self.specific_storage * psi, span * slope + self.specific_storage
+
+    def saturation(self, x: Array, u: Array) -> Array:
+        """S, from 0 to 1."""
+        return self._relative(u - x[..., -1])[2]
+
+
+class VanGenuchten(Soil):
+    """S = (1 + (α|ψ|)ⁿ)^−m with m = 1 − 1/n, k_r = √S (1 − (1 − S^1/m)^m)²."""
+
+    model = "van Genuchten"
+    least_n = 1.0
+
+    def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:
+        """See `Soil.curves`; 1 − S^1/m without loss of digits."""
+        n = float(self.n or 0.0)
+        m, w = 1 - 1 / n, 1 + suction**n
+        e = np.exp(-m * np.log1p(suction**-n))
+        rest, root = -np.expm1(-m * np.log1p(suction**-n)), w ** (-m / 2)
+        slope = -2 * rest * e * m * n / (suction * w) * root
+        slope = slope - rest**2 * (m / 2) * root / w * n * suction ** (n - 1)
+        return rest**2 * root, slope, w**-m, -m * n * suction ** (n - 1) * w ** (-m - 1)
+
+
+class Gardner(Soil):
+    """S = k_r = e^{αψ}."""
+
+    model = "Gardner"
+
+    def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:
+        """See `Soil.curves`."""
+        k = np.exp(-suction)
+        return k, -k, k, -k
+
+
+class BrooksCorey(Soil):
+    """S = (α|ψ|)^−λ where α|ψ| > 1, k_r = S^(3 + 2/λ), with λ = n."""
+
+    model = "Brooks-Corey"
+    least_n = 0.0
+
+    def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:
+        """See `Soil.curves`."""
+        n, dry = float(self.n or 0.0), suction > 1
+        k, s = suction ** -(2 + 3 * n), suction**-n
+        found = k, -(2 + 3 * n) * k / suction, s, -n * s / suction
+        k, slope, s, of_s = (np.where(dry, each, wet) for each, wet in zip(found, (1.0, 0.0, 1.0, 0.0), strict=True))
+        return k, slope, s, of_s
+
+
+SOILS: dict[str, type[Soil]] = {kind.model: kind for kind in (VanGenuchten, Gardner, BrooksCorey)}
+"""The models by their names in a case file."""

@@ -1,0 +1,145 @@
+"""κ that depends on u, as an outer method around the loop over the sets.
+
+Each problem under a fixed κ is linear but for its sets. That its u gives this κ again is found by Newton's method with a
+line search, one change of sets a step, after some steps of Anderson's acceleration for log κ. The last problem is one
+under a fixed κ again, so that its balance is exact; it is the solution if its u gives this κ. Where that fails, more of
+Anderson's steps follow, and then κ to powers from 0 to 1, each from the last one.
+
+What is judged is the largest change of κ, and the energy norm of (κ(x, u) − κ)∇u; a flux may repeat long before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
+from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.methods.task import Loop
+from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent
+
+CHANGE = 1e-9
+"""κ is found when it changes by this share of itself,"""
+ENOUGH = 1e-6
+"""or by this one, if it does not become smaller."""
+FIRST, MORE = 10, 90
+"""Anderson's steps before Newton's method, and after it if that has failed."""
+DEPTH, RELAXED = 10, 0.5
+"""How many steps Anderson's acceleration remembers, and what share of a change it takes."""
+RANK = 1e-12
+"""Combinations of changes whose squares are below this share of the largest are left out."""
+NEWTON = 40
+"""Newton's steps at most."""
+EXACT = 1e-13
+"""Newton's method ends where no residual is above this share of u, or where they do not fall below `CHANGE` of it."""
+POWERS = 5
+"""Powers of κ that are tried at first."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """How κ changed with a solution.
+
+    Attributes:
+        largest: The largest share of κ by which it differs from κ(x, u).
+        energy: The energy norm of (κ(x, u) − κ)∇u beside that of κ∇u.
+    """
+
+    largest: float
+    energy: float
+
+
+@dataclass
+class QuasiLinear:
+    """The outer method.
+
+    Attributes:
+        backend: Solves with its κ; with its `tangent` it makes Newton's steps.
+        loop: The loop over the sets.
+        changes: Gets how κ changed with the solution of each problem under a fixed κ.
+    """
+
+    backend: Any
+    loop: Loop
+    changes: list[Change]
+    _tried: list[tuple[Array, Array]] = field(default_factory=list)
+
+    def solved(self) -> Outcome:
+        """The solution whose u gives its κ (collective)."""
+        outcome = self._frozen()
+        for way in (self._anderson(FIRST), self._newton(), self._anderson(MORE), self._newton()):
+            for outcome in way:
+                if self._found or not outcome.converged:
+                    return outcome
+        last = self.changes[-1]
+        return outcome.ended(
+            f"κ still changes by {last.largest:.1e} of itself after {len(self.changes)} problems with a fixed κ, and the "
+            f"flux by {last.energy:.1e} in the energy norm"
+        )
+
+    @property
+    def _found(self) -> bool:
+        """Whether the last u gives its κ; what is small enough may still become smaller."""
+        largest = [change.largest for change in self.changes]
+        return largest[-1] <= CHANGE or (largest[-1] <= ENOUGH and largest[-1] > min(largest[:-1], default=np.inf) / 2)
+
+    def _frozen(self) -> Outcome:
+        """Solve with the present κ, and see how it changes (collective)."""
+        outcome, backend = self.loop(), self.backend
+        system, of_u = backend.system, backend.data.quasilinear
+        traces, kappa = system.on_cells(backend.x), backend.data.kappa_values
+        following = of_u.of_traces(traces)[0]
+        energy = np.einsum("cn,cnv->cv", traces, system.by_kappa(backend.x))
+        squares = np.array([((following - kappa) ** 2 / kappa * energy).sum(), (kappa * energy).sum()])
+        change, whole = np.maximum(backend.comm.allreduce(squares), 0.0).tolist()
+        largest = float(np.abs(following / kappa - 1).max(initial=0.0))
+        self.changes.append(
+            Change(backend.comm.allreduce(largest, MPI.MAX), float(np.sqrt(change / whole)) if whole > 0 else 0.0)
+        )
+        with np.errstate(all="ignore"):
+            self._tried = [*self._tried, (np.log(kappa), np.log(following))][-DEPTH - 1 :]
+        return outcome
+
+    def _anderson(self, steps: int) -> Iterator[Outcome]:
+        """Anderson's acceleration for log κ (collective)."""
+        backend = self.backend
+        self._tried = self._tried[-1:]
+        for _ in range(steps):
+            x = np.array([each[0].ravel() for each in self._tried])
+            left = np.array([(each[1] - each[0]).ravel() for each in self._tried])
+            step = RELAXED * left[-1]
+            if len(x) > 1:
+                moved, fallen = np.diff(x, axis=0), np.diff(left, axis=0)
+                squares = backend.comm.allreduce(fallen @ np.column_stack([fallen.T, left[-1]]))
+                shares = np.linalg.lstsq(squares[:, :-1], squares[:, -1], rcond=RANK)[0]
+                step = step - shares @ (moved + RELAXED * fallen)
+            kappa = np.exp(x[-1] + step).reshape(backend.data.kappa_values.shape)
+            try:
+                backend.take_kappa(backend.data.with_kappa(backend.spaces, kappa))
+            except InputError:
+                return
+            yield self._frozen()
+
+    def _newton(self) -> Iterator[Outcome]:
+        """Newton's method from the last solution, and the problem under the κ that it finds (collective)."""
+        backend = self.backend
+        for _ in range(2):
+            tangent = backend.tangent = backend.new_tangent()
+            least = np.inf
+            try:
+                for _ in range(NEWTON):
+                    outcome = self.loop(None, lambda iterate: True)
+                    size = backend.comm.allreduce(float(np.abs(backend.x.array_r).max(initial=0.0)), MPI.MAX)
+                    if tangent.left <= EXACT * size or (tangent.left <= CHANGE * size and tangent.left > least / 2):
+                        break
+                    least = min(least, tangent.left)
+            except LinearSolveFailure:
+                return
+            finally:
+                backend.tangent = None
+            yield self._frozen()

@@ -1,0 +1,169 @@
+"""Newton's steps for −∇·(κ(x, u)∇u) = f, with a line search.
+
+The residual is that of the hybrid system with the κ of û, and its derivative K + N: on a cell N has the derivative of
+∫σ·n by κ times that of κ by û. Beside what the equations leave, the sites may be off their laws.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.linear.gmres import gmres
+from signorini_fenicsx.linear.petsc import direct_solver
+
+HALVINGS = 8
+"""A step is halved so often at most."""
+FALLS = 1e-4
+"""Share of a step by which the residual has to fall."""
+
+
+class Tangible(Protocol):
+    """What Newton's method needs of a backend besides `Backend`."""
+
+    comm: MPI.Comm
+    data: Any
+    spaces: Any
+
+    @property
+    def x(self) -> PETSc.Vec:
+        """The unknowns."""
+
+    @property
+    def system(self) -> Any:
+        """Gives `on_cells`, `by_kappa` and `of_cells`."""
+
+    def take_kappa(self, data: Any) -> None:
+        """Go on with the same data but for κ (collective)."""
+
+    def imposed(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array]:
+        """The matrix under conditions, the unknowns that they fix, their values, and the right side (collective)."""
+
+    def off_laws(self, conditions: SiteConditions) -> Array:
+        """How far the sites are off their laws, as a p (collective)."""
+
+
+class Tangent:
+    """Newton's method from the x of a backend.
+
+    Attributes:
+        left: The largest residual, as a u, after the last step.
+        norm: The norm of all of them.
+    """
+
+    left = np.inf
+    norm = np.inf
+
+    def __init__(self, backend: Any, *, iterates: bool, preconditioner: Any):
+        """Begin at the last solution of the backend (collective).
+
+        Args:
+            backend: See `Tangible`; its data get the κ of each step.
+            iterates: Whether the linear solver iterates.
+            preconditioner: Gives that of the matrix under the present conditions.
+        """
+        self._backend: Tangible = backend
+        self._iterates, self._preconditioner = iterates, preconditioner
+
+    def step(self, conditions: SiteConditions) -> None:
+        """One step under these conditions (collective).
+
+        Raises:
+            LinearSolveFailure: If its linear problem cannot be solved.
+        """
+        backend = self._backend
+        self._take_kappa()
+        base = self._residual(conditions)
+        step, start = self._direction(conditions), backend.x.array_r.copy()
+        best, share = (np.inf, start), 1.0
+        for _ in range(HALVINGS):
+            backend.x.array_w[:] = start + share * step
+            norm = self._residual(conditions) if self._take_kappa() else np.inf
+            if norm < best[0]:
+                best = norm, backend.x.array_r.copy()
+            if norm < (1 - FALLS * share) * base:
+                break
+            share /= 2
+        backend.x.array_w[:] = best[1]
+        self._take_kappa()
+        self.norm = self._residual(conditions)
+
+    def _take_kappa(self) -> bool:
+        """Let κ be that of the present x; whether it is positive (collective)."""
+        backend, of_u = self._backend, self._backend.data.quasilinear
+        try:
+            values = of_u.of_traces(backend.system.on_cells(backend.x))[0]
+            backend.take_kappa(backend.data.with_kappa(backend.spaces, values))
+        except InputError:
+            return False
+        return True
+
+    def _parts(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array, Array]:
+        """The matrix and what is fixed, x less given values in two parts, free and fixed, and the right side."""
+        matrix, fixed, held, load = self._backend.imposed(conditions)
+        free = self._backend.x.array_r - held
+        of_fixed = np.zeros_like(free)
+        of_fixed[fixed], free[fixed] = free[fixed], 0.0
+        return matrix, fixed, free, of_fixed, load
+
+    def _residual(self, conditions: SiteConditions) -> float:
+        """The norm of what is left of the equations over their diagonal, and of how far sites are off (collective)."""
+        backend = self._backend
+        matrix, fixed, free, of_fixed, load = self._parts(conditions)
+        left = (self._times(matrix, free) + self._times(backend.system.natural, of_fixed) - load) / (
+            matrix.getDiagonal().array_r
+        )
+        left[fixed] = of_fixed[fixed]
+        values = np.concatenate([left, backend.off_laws(conditions)])
+        self.left = backend.comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
+        return float(np.sqrt(backend.comm.allreduce(float(values @ values))))
+
+    def _direction(self, conditions: SiteConditions) -> Array:
+        """Newton's step, undamped (collective)."""
+        backend, system, of_u = self._backend, self._backend.system, self._backend.data.quasilinear
+        slopes = of_u.of_traces(system.on_cells(backend.x))[1]
+        tangent = system.of_cells(system.by_kappa(backend.x) @ slopes)
+        matrix, fixed, free, of_fixed, load = self._parts(conditions)
+        right = load - self._times(matrix, free) + self._times(tangent, of_fixed)
+        tangent.axpy(1.0, matrix, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        right[fixed] = -of_fixed[fixed]
+        tangent.zeroRowsColumns((fixed + tangent.getOwnershipRange()[0]).astype(PETSc.IntType))
+        return self._solved(tangent, right)
+
+    def _solved(self, tangent: PETSc.Mat, right: Array) -> Array:
+        """Solve with K + N, by GMRES with the preconditioner of K where that iterates (collective)."""
+        if self._iterates:
+            preconditioner, (b, x) = self._preconditioner(), tangent.createVecs()
+
+            def precondition(values: Array) -> Array:
+                b.array_w[:] = values
+                preconditioner.apply(b, x)
+                return np.array(x.array_r)
+
+            return gmres(self._backend.comm, lambda values: self._times(tangent, values), right, precondition)[0]
+        solver = direct_solver(tangent, "lu", "tangent_")
+        b, x = tangent.createVecs()
+        b.array_w[:] = right
+        solver.solve(b, x)
+        found = np.array(x.array_r)
+        for each in (solver.ksp, tangent, b, x):
+            each.destroy()
+        return found
+
+    @staticmethod
+    def _times(matrix: PETSc.Mat, values: Array) -> Array:
+        """A product (collective)."""
+        x, image = matrix.createVecs()
+        x.array_w[:] = values
+        matrix.mult(x, image)
+        found = np.array(image.array_r)
+        for each in (x, image):
+            each.destroy()
+        return found
