@@ -298,7 +298,10 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
         quasilinear=of_u,
         **boundary,
     )
-    return data if of_u is None else data.with_kappa(spaces, of_u.first(data.extent(spaces)))
+    if of_u is None:
+        return data
+    of_u = replace(of_u, ends=data.extent(spaces))
+    return replace(data, quasilinear=of_u).with_kappa(spaces, of_u.first)
 
 
 def _load(spaces: Spaces, problem: Problem, known: Known) -> tuple[Datum, fem.Function]:

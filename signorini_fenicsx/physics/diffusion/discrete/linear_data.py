@@ -213,7 +213,7 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     if data.quasilinear is None:
         return linear
     of_u = replace(data.quasilinear, spaces=spaces)
-    return replace(linear, quasilinear=of_u).with_kappa(spaces, of_u.first(data.extent(spaces)))
+    return replace(linear, quasilinear=of_u).with_kappa(spaces, of_u.first)
 
 
 def _linear(spaces: LinearSpaces, datum: Datum, facets: BoundaryFacets) -> Array:

@@ -28,6 +28,8 @@ from signorini_fenicsx.physics.diffusion.soils import Soil
 
 type Curve = Callable[[Array, Array], tuple[Array, Array]]
 """κ and its derivative by u in points, whose coordinates are the last axis, for u there."""
+CLOSE = 1e-9
+"""A step of this share of û is too short for a difference of κ."""
 NUDGE = 6e-6
 """The share of u, or of 1, by which u is moved for the derivative of a function of the user."""
 
@@ -70,12 +72,16 @@ class Quasilinear:
     Attributes:
         spaces: The discrete spaces, of RT0 or of RT1.
         parts: Masks of owned cells, and κ there.
+        ends: The smallest and the largest given u, with which it begins.
         constant: What is taken from u, see `Data.less`.
+        power: s of κ^s κ_0^(1 − s), with κ_0 that of the beginning; 1 is κ.
     """
 
     spaces: Spaces
     parts: list[tuple[Mask, Curve]]
+    ends: tuple[float, float] = (0.0, 0.0)
     constant: float = 0.0
+    power: float = 1.0
 
     @cached_property
     def _places(self) -> tuple[Array, Array]:
@@ -94,25 +100,44 @@ class Quasilinear:
         Args:
             traces: The values of û less the constant on the facets of the owned cells, shape (cells, n).
         """
-        x, shares = self._places
-        value, slope = self.at(x, traces + self.constant)
+        shares, (value, slope) = self._places[1], self._at(traces)
         return value @ shares.T, shares * slope[:, None]
 
-    def at(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """κ and its derivative by u in points of the owned cells, shape (cells, points)."""
-        value, slope = np.ones_like(u), np.zeros_like(u)
+    def along(self, traces: Array, step: Array) -> Array:
+        """Slopes in the place of the derivatives: what κ changes along a step of û, divided by that."""
+        (value, slope), (moved, _) = self._at(traces), self._at(traces + step)
+        far = np.abs(step) > CLOSE * np.abs(traces + self.constant)
+        return self._places[1] * np.where(far, (moved - value) / np.where(far, step, 1.0), slope)[:, None]
+
+    def _at(self, traces: Array) -> tuple[Array, Array]:
+        """κ and its derivative where û is looked at."""
+        (value, slope), power = self._of_u(traces + self.constant), self.power
+        if power < 1:
+            moved = self._first ** (1 - power) * value**power
+            value, slope = moved, power * moved / value * slope
+        return value, slope
+
+    def _of_u(self, u: Array) -> tuple[Array, Array]:
+        """κ and its derivative by u there."""
+        x, _ = self._places
+        value, slope = np.ones(x.shape[:2]), np.zeros(x.shape[:2])
         for inside, curve in self.parts:
             value[inside], slope[inside] = curve(x[inside], u[inside])
         return value, slope
 
-    def first(self, ends: tuple[float, float]) -> Array:
-        """κ to begin with: of saturated soil, elsewhere that for u in the middle of these ends."""
-        u = sum(ends) / 2 if np.isfinite(ends).all() else 0.0
-        x, shares = self._places
-        value = np.ones(x.shape[:2])
+    @cached_property
+    def _first(self) -> Array:
+        u = sum(self.ends) / 2 if np.isfinite(self.ends).all() else 0.0
+        value = self._of_u(np.full(self._places[0].shape[:2], u))[0]
         for inside, curve in self.parts:
-            value[inside] = curve.K if isinstance(curve, Soil) else curve(x[inside], np.full(x[inside].shape[:2], u))[0]
-        return np.asarray(value @ shares.T)
+            if isinstance(curve, Soil):
+                value[inside] = curve.K
+        return value
+
+    @property
+    def first(self) -> Array:
+        """κ to begin with: of saturated soil, elsewhere that for u in the middle of its ends."""
+        return np.asarray(self._first @ self._places[1].T)
 
 
 def depends_on_u(kappa: Any) -> bool:

@@ -11,7 +11,7 @@ What is judged is the largest change of κ, and the energy norm of (κ(x, u) −
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,9 +26,9 @@ from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent
 CHANGE = 1e-9
 """κ is found when it changes by this share of itself,"""
 ENOUGH = 1e-6
-"""or by this one, if it does not become smaller."""
-FIRST, MORE = 10, 90
-"""Anderson's steps before Newton's method, and after it if that has failed."""
+"""or by this one, if Newton's method has left nothing but rounding."""
+FIRST = 10
+"""Anderson's steps before Newton's method."""
 DEPTH, RELAXED = 10, 0.5
 """How many steps Anderson's acceleration remembers, and what share of a change it takes."""
 RANK = 1e-12
@@ -37,8 +37,10 @@ NEWTON = 40
 """Newton's steps at most."""
 EXACT = 1e-13
 """Newton's method ends where no residual is above this share of u, or where they do not fall below `CHANGE` of it."""
-POWERS = 5
-"""Powers of κ that are tried at first."""
+FALLS, PATIENCE = 0.9, 8
+"""Newton's method has failed where its residual has not fallen to this share of the least one in so many steps."""
+POWERS, SHORTEST = 5, 1e-3
+"""How many powers of κ are tried at first, and the shortest step from one to another."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,12 @@ class QuasiLinear:
     loop: Loop
     changes: list[Change]
     _tried: list[tuple[Array, Array]] = field(default_factory=list)
+    _by_newton: bool = False
 
     def solved(self) -> Outcome:
         """The solution whose u gives its κ (collective)."""
         outcome = self._frozen()
-        for way in (self._anderson(FIRST), self._newton(), self._anderson(MORE), self._newton()):
+        for way in (self._anderson(FIRST), self._newton(), self._anderson(FIRST), self._newton(), self._by_powers()):
             for outcome in way:
                 if self._found or not outcome.converged:
                     return outcome
@@ -84,9 +87,13 @@ class QuasiLinear:
 
     @property
     def _found(self) -> bool:
-        """Whether the last u gives its κ; what is small enough may still become smaller."""
-        largest = [change.largest for change in self.changes]
-        return largest[-1] <= CHANGE or (largest[-1] <= ENOUGH and largest[-1] > min(largest[:-1], default=np.inf) / 2)
+        """Whether the last u gives its κ."""
+        return self.changes[-1].largest <= (ENOUGH if self._by_newton else CHANGE) and self._power == 1
+
+    @property
+    def _power(self) -> float:
+        power: float = self.backend.data.quasilinear.power
+        return power
 
     def _frozen(self) -> Outcome:
         """Solve with the present κ, and see how it changes (collective)."""
@@ -128,18 +135,48 @@ class QuasiLinear:
     def _newton(self) -> Iterator[Outcome]:
         """Newton's method from the last solution, and the problem under the κ that it finds (collective)."""
         backend = self.backend
-        for _ in range(2):
-            tangent = backend.tangent = backend.new_tangent()
-            least = np.inf
-            try:
-                for _ in range(NEWTON):
-                    outcome = self.loop(None, lambda iterate: True)
-                    size = backend.comm.allreduce(float(np.abs(backend.x.array_r).max(initial=0.0)), MPI.MAX)
-                    if tangent.left <= EXACT * size or (tangent.left <= CHANGE * size and tangent.left > least / 2):
-                        break
-                    least = min(least, tangent.left)
-            except LinearSolveFailure:
-                return
-            finally:
-                backend.tangent = None
-            yield self._frozen()
+        tangent = backend.tangent = backend.new_tangent()
+        least, since = np.inf, 0
+        try:
+            for _ in range(NEWTON):
+                self.loop(None, lambda iterate: True)
+                size = backend.comm.allreduce(float(np.abs(backend.x.array_r).max(initial=0.0)), MPI.MAX)
+                since = 0 if tangent.norm < FALLS * least else since + 1
+                if tangent.left <= EXACT * size or since == (1 if tangent.left <= CHANGE * size else PATIENCE):
+                    break
+                least = min(least, tangent.norm)
+        except LinearSolveFailure:
+            return
+        finally:
+            backend.tangent = None
+        self._by_newton = True
+        yield self._frozen()
+        self._by_newton = False
+
+    def _by_powers(self) -> Iterator[Outcome]:
+        """Newton's method for κ to one power after another, from the first κ (collective)."""
+        backend, done, step = self.backend, 0.0, 1 / POWERS
+
+        def with_power(power: float) -> None:
+            data, of_u = backend.data, replace(backend.data.quasilinear, power=power)
+            backend.take_kappa(replace(data, quasilinear=of_u))
+
+        with_power(0.0)
+        traces = np.zeros(backend.system.on_cells(backend.x).shape)
+        backend.take_kappa(backend.data.with_kappa(backend.spaces, backend.data.quasilinear.of_traces(traces)[0]))
+        yield self._frozen()
+        kept = backend.x.array_r.copy(), backend.data.kappa_values
+        while done < 1 and step > SHORTEST:
+            with_power(min(done + step, 1.0))
+            outcome = None
+            for outcome in self._newton():
+                good = self.changes[-1].largest <= ENOUGH and outcome.converged
+                yield outcome
+            if outcome is not None and good:
+                done, step = self._power, 1.5 * step
+                kept = backend.x.array_r.copy(), backend.data.kappa_values
+            else:
+                step /= 2
+                backend.x.array_w[:] = kept[0]
+                backend.take_kappa(backend.data.with_kappa(backend.spaces, kept[1]))
+        with_power(1.0)

@@ -78,11 +78,26 @@ class Tangent:
         Raises:
             LinearSolveFailure: If its linear problem cannot be solved.
         """
-        backend = self._backend
+        backend, of_u = self._backend, self._backend.data.quasilinear
         self._take_kappa()
-        base = self._residual(conditions)
-        step, start = self._direction(conditions), backend.x.array_r.copy()
-        best, share = (np.inf, start), 1.0
+        base, start = self._residual(conditions), backend.x.array_r.copy()
+        traces = backend.system.on_cells(backend.x)
+        step = self._direction(conditions, of_u.of_traces(traces)[1])
+        best = self._searched(conditions, start, step, base)
+        if best[0] >= base:  # as where κ has a kink, or an infinite slope: by its slope along the step
+            backend.x.array_w[:] = start + step
+            moved = backend.system.on_cells(backend.x) - traces
+            backend.x.array_w[:] = start
+            self._take_kappa()
+            step = self._direction(conditions, of_u.along(traces, moved))
+            best = min(best, self._searched(conditions, start, step, base), key=lambda found: found[0])
+        backend.x.array_w[:] = best[1]
+        self._take_kappa()
+        self.norm = self._residual(conditions)
+
+    def _searched(self, conditions: SiteConditions, start: Array, step: Array, base: float) -> tuple[float, Array]:
+        """The least residual along a step that is halved until it falls, and its x (collective)."""
+        backend, best, share = self._backend, (np.inf, start), 1.0
         for _ in range(HALVINGS):
             backend.x.array_w[:] = start + share * step
             norm = self._residual(conditions) if self._take_kappa() else np.inf
@@ -91,9 +106,7 @@ class Tangent:
             if norm < (1 - FALLS * share) * base:
                 break
             share /= 2
-        backend.x.array_w[:] = best[1]
-        self._take_kappa()
-        self.norm = self._residual(conditions)
+        return best
 
     def _take_kappa(self) -> bool:
         """Let κ be that of the present x; whether it is positive (collective)."""
@@ -125,10 +138,9 @@ class Tangent:
         self.left = backend.comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
         return float(np.sqrt(backend.comm.allreduce(float(values @ values))))
 
-    def _direction(self, conditions: SiteConditions) -> Array:
-        """Newton's step, undamped (collective)."""
-        backend, system, of_u = self._backend, self._backend.system, self._backend.data.quasilinear
-        slopes = of_u.of_traces(system.on_cells(backend.x))[1]
+    def _direction(self, conditions: SiteConditions, slopes: Array) -> Array:
+        """Newton's step, undamped, with these slopes of κ (collective)."""
+        backend, system = self._backend, self._backend.system
         tangent = system.of_cells(system.by_kappa(backend.x) @ slopes)
         matrix, fixed, free, of_fixed, load = self._parts(conditions)
         right = load - self._times(matrix, free) + self._times(tangent, of_fixed)
