@@ -145,7 +145,7 @@ class KeptFactors:
             ended = self.coupled(load, x, imposed, self._solver.share, WORTH)
             if ended[0] < WORTH:
                 return ended
-        essential = self._impose(imposed)
+        essential = self.impose(imposed)
         if self._comm.allreduce(bool(imposed.shares.any()), MPI.LOR):
             ended = self.coupled(load, x, imposed, self._solver.share)
         else:
@@ -178,7 +178,7 @@ class KeptFactors:
         moved = self._comm.allreduce(int(np.count_nonzero(imposed.held != self._kept.held)))  # one step for each
         return bool(moved < WORTH / 2)
 
-    def _impose(self, imposed: Imposed) -> npt.NDArray[np.int32]:
+    def impose(self, imposed: Imposed) -> npt.NDArray[np.int32]:
         """Give the solver its matrix, but for the shares; return the unknowns that are fixed (collective)."""
         essential, imposed = self.essential(imposed.held), imposed.symmetric
         same = self._present is not None and not imposed.differ(self._present).any()

@@ -63,6 +63,25 @@ class LinearData(Data):
         basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
         return cells.product_in_points(inverse, basis, points.weights)
 
+    def by_kappa(self, spaces: LinearSpaces, sigma: Array) -> Array:
+        """(φ_v κ⁻²σ, τ) for the hats of the vertices of cells and the basis, shape (cells, basis, d + 1) (collective).
+
+        Args:
+            spaces: The spaces.
+            sigma: The values of σ at the nodes of the owned cells.
+        """
+        found = np.zeros((len(sigma), len(reference(spaces.dim).basis), spaces.dim + 1))
+        for numbers in blocks_of_cells(spaces.mesh):
+            cells, points = Cells(spaces.vertices[numbers]), data_points(spaces, numbers, quadrature_degree(self.kappa))
+            weight = hats_in(spaces, numbers, points) / self.kappa.values(points).T[:, :, None] ** 2
+            basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
+            of_sigma = cells.coefficients(sigma[numbers])
+            for vertex in range(spaces.dim + 1):
+                matrices = weight[:, :, vertex].T[:, :, None, None] * np.eye(spaces.dim)
+                products = cells.product_in_points(matrices, basis, points.weights)
+                found[numbers, :, vertex] = np.einsum("nbc,nc->nb", products, of_sigma)
+        return found
+
     def reactions(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
         """(cφ_v, φ_w) for the hats of the vertices of cells; None if c = 0 (collective)."""
         return None if self.c_h is None else _products(spaces, self.c, numbers, cells)

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
+from signorini_fenicsx.discrete.matrices import of_cells
 from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals, opposite
 from signorini_fenicsx.discrete.vertex_laws import InCells
@@ -116,6 +118,45 @@ class FluxSystem(HybridSystem):
             u=values @ block.u,
             u_of_f=block.u_of_f @ values,
         )
+
+    def take_kappa(self, data: LinearData) -> None:
+        """Go on with the same data but for κ (collective)."""
+        self._data = data
+        self.assemble_again()
+        self._take_loads()
+
+    def on_cells(self, x: PETSc.Vec) -> Array:
+        """û at the vertices of the facets of the owned cells, shape (cells, (d + 1) d) (collective)."""
+        unknowns = self._sides.values(self.everywhere(x.array_r) + self._data.lift)
+        values = unknowns[self._unknowns(np.arange(len(self._dofs), dtype=np.int32))]
+        for facets, matrices in self.spaces.frames:
+            places = facets.cells[:, None], facets.local[:, None] * self.spaces.dim + np.arange(self.spaces.dim)
+            values[places] = np.einsum("fij,fj->fi", matrices, values[places])
+        return np.asarray(values)
+
+    def by_kappa(self, x: PETSc.Vec) -> Array:
+        """The derivatives of ⟨σ·n, q⟩ on the facets of each cell by κ at its vertices, shape (cells, n, d + 1).
+
+        Collective. q has a value 1 at a vertex of a facet. They are what (κ⁻²σ φ_v, τ) on the right gives.
+        """
+        spaces, data, count = self.spaces, self._data, self.spaces.dim + 1
+        sigma, _ = self.recover(self.everywhere(x.array_r) + data.lift)
+        functionals = data.by_kappa(spaces, sigma)
+        none = np.zeros((len(sigma), count))
+        found = np.zeros((len(sigma), count * spaces.dim, count))
+        for vertex in range(count):
+            for block in self.eliminated(functionals[:, :, vertex], none):
+                found[block.cells, :, vertex] = -block.load
+        return found
+
+    def of_cells(self, matrices: Array) -> PETSc.Mat:
+        """The sum of matrices of the owned cells, from û at the vertices of their facets to ⟨σ·n, q⟩ (collective)."""
+        transposed = matrices.transpose(0, 2, 1).copy()
+        self.spaces.to_unknowns(transposed, np.arange(len(matrices), dtype=np.int32))
+        part = self._dofs, transposed.transpose(0, 2, 1)
+        matrix = of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], [part])
+        jumps = self._sides.matrix(self._traces)
+        return matrix if jumps is None else matrix.ptap(jumps)
 
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
         """σ at the nodes and u at the vertices of the cells, shapes (cells, nodes, d) and (cells, d + 1)."""

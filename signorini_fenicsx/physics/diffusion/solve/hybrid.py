@@ -25,7 +25,7 @@ from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM,
 from signorini_fenicsx.physics.diffusion.solve.facets import FacetBackend
 from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 from signorini_fenicsx.physics.diffusion.solve.solvability import floating_cells
-from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent
+from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent, off_chains
 
 FACTORISATION = 10
 """About as many solves take as long as a factorisation."""
@@ -116,6 +116,11 @@ class HybridBackend(FacetBackend):
         return self._system.x
 
     @property
+    def natural(self) -> PETSc.Mat:
+        """The matrix without conditions."""
+        return self._system.natural
+
+    @property
     def system(self) -> FacetSystem:
         """The facet system."""
         return self._system
@@ -137,7 +142,7 @@ class HybridBackend(FacetBackend):
         p, flux = self._system.traces(self.x, conditions)
         diagonal = self._system.natural.getDiagonal().array_r[self._system.trace_dofs]
         unit = np.append(diagonal / self.spaces.facet_measure, 1 / mean_moments(self.spaces, self.data))[: len(p)]
-        return np.max(np.abs(self.chains.distances(p, flux, unit)) / [np.ones_like(unit), unit, unit], axis=0)
+        return off_chains(self.chains, p, flux, unit)
 
     def _none_kept(self) -> KeptFactors:
         """What will keep a factorisation for the present κ and c."""

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -33,6 +34,7 @@ from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, r
 from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
+from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent, off_chains
 
 
 class VertexBackend(PlainBackend):
@@ -112,6 +114,7 @@ class LinearBackend(VertexBackend, TraceBackend):
     spaces: LinearSpaces
     system: FluxSystem
     data: LinearData
+    tangent: Tangent | None = None
 
     def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning | None = None):
         """Assemble and choose the solver (collective).
@@ -156,9 +159,50 @@ class LinearBackend(VertexBackend, TraceBackend):
         return self.data.cells_at is None
 
     def solve(self, conditions: SiteConditions) -> Iterate:
-        """Solve, see `TraceBackend.solve` (collective)."""
+        """Solve, see `TraceBackend.solve`, or make a step of `tangent` (collective)."""
+        if self.tangent is not None:
+            self.tangent.step(conditions)
+            return self._recovered(conditions, refine=False)
         self._impose_in_cells(conditions)
         return super().solve(conditions)
+
+    def take_kappa(self, data: LinearData) -> None:
+        """Go on with the same data but for κ (collective)."""
+        self.system.take_kappa(data)
+        self._operator.take_natural()
+        self._factors, self._in_cells = self._none_kept(), None
+        self._take(data)
+
+    @property
+    def x(self) -> PETSc.Vec:
+        """The owned unknowns."""
+        return self._x
+
+    @property
+    def natural(self) -> PETSc.Mat:
+        """The matrix without conditions."""
+        return self.system.matrix
+
+    def new_tangent(self) -> Tangent:
+        """Newton's method from the last solution."""
+        return Tangent(self, iterates=self._solver.iterates, preconditioner=self._solver.preconditioner)
+
+    def imposed(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array]:
+        """See `Tangible.imposed` (collective)."""
+        self._impose_in_cells(conditions)
+        posed = self.posed(conditions)
+        load, _ = self._loads(posed)
+        fixed = self._factors.impose(posed.imposed)
+        self._state = State.START
+        return self._operator.matrix, fixed, self._held.array_r.copy(), load
+
+    def off_laws(self, conditions: SiteConditions) -> Array:
+        """See `Tangible.off_laws` (collective)."""
+        p, flux = self._pairs(self._x, conditions)
+        unit = self.stiffness
+        if not self.by_traces:
+            unit = np.append(unit, 1 / np.repeat(mean_moments(self.spaces, self.data), self.spaces.dim + 1))
+        return off_chains(self.chains, p, flux, unit)
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve, see `TraceBackend.solve_until` (collective)."""

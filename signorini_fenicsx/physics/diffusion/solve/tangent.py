@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.linear.petsc import direct_solver
@@ -35,6 +36,10 @@ class Tangible(Protocol):
     @property
     def x(self) -> PETSc.Vec:
         """The unknowns."""
+
+    @property
+    def natural(self) -> PETSc.Mat:
+        """The matrix without conditions."""
 
     @property
     def system(self) -> Any:
@@ -130,7 +135,7 @@ class Tangent:
         """The norm of what is left of the equations over their diagonal, and of how far sites are off (collective)."""
         backend = self._backend
         matrix, fixed, free, of_fixed, load = self._parts(conditions)
-        left = (self._times(matrix, free) + self._times(backend.system.natural, of_fixed) - load) / (
+        left = (self._times(matrix, free) + self._times(backend.natural, of_fixed) - load) / (
             matrix.getDiagonal().array_r
         )
         left[fixed] = of_fixed[fixed]
@@ -179,3 +184,8 @@ class Tangent:
         for each in (x, image):
             each.destroy()
         return found
+
+
+def off_chains(chains: Chains, p: Array, flux: Array, unit: Array) -> Array:
+    """How far pairs are off their laws, as a p; one unit of p is so many of the flux."""
+    return np.asarray(np.max(np.abs(chains.distances(p, flux, unit)) / [np.ones_like(unit), unit, unit], axis=0))
