@@ -274,13 +274,15 @@ def quadrature_degree(*data: Datum, power: int = 1) -> int:
 
 
 def datum_of(spaces: MeshSpaces, name: str, given: Given, *, continuous: bool = True, matrix: bool = False) -> Datum:
-    """A datum from what was given, with numbers and texts as trees (collective).
+    """A datum from what was given, with numbers and texts as trees; a datum as it is (collective).
 
     Functions of points become piecewise quadratic, those that may jump by inner points.
 
     Raises:
         InputError: If it has the wrong shape, is not real, or is UFL on another mesh.
     """
+    if isinstance(given, Datum):
+        return given
     dim = spaces.mesh.geometry.dim
     shapes = [(), (dim, dim)] if matrix else [()]
     x = ufl.SpatialCoordinate(spaces.mesh)

@@ -15,13 +15,14 @@ from signorini_fenicsx.expressions.evaluation import (
 )
 from signorini_fenicsx.expressions.reader import parse_expression, parse_number, read
 from signorini_fenicsx.expressions.symbolic import to_ufl
-from signorini_fenicsx.expressions.tree import TREES, Binary, Tree, exactly, is_polynomial, substituted
+from signorini_fenicsx.expressions.tree import TREES, Binary, Tree, depends_on, exactly, is_polynomial, substituted
 
 __all__ = [
     "TREES",
     "Binary",
     "Tree",
     "decided",
+    "depends_on",
     "difference",
     "exactly",
     "interval",

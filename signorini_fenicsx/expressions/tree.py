@@ -202,6 +202,11 @@ def substituted(node: Any, name: str, number: Number) -> Any:
     return replace(node, **{each.name: substituted(getattr(node, each.name), name, number) for each in fields(node)})
 
 
+def depends_on(tree: Tree, name: str) -> bool:
+    """Whether a variable is in a tree."""
+    return bool(substituted(tree, name, exactly(0.0)) != tree)
+
+
 def is_polynomial(tree: Tree, degree: int) -> bool:
     """Whether a tree is written as a polynomial of at most this degree."""
     own = polynomial_degree(tree)

@@ -21,8 +21,10 @@ from signorini_fenicsx.meshes.cut import ANY, Side
 from signorini_fenicsx.meshes.domain import Boundary as Posed
 from signorini_fenicsx.meshes.memory import BYTES_PER_FACET
 from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_sections
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import depends_on_u
 from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
-from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.problem import Problem, of_u
+from signorini_fenicsx.physics.diffusion.soil_section import FORMS, SoilTexts, kappa_of
 from signorini_fenicsx.solving.evolution import SCHEMES
 from signorini_fenicsx.solving.options import ELEMENTS
 
@@ -60,6 +62,9 @@ class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
     texts, or one per part, and 0 on parts without one.
     """
 
+    form: Annotated[str, choice("form", FORMS)] = Field(default=FORMS[0], exclude_if=lambda form: form == FORMS[0])
+    words: ClassVar[tuple[str, ...]] = ("form",)
+
     @property
     def by_part(self) -> dict[str, dict[str, str]]:
         """The data that are given by part."""
@@ -71,7 +76,8 @@ class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
         Raises:
             InputError: If an expression cannot be read.
         """
-        data = {key: parsed(value, names, f"[problem] {key}") for key, value in self}
+        places = {key: f"[problem] {key}" for key, _ in self if key not in self.words}
+        data = {key: parsed(getattr(self, key), names + of_u(place), place) for key, place in places.items()}
 
         def on(key: str, part: str) -> Any:
             return data[key].get(part, NOTHING) if isinstance(data[key], Mapping) else data[key]
@@ -147,6 +153,7 @@ class Case(CaseFile):
     boundary: Boundary = Boundary()
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
+    soil: Annotated[dict[str, SoilTexts], Field(default={}, exclude_if=lambda soils: not soils)]
     exact: Exact = Exact()
     time: Time | None = None
     dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
@@ -169,6 +176,12 @@ class Case(CaseFile):
             listed = getattr(self.boundary, OF_LIST[key])
             for part in [] if listed is None else sorted({*values} - {*listed}):
                 raise ValueError(f"[problem] {key}: '{part}' is no part in [boundary] {OF_LIST[key]}")
+        if self.soil and "kappa" in self.problem.model_fields_set:
+            raise ValueError("[soil]: says what κ is; leave out [problem] kappa")
+        if self.soil and self.time is not None and self.time.capacity is not None:
+            raise ValueError("[soil]: says what the storage is; leave out [time] capacity")
+        if EVERYWHERE in self.soil and len(self.soil) > 1:
+            raise ValueError(f"[soil.{EVERYWHERE}]: is the soil everywhere; leave out the other soils")
         for i, texts in enumerate(self.law):
             if texts.kind == "storage" and self.time is None:
                 raise ValueError(f"law.{i}: the law 'storage' needs [time]")
@@ -200,6 +213,8 @@ class Case(CaseFile):
         """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
         if self.solve.element == "RT1":
             return "the proof is for RT0 alone; leave out the element"
+        if self.soil or depends_on_u(parsed(self.problem.kappa, "xyztu", "[problem] kappa")):
+            return "the proof is for a κ that does not depend on u"
         if self.law or self.problem.by_part:
             return "the proof is for the law of Signorini alone, without [[law]] and data by part"
         if self.problem.c != "0":
@@ -228,6 +243,8 @@ class Case(CaseFile):
         neumann = [part for part in self.boundary.neumann if part not in with_laws]
         boundary = Posed(self.boundary.signorini, neumann, self.inner)
         problem = replace(problem, exact=exact, laws=laws, boundary=boundary)
+        if self.soil:
+            problem = replace(problem, kappa=kappa_of(self.soil))
         if step is None or self.time is None:
             return problem
         return problem_of_step(problem.in_time(dim), self.time.evolution(), step, dim)

@@ -49,6 +49,8 @@ OF_LINEAR: Layout = {
 }
 """Beside the means what RT1 has: values at vertices, of σ at the midpoints of edges too, of facets
 means by the hats of theirs; with laws in Ω the segment at each vertex of a cell."""
+OF_KAPPA: Layout = {"kappa": (np.float64, "cells"), "kappa_at": (np.float64, "cells", "corners")}
+"""And where κ depends on u the one that was found, on cells or at their vertices."""
 OF_STEP: Layout = {"memory_at": (np.float64, "cells", "corners")}
 """And in time."""
 
@@ -58,6 +60,9 @@ def _in_cells(solution: Solution) -> Arrays:
     rows = {"u": solution.u_means, "sigma": flux.centroid, "divergence": solution.divergences}
     if isinstance(solution, LinearSolution):
         rows |= _at_vertices(solution)
+    if solution.data.quasilinear is not None:
+        kappa = solution.data.kappa_values
+        rows |= {"kappa_at": kappa} if solution.spaces.degree else {"kappa": kappa[:, 0]}
     return rows | ({} if memory is None else {"memory": solution.data.means_of_memory})
 
 
@@ -83,6 +88,8 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     p_means, condition = stored.on_facets(spaces.mesh.comm, "means_at", "condition_at")
     memory = spaces.scalar(stored.in_cells(spaces, "memory_at")) if in_time else None
     data = linear_data(spaces, project_data(on_mesh, problem).after(memory))
+    if data.quasilinear is not None:
+        data = data.with_kappa(spaces, stored.in_cells(spaces, "kappa_at"))
     means = p_means.ravel()
     flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - data.laws_at.flux_h
     law = data.laws_at.chains.with_penalty(options.method.penalty, options.eps)
@@ -102,6 +109,7 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
         p=spaces.linear_multiplier(linear_from_means(p_means)),
         outcome=stored.outcome(iterate, law.conditions(segment)),
         kkt=linear_kkt(spaces, data, iterate, options.method.penalty, options.eps),
+        **{name: tuple(numbers) for name, numbers in stored.own.items()},
         **stored.about,
     )
 
@@ -120,6 +128,8 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     data = project_data(spaces, problem)
     if stored.step is not None:
         data = data.after(function_of(spaces.Q, stored.in_cells(spaces, "memory"), "memory"))
+    if data.quasilinear is not None:
+        data = data.with_kappa(spaces, stored.in_cells(spaces, "kappa")[:, None])
     trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
     iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u)
@@ -131,6 +141,7 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
         p=p,
         outcome=stored.outcome(iterate, conditions),
         kkt=kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps),
+        **{name: tuple(numbers) for name, numbers in stored.own.items()},
         **stored.about,
     )
 
@@ -144,6 +155,7 @@ KEEPING = Keeping(
     in_cells=_in_cells,
     on_facets=lambda solution: vars(solution.table()),
     read=_read,
-    of_some={**OF_LINEAR, **OF_STEP},
+    own=("kappa_changes", "kappa_energy_changes"),
+    of_some={**OF_LINEAR, **OF_KAPPA, **OF_STEP},
     of_step={"memory": (np.float64, "cells")},  # a load
 )

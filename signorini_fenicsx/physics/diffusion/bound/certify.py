@@ -67,6 +67,7 @@ LITTLE = 0.01
 """For RT1 loads that make up this share of the error need not be measured sharply."""
 ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
+LAST_KAPPA = "the exact solution of the problem with the last κ"
 OF_PENALTY = "the exact solution of the penalty problem"
 
 
@@ -104,7 +105,14 @@ def summed(own: Admissible, parts: GapParts) -> Certificate:
         coarse=lambda: resolution.coarse,
     )
     certificate = gap.certificate(spaces)
-    return replace(certificate, of=OF_PENALTY, about={"of_penalty": True}) if own.goal.of_penalty else certificate
+    if own.goal.of_penalty:
+        return replace(certificate, of=OF_PENALTY, about={"of_penalty": True})
+    if own.solution.data.quasilinear is None:
+        return certificate
+    about = {"guaranteed": False, "of_last_kappa": True}
+    return replace(
+        certificate, of=LAST_KAPPA, about=about | ({"guaranteed_for": LAST_KAPPA} if certificate.proved else {})
+    )
 
 
 @dataclass(frozen=True)

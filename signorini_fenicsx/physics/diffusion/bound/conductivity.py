@@ -17,6 +17,7 @@ from signorini_fenicsx.expressions.series import DEGREE, Remainder
 from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells
 
 ROUGH, SMALL = 4.0, 1e-3
 """A lower bound of κ on a part of a cell may be smaller than κ by this factor, on parts of this share by any."""
@@ -101,7 +102,7 @@ def enclosed(resolution: Resolution, metric: CellMetric, kappa: Datum, size: flo
         kappa: κ.
         size: ‖σ_h‖.
     """
-    if kappa.number is not None:
+    if kappa.number is not None or (isinstance(kappa, OnCells) and kappa.polynomial == 0):
         return metric
     number, frame = len(metric.volume), resolution.spaces.frame
     low, high, kappa_min = metric.low.copy(), metric.high.copy(), metric.kappa_min.copy()

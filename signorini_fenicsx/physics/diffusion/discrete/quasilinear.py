@@ -21,10 +21,10 @@ from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.discrete.simplices import opposite
-from signorini_fenicsx.expressions import TREES, Tree, exactly, substituted, values_and_gradient
+from signorini_fenicsx.expressions import TREES, Tree, depends_on, values_and_gradient
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.soils import Soil
+from signorini_fenicsx.physics.diffusion.soils import FLOOR, Soil
 
 type Curve = Callable[[Array, Array], tuple[Array, Array]]
 """κ and its derivative by u in points, whose coordinates are the last axis, for u there."""
@@ -103,6 +103,13 @@ class Quasilinear:
         shares, (value, slope) = self._places[1], self._at(traces)
         return value @ shares.T, shares * slope[:, None]
 
+    def on_floor(self, kappa: Array) -> Mask:
+        """The owned cells, with these values of κ, where soil is so dry that k_r cannot fall further."""
+        least = np.zeros(len(kappa))
+        for inside, curve in self.parts:
+            least[inside] = 2 * FLOOR * curve.K if isinstance(curve, Soil) else 0.0
+        return kappa.min(axis=1, initial=np.inf) <= least
+
     def along(self, traces: Array, step: Array) -> Array:
         """Slopes in the place of the derivatives: what κ changes along a step of û, divided by that."""
         (value, slope), (moved, _) = self._at(traces), self._at(traces + step)
@@ -146,7 +153,7 @@ def depends_on_u(kappa: Any) -> bool:
         return any(depends_on_u(each) for each in kappa.values())
     if isinstance(kappa, tuple | list):
         return any(map(depends_on_u, kappa))
-    return _takes_u(kappa) or (isinstance(kappa, TREES) and substituted(kappa, "u", exactly(0.0)) != kappa)
+    return _takes_u(kappa) or (isinstance(kappa, TREES) and depends_on(kappa, "u"))
 
 
 def _takes_u(given: object) -> bool:

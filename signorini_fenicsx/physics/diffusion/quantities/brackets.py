@@ -30,7 +30,7 @@ from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_on_gamma_s, gap_parts
+from signorini_fenicsx.physics.diffusion.bound.certify import LAST_KAPPA, Admissible, gap_on_gamma_s, gap_parts
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
@@ -55,7 +55,8 @@ STEP = "the exact solution of the step with the computed u of those before"
 
 def named_for(solution: Solution) -> str:
     """Of which solution the quantities are, in words; empty if it is that of the problem itself."""
-    return "" if solution.step is None else STEP
+    of = [STEP] * (solution.step is not None) + [LAST_KAPPA] * (solution.data.quasilinear is not None)
+    return ", ".join(of)
 
 
 def check(domain: Domain, problem: Problem, kind: Kind) -> None:
@@ -111,6 +112,8 @@ class _Beside(Beside[Admissible]):
     def __init__(self, solution: Solution, kind: Flux | Integral):
         super().__init__(solution, kind)
         self._given: Problem = solution.problem.parsed(self.spaces.mesh.geometry.dim)
+        if solution.data.quasilinear is not None:
+            self._given = replace(self._given, kappa=solution.data.kappa)
         self.kappa: float = solution.data.conductance * self.spaces.length
 
     def posed(self, tau: float) -> Problem:

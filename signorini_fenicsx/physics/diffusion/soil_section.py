@@ -1,0 +1,54 @@
+"""`[soil.NAME]`: the soil of a region, or of "all", which stands for κ and, in time, for the storage of water."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.parts import Section
+from signorini_fenicsx.cases.values import Positive, choice, number
+from signorini_fenicsx.contact.law import EVERYWHERE
+from signorini_fenicsx.physics.diffusion.soils import SOILS, Soil
+
+FORMS = ("head",)
+"""What u may be: the head, with the height as the last coordinate."""
+
+type NotNegative = Annotated[float, BeforeValidator(number), Field(ge=0, allow_inf_nan=False)]
+
+
+class SoilTexts(Section):
+    """One soil, see `soils.Soil`."""
+
+    model: Annotated[str, choice("model", tuple(SOILS))]
+    K: Positive
+    alpha: Positive
+    n: Positive | None = None
+    theta_r: NotNegative = 0.0
+    theta_s: Positive = 1.0
+    specific_storage: NotNegative = 0.0
+    air_entry: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _can_be_made(self) -> Self:
+        try:
+            self.made()
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def made(self) -> Soil:
+        """The soil.
+
+        Raises:
+            InputError: If a number is out of its range.
+        """
+        return SOILS[self.model](**{name: value for name, value in self if name != "model"})
+
+
+def kappa_of(soils: Mapping[str, SoilTexts]) -> Soil | dict[str, Soil]:
+    """κ by these soils."""
+    made = {name: texts.made() for name, texts in soils.items()}
+    return made[EVERYWHERE] if EVERYWHERE in made else made
