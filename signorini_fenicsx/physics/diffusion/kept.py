@@ -109,7 +109,6 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
         p=spaces.linear_multiplier(linear_from_means(p_means)),
         outcome=stored.outcome(iterate, law.conditions(segment)),
         kkt=linear_kkt(spaces, data, iterate, options.method.penalty, options.eps),
-        **{name: tuple(numbers) for name, numbers in stored.own.items()},
         **stored.about,
     )
 
@@ -141,7 +140,6 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
         p=p,
         outcome=stored.outcome(iterate, conditions),
         kkt=kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps),
-        **{name: tuple(numbers) for name, numbers in stored.own.items()},
         **stored.about,
     )
 
@@ -155,7 +153,6 @@ KEEPING = Keeping(
     in_cells=_in_cells,
     on_facets=lambda solution: vars(solution.table()),
     read=_read,
-    own=("kappa_changes", "kappa_energy_changes"),
     of_some={**OF_LINEAR, **OF_KAPPA, **OF_STEP},
     of_step={"memory": (np.float64, "cells")},  # a load
 )

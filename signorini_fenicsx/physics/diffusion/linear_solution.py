@@ -57,7 +57,6 @@ class LinearSolution(Solution):
         """
         from signorini_fenicsx.physics.diffusion.derivative.linear_fluxes import linearised  # which knows solutions
 
-        self._check_fixed_kappa()
         if self.step is not None or self.data.inside is not None:
             raise InputError("element: with RT1 there are no derivatives in time, nor with laws in Ω; take RT0")
         return linearised(self, tolerance)

@@ -51,4 +51,4 @@ class SoilTexts(Section):
 def kappa_of(soils: Mapping[str, SoilTexts]) -> Soil | dict[str, Soil]:
     """κ by these soils."""
     made = {name: texts.made() for name, texts in soils.items()}
-    return made[EVERYWHERE] if EVERYWHERE in made else made
+    return made.get(EVERYWHERE, made)

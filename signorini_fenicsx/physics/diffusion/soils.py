@@ -2,8 +2,8 @@
 
 With the head h as u and the height z as the last coordinate, ψ = h − z, κ = K k_r(ψ) and the water in a unit volume is
 θ(ψ) + S_s ψ. For ψ ≥ 0 a soil is saturated, k_r = 1 and θ = θ_s; S = (θ − θ_r)/(θ_s − θ_r) is the saturation. Sources:
-van Genuchten, Soil Sci. Soc. Am. J. 44, 1980, with Mualem's k_r; Gardner, Soil Science 85, 1958; Brooks and Corey, 1964,
-with Burdine's k_r. The `air_entry` is that of Vogel, van Genuchten and Cislerova, Adv. Water Resour. 24, 2000.
+van Genuchten, Soil Sci. Soc. Am. J. 44, 1980, with Mualem's k_r; Gardner, Soil Science 85, 1958; Brooks and Corey,
+1964, with Burdine's k_r. The `air_entry` is that of Vogel, van Genuchten and Cislerova, Adv. Water Resour. 24, 2000.
 """
 
 from __future__ import annotations

@@ -112,9 +112,6 @@ class Solution(AnySolution):
         kkt: Residuals of the discrete Signorini problem.
         source: The `cases.case.Case` from which the problem was read; None if it was given in Python.
         step: Number of the step of a problem in time, from 1; None for others.
-        kappa_changes: Where κ depends on u, for each problem with a fixed κ by what share of itself κ differs from κ(x, u)
-            at most.
-        kappa_energy_changes: The energy norms of (κ(x, u) − κ)∇u beside those of κ∇u.
         system: What has solved it, as long as that is alive; its factors serve derivatives. None if it is not known.
         timings: Seconds per phase, the longest over all ranks.
         peak_memory: Peak memory of the processes so far in bytes, summed over ranks.
@@ -124,8 +121,6 @@ class Solution(AnySolution):
     spaces: Spaces
     data: Data
     p: fem.Function
-    kappa_changes: tuple[float, ...] = ()
-    kappa_energy_changes: tuple[float, ...] = ()
     order = 1
     offers = (*AnySolution.offers, "cell_flux", "flux_through", "force", "free_boundary", "p")
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
@@ -136,15 +131,6 @@ class Solution(AnySolution):
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         return replace(self, problem=problem, data=project_data(self.spaces, problem).after(self.data.memory))
 
-    def _check_fixed_kappa(self) -> None:
-        """Refuse a κ that depends on u.
-
-        Raises:
-            InputError: If it does.
-        """
-        if self.data.quasilinear is not None:
-            raise InputError("derivatives: there are none where κ depends on u")
-
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, see `linearised.Linearised` (collective).
 
@@ -152,8 +138,6 @@ class Solution(AnySolution):
             InputError: If the method solves another discrete problem.
         """
         from signorini_fenicsx.physics.diffusion.derivative.linearised import linearised  # which knows solutions
-
-        self._check_fixed_kappa()
 
         return linearised(self, tolerance)
 
@@ -428,19 +412,7 @@ class Solution(AnySolution):
             "contact_facets": facets,
             "contact_measure": measure,
             **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
-            **({"kappa_of_u": self._kappa_of_u()} if self.data.quasilinear else {}),
             **self._inside(),
-        }
-
-    def _kappa_of_u(self) -> dict[str, Any]:
-        """How κ was found where it depends on u, and on how many cells it cannot fall further (collective)."""
-        of_u = self.data.quasilinear
-        assert of_u is not None
-        on_floor = self.spaces.mesh.comm.allreduce(int(np.count_nonzero(of_u.on_floor(self.data.kappa_values))))
-        return {
-            "changes": list(self.kappa_changes),
-            "energy_changes": list(self.kappa_energy_changes),
-            "cells_on_floor": on_floor,
         }
 
     def _inside(self) -> dict[str, Any]:

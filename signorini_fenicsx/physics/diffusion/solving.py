@@ -224,15 +224,6 @@ class DiffusionRun:
         outcome.iterate.u.x.array[:] += self.constant
         return outcome.ended(violation if outcome.converged else outcome.reason), kkt
 
-    @property
-    def _kappa_changes(self) -> dict[str, Any]:
-        """What a solution tells of how κ was found."""
-        changes = self.task.changes
-        return {
-            "kappa_changes": tuple(change.largest for change in changes),
-            "kappa_energy_changes": tuple(change.energy for change in changes),
-        }
-
     def _data_found(self) -> Any:
         """The data, where κ depends on u with the one that was found (collective)."""
         if not self.task.last:
@@ -252,7 +243,6 @@ class DiffusionRun:
             data=data,
             p=spaces.multiplier(trace),
             outcome=outcome,
-            **self._kappa_changes,
             **about,
         )
 
@@ -275,7 +265,6 @@ class LinearRun(DiffusionRun):
             data=self._data_found(),
             p=spaces.linear_multiplier(linear_from_means(spaces.site_kinds["facet"].rows_of(iterate.means))),
             outcome=outcome,
-            **self._kappa_changes,
             **about,
         )
 

@@ -38,6 +38,7 @@ from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.discrete.seen_on_facets import values_seen
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import law_points, lines_by_data
+from signorini_fenicsx.physics.diffusion.derivative.linearised import check_fixed_kappa
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
@@ -210,6 +211,7 @@ def _quadratics(hats: Array) -> Array:
 
 def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective)."""
+    check_fixed_kappa(solution)
     backend = solution.kept_backend(LinearBackend)
     backend = backend or LinearBackend(solution.spaces, solution.data, solution.options.tuning)
     return LinearisedFluxes(solution, backend, solution.law, tolerance)

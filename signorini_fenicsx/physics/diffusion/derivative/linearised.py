@@ -239,6 +239,16 @@ def _with_kappa(spaces: Spaces, kappa: Expr, sigma: Expr, change: Expr) -> Form:
     return ufl.derivative(flux_product(sigma, ufl.TestFunction(spaces.V), ufl.dx, kappa), kappa, change)
 
 
+def check_fixed_kappa(solution: Solution) -> None:
+    """Refuse a κ that depends on u.
+
+    Raises:
+        InputError: If it does.
+    """
+    if solution.data.quasilinear is not None:
+        raise InputError("derivatives: there are none where κ depends on u")
+
+
 def linearised(solution: Solution, tolerance: float) -> LinearisedDiffusion:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
@@ -249,6 +259,7 @@ def linearised(solution: Solution, tolerance: float) -> LinearisedDiffusion:
         raise InputError(
             f"{solution.options.algorithm_name} solves another discrete problem; alg1 to alg4 have derivatives"
         )
+    check_fixed_kappa(solution)
     backend = solution.kept_backend(HybridBackend) or HybridBackend(
         solution.spaces, solution.data, tuning=solution.options.tuning
     )

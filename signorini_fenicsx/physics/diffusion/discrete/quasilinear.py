@@ -110,6 +110,16 @@ class Quasilinear:
             least[inside] = 2 * FLOOR * curve.K if isinstance(curve, Soil) else 0.0
         return kappa.min(axis=1, initial=np.inf) <= least
 
+    def of_soils(self, u: Array) -> dict[str, Array]:
+        """The pressure head and the saturation of the owned cells with these means of u; nothing without soils."""
+        x = corners(self.spaces.mesh).mean(axis=1)
+        saturation = np.ones(len(u))
+        for inside, curve in self.parts:
+            if isinstance(curve, Soil):
+                saturation[inside] = curve.saturation(x[inside], u[inside])
+        soils = any(isinstance(curve, Soil) for _, curve in self.parts)
+        return {"pressure": u - x[:, -1], "saturation": saturation} if soils else {}
+
     def along(self, traces: Array, step: Array) -> Array:
         """Slopes in the place of the derivatives: what κ changes along a step of û, divided by that."""
         (value, slope), (moved, _) = self._at(traces), self._at(traces + step)

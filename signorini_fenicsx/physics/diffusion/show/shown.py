@@ -36,7 +36,7 @@ def fields(solution: Solution) -> Fields:
     """The fields, see `Solved.fields`: `potential`, σ_h, on Γ_S p_h, σ_h·n and the state of the law."""
     spaces, laws, facet = solution.spaces, solution.data.laws, solution.spaces.site_kinds["facet"]
     u = Field("u", in_vertices(solution), at_points=True, cell_means=solution.u_means)
-    on_cells = [u, Field("sigma", solution.cell_flux.in_vertices(), order=1)]
+    on_cells = [u, Field("sigma", solution.cell_flux.in_vertices(), order=1), *of_kappa(solution)]
     if not spaces.part_names:
         return {IN_CELLS: [*on_cells, *_inside(solution)]}
     on_facets = [
@@ -48,6 +48,17 @@ def fields(solution: Solution) -> Fields:
         segments = laws.labels(facet.rows_of(solution.segments().segment))
         on_facets.append(Field("segment", segments, names=laws.names()))
     return {IN_CELLS: [*on_cells, *_inside(solution)], "multiplier": on_facets}
+
+
+def of_kappa(solution: Solution) -> list[Field]:
+    """κ where it depends on u, and with soils the pressure head and the saturation, by means over cells."""
+    of_u = solution.data.quasilinear
+    if of_u is None:
+        return []
+    return [
+        Field("kappa", solution.data.kappa_values.mean(axis=1)),
+        *(Field(name, values) for name, values in of_u.of_soils(solution.u_means).items()),
+    ]
 
 
 def in_vertices(solution: Solution) -> Array:
@@ -179,7 +190,16 @@ def drawn(solution: Solution) -> Drawn:
 
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
-DETAILS = {"rho": "ρ", "rho_limit": "converges for ρ <", "omega": "ω", "colours": "colours"}
+DETAILS = {
+    "rho": "ρ",
+    "rho_limit": "converges for ρ <",
+    "omega": "ω",
+    "colours": "colours",
+    "kappa_problems": "problems with a fixed κ",
+    "kappa_change": "last change of κ",
+    "kappa_energy_change": "of κ∇u in energy",
+    "dry_cells": "cells with the least k_r that there is",
+}
 
 
 def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:

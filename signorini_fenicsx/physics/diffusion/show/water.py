@@ -55,6 +55,8 @@ def in_words(found: Mapping[str, Mapping[str, float]]) -> list[str]:
 def _parts_of_water(solution: Solution) -> list[str]:
     """The parts with the laws of groundwater from which the pressure is known; none in other problems."""
     laws = [part for part in solution.data.laws.of_parts if isinstance(part.law, Seepage | River)]
+    if solution.data.quasilinear is not None:  # soil is not taken for saturated
+        return []
     levels = [part.data["level"].number for part in laws if isinstance(part.law, Seepage)]
     if solution.boundary.inner or any(level not in (None, 0.0) for level in levels):  # what else may be u
         return []

@@ -12,8 +12,8 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
-from signorini_fenicsx.discrete.matrices import of_cells
 from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
+from signorini_fenicsx.discrete.matrices import of_cells
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals, opposite
 from signorini_fenicsx.discrete.vertex_laws import InCells
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData

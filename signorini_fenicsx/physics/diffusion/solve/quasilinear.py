@@ -1,7 +1,7 @@
 """κ that depends on u, as an outer method around the loop over the sets.
 
-Each problem under a fixed κ is linear but for its sets. That its u gives this κ again is found by Newton's method with a
-line search, one change of sets a step, after some steps of Anderson's acceleration for log κ. The last problem is one
+Each problem under a fixed κ is linear but for its sets. That its u gives this κ again is found by Newton's method with
+a line search, one change of sets a step, after some steps of Anderson's acceleration for log κ. The last problem is one
 under a fixed κ again, so that its balance is exact; it is the solution if its u gives this κ. Where that fails, more of
 Anderson's steps follow, and then κ to powers from 0 to 1, each from the last one.
 
@@ -21,7 +21,6 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.methods.task import Loop
-from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent
 
 CHANGE = 1e-9
 """κ is found when it changes by this share of itself,"""
@@ -78,12 +77,19 @@ class QuasiLinear:
         for way in (self._anderson(FIRST), self._newton(), self._anderson(FIRST), self._newton(), self._by_powers()):
             for outcome in way:
                 if self._found or not outcome.converged:
-                    return outcome
+                    return self._told(outcome)
         last = self.changes[-1]
-        return outcome.ended(
-            f"κ still changes by {last.largest:.1e} of itself after {len(self.changes)} problems with a fixed κ, and the "
-            f"flux by {last.energy:.1e} in the energy norm"
+        return self._told(outcome).ended(
+            f"after {len(self.changes)} problems with a fixed κ the last u still changes κ by {last.largest:.1e} of "
+            f"itself, and κ∇u by {last.energy:.1e} in the energy norm"
         )
+
+    def _told(self, outcome: Outcome) -> Outcome:
+        """The outcome with what there is to tell of κ (collective)."""
+        data, last = self.backend.data, self.changes[-1]
+        dry = int(np.count_nonzero(data.quasilinear.on_floor(data.kappa_values)))
+        about = {"kappa_problems": len(self.changes), "kappa_change": last.largest, "kappa_energy_change": last.energy}
+        return replace(outcome, details=outcome.details | about | {"dry_cells": self.backend.comm.allreduce(dry)})
 
     @property
     def _found(self) -> bool:
