@@ -186,7 +186,7 @@ class FacetSystem:
         """The sum of matrices of the owned cells, between û on their facets (collective)."""
         nodes, comm = cell_dofs(self.space), self.spaces.mesh.comm
         matrix = of_cells(comm, self.space.dofmap.index_map, 1, [nodes], [(nodes, matrices)])
-        jumps = self.sides.matrix(self.space)
+        jumps = self.sides.matrix()
         return matrix if jumps is None else matrix.ptap(jumps)
 
     def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:

@@ -155,7 +155,7 @@ class FluxSystem(HybridSystem):
         self.spaces.to_unknowns(transposed, np.arange(len(matrices), dtype=np.int32))
         part = self._dofs, transposed.transpose(0, 2, 1)
         matrix = of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], [part])
-        jumps = self._sides.matrix(self._traces)
+        jumps = self._sides.matrix()
         return matrix if jumps is None else matrix.ptap(jumps)
 
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
