@@ -85,6 +85,21 @@ def two(
     return apart(comm, bodies, parts)
 
 
+def joined(numbers: Sequence[int]) -> Domain:
+    """The boxes of `two` in the plane with the same numbers, in one mesh; u10 is inside; the sides are x0, x1."""
+    (x, t), (y, s) = box_cells(numbers, [0, 0], [1, 1], seed=1), box_cells(numbers, [0, -1], [1, 0], seed=2)
+    points, number = np.unique(np.round(np.concatenate([x, y]), 12), axis=0, return_inverse=True)
+    cells = number.ravel()[np.concatenate([t, s + len(x)])]
+    mesh = distribute(MPI.COMM_SELF, points, cells, 2)
+    parts = {"u10": (1, 0.0), "u11": (1, 1.0), "l10": (1, -1.0), "x0": (0, 0.0), "x1": (0, 1.0)}
+    where = {name: partial(_on_plane, axis=axis, place=place, shear=0.0) for name, (axis, place) in parts.items()}
+    return domain_of(mesh, {name: partial(_in_plane, on) for name, on in where.items()}, inner=["u10"])
+
+
+def _in_plane(on: Callable[[Array], Array], x: Array) -> Array:
+    return on(x[:2])
+
+
 def _on_plane(x: Array, axis: int, place: float, shear: float) -> Array:
     """Whether points are on a side of a box."""
     return np.isclose(x[axis] - (shear * x[0] if axis == len(x) - 1 else 0.0), place)

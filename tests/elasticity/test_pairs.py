@@ -5,15 +5,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bodies_apart import two
+from bodies_apart import joined, two
 from mpi4py import MPI
 
 from signorini_fenicsx.api import (
+    Contact,
     Coulomb,
     Dirichlet,
     Elasticity,
     InputError,
     Neumann,
+    Options,
     Pair,
     Pressure,
     Solution,
@@ -22,6 +24,7 @@ from signorini_fenicsx.api import (
     Wall,
     solve,
 )
+from signorini_fenicsx.base.tuning import Tuning
 
 LAWS = [None, Tresca(0.2), Coulomb(0.3), Tied(), Wall((), beta=5.0)]
 
@@ -77,3 +80,56 @@ def test_no_pair_of_parts_without_a_facet_opposite() -> None:
         Pair("u10", ["u10", "l11"])
     with pytest.raises(InputError, match="distance"):
         Pair("u10", "l11", gap="2*distance")
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize("law", [None, Tresca(0.02), Coulomb(0.3), Tied()])
+@pytest.mark.parametrize(("upper", "lower"), [((6, 4), (9, 5)), ((3, 2, 2), (4, 3, 2))])
+def test_multigrid_as_a_factorisation(upper: tuple[int, ...], lower: tuple[int, ...], law: Any) -> None:
+    """Shear and an uneven pressure: CG with multigrid finds what a factorisation does, and forces balance."""
+    dim, found = len(upper), []
+    domain = two(MPI.COMM_WORLD, upper, lower, gap=0.05)
+    last = dim - 1
+    sides = [f"{body}{axis}{end}" for body in "ul" for axis in range(last) for end in (0, 1)]
+    moved = Dirichlet(f"u{last}1", [*["0.02"] * last, "-0.1 - 0.05*x"])
+    conditions = [Neumann(sides), Dirichlet(f"l{last}0", 0), moved, Pair(f"u{last}0", f"l{last}1", law)]
+    for size in (10**9, 0):
+        problem = Elasticity(young=1, poisson=0.3, conditions=conditions)
+        found.append(solve(domain, problem, Options(tuning=Tuning(direct_up_to=size))))
+    assert (found[0].outcome.linear_solver, found[1].outcome.linear_solver) == ("preonly+cholesky+mumps", "cg+mg")
+    assert found[1].norms() == pytest.approx(found[0].norms(), rel=1e-9)
+    resultants = found[1].resultants()
+    sums = np.array(resultants[f"u{last}0"]) + np.array(resultants[f"l{last}1"])
+    np.testing.assert_allclose(sums[:dim], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", [None, Tresca(0.01)])
+def test_a_matching_mesh_as_one_cut_inside(law: Any) -> None:
+    """Where both surfaces have the same facets a pair is what a part inside the domain is, to rounding."""
+    pair = two(MPI.COMM_SELF, (4, 3), (4, 3))
+    sides = [Neumann([f"{body}0{end}" for body in "ul" for end in (0, 1)]), Neumann(["x0", "x1"])]
+    others = [Dirichlet("l10", 0), Dirichlet("u11", ["0.02", "-0.1 + 0.15*x"])]
+    cases = [(pair, sides[0], Pair("u10", "l11", law)), (joined((4, 3)), sides[1], Contact("u10", friction=law))]
+    found = []
+    for domain, free, meeting in cases:
+        found.append(solve(domain, Elasticity(young=1, poisson=0.3, conditions=[*others, free, meeting])))
+    assert 0 < found[0].contact[0] < 8
+    assert found[0].norms() == pytest.approx(found[1].norms(), rel=1e-12)
+    assert found[0].contact == pytest.approx(found[1].contact, rel=1e-12)
+
+
+@pytest.mark.parametrize("direction", ["normal", [0.0, -1.0]])
+@pytest.mark.parametrize("shear", [0.0, 0.4])
+def test_hydrostatic_pressure_on_a_slanted_interface(shear: float, direction: Any) -> None:
+    """A hydrostatic stress passes a slanted interface along any direction: the law is one along the normal."""
+    domain = two(MPI.COMM_SELF, (5, 3), (7, 2), shear=shear)
+    strain = 1.3 * 0.4  # (1 + ν)(1 − 2ν)/E
+    names = [
+        f"{body}{part}" for body, parts in (("u", ("00", "01", "11")), ("l", ("00", "01", "10"))) for part in parts
+    ]
+    given = Dirichlet(names, [f"-{strain}*x", f"-{strain}*y"])
+    pair = Pair("u10", "l11", direction=direction, within=0.3)
+    solution = solve(domain, Elasticity(young=1, poisson=0.3, conditions=[given, pair]))
+    covered = np.concatenate([joint.covered for joint in solution.spaces.joints])
+    np.testing.assert_allclose(covered, 1.0, atol=1e-12)
+    np.testing.assert_allclose(solution.stresses, np.broadcast_to(-np.eye(2), solution.stresses.shape), atol=1e-12)

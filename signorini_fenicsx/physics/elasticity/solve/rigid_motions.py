@@ -256,7 +256,7 @@ class Bodies:
             return free
         gram, total = np.zeros((free.shape[1], free.shape[1])), 0.0
         for joint in tied:
-            jumps = self._jumps(joint).reshape(len(joint.slaves), -1, len(free)) @ free
+            jumps = self._jumps(joint).reshape(len(joint.slaves), self.spaces.dim**2, len(free)) @ free
             gram += np.einsum("njr,njs,n->rs", jumps, jumps, joint.slave.measure)
             total += float(joint.slave.measure.sum())
         gram, total = self.spaces.mesh.comm.allreduce(gram), self.spaces.mesh.comm.allreduce(total)

@@ -103,13 +103,14 @@ def slipped(
             follow(contact(lambda iterate: False).iterate)
         begin = backend.friction
         while True:
+            exactly = share == 0  # a law that is known at once may leave the sets of a rough solve as they are
             outcome = contact(follow)
             if outcome.converged and not known and backend.friction.by_pressure:
                 if len(changes) < most:
                     continue  # a delayed bound may leave the sets as they are
                 outcome = outcome.ended(f"Coulomb's bound still changes after {counted(most, 'iteration')}")
                 break
-            if share == 0 or (outcome.converged and backend.to_the_end):
+            if exactly or (outcome.converged and backend.to_the_end):
                 break
             share = 0.0
             backend.leave(share)
