@@ -20,6 +20,7 @@ from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.refinement import dorfler, refine
 from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
 from signorini_fenicsx.solving.solver import solve
 from signorini_fenicsx.solving.system import refining, sorted_on
@@ -153,6 +154,8 @@ def adapt[S: Solved](
         raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells}")
     solve_on = problem if callable(problem) else _solving(domain, problem)
     solution, start, mesh = solve_on(domain, None), None, 0
+    if PHYSICS[solution.physics].bound is None:
+        raise InputError(f"adapt: no error bound is known for {solution.physics}, by which a mesh could be refined")
     while True:
         check_kind("what `problem` returns", solution, Solved)
         start = solution if solution.method.starts_from_sets else None

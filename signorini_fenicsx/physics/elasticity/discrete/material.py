@@ -103,6 +103,10 @@ class Material:
 
     incompressible = False
 
+    def seen(self, stresses: Array) -> Array:
+        """What of stresses, the last two axes, has an energy: all of them, or their deviators."""
+        return stresses
+
     @property
     def uniform(self) -> bool:
         """Whether the elastic constants and axes are numbers, perhaps one for each region."""

@@ -18,6 +18,11 @@ class Viscous(Material):
 
     incompressible = True
 
+    def seen(self, stresses: Array) -> Array:
+        """The deviators, see `Material.seen`."""
+        mean = np.einsum("...ii->...", stresses) / self.dim
+        return np.asarray(stresses - mean[..., None, None] * np.eye(self.dim))
+
     @classmethod
     def of(cls, spaces: MeshSpaces, viscosity: GivenViscosity) -> Viscous:
         """Read the viscosity, a number or a text, or one of these for each region (collective).

@@ -13,7 +13,7 @@ flow ∫_∂T û·n falls by about K each time. That is the method of Hestenes a
 from __future__ import annotations
 
 import numpy as np
-from mpi4py.MPI import MAX
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.simplices import facet_normals
@@ -58,8 +58,8 @@ class MeanPressure:
         """
         flows = self._out[:, :, 0] * x[unknowns]
         out = flows.sum(axis=1)
-        largest = self._comm.allreduce(np.array([np.abs(out).max(initial=0.0), np.abs(flows).max(initial=0.0)]), MAX)
-        return self._stiffness * out, float(largest[0] / largest[1]) if largest[1] > 0 else 0.0
+        left, most = (self._comm.allreduce(float(np.abs(each).max(initial=0.0)), MPI.MAX) for each in (out, flows))
+        return self._stiffness * out, left / most if most > 0 else 0.0
 
     def pulls(self, means: Array) -> Array:
         """∫ m q·n over the boundary of each cell for its unknowns q, shape (cells, n)."""

@@ -25,8 +25,8 @@ from signorini_fenicsx.physics.elasticity.discrete.tools import unbalanced
 class ElasticKKT(Residuals):
     """Residuals of the elastic problem, each the share that it is of the stress, so that no unit enters.
 
-    p stands for g − u_n, in means weighted by the hats of facet vertices; L = |Ω|^(1/d); S = ‖σ‖. If σ = 0, they are 0
-    or infinite.
+    p stands for g − u_n, in means weighted by the hats of facet vertices; L = |Ω|^(1/d); S = ‖σ‖, of an incompressible
+    body ‖dev σ‖. If σ = 0, they are 0 or infinite.
     Without loads a body at rest has only rounding in σ; then S is the stress of a strain with the largest |u_D| or |g|.
 
     Attributes:
@@ -64,7 +64,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     missing = imbalance(spaces, data, stresses)
     for cells in blocks_of_cells(spaces.mesh):
         measure = Cells(spaces.vertices[cells]).measure
-        square += float((subcell_squares(stresses[cells]) * measure[:, None] / (dim + 1)).sum())
+        square += float((subcell_squares(data.material.seen(stresses[cells])) * measure[:, None] / (dim + 1)).sum())
         stiffness[cells] = 1 / mean_compliances(data.compliances(spaces, cells))[0].mean(axis=1)
         volume += float(measure.sum())
         of_loads += float((measure ** (1 + 2 / dim) * (dim + 1) * (missing[cells] ** 2).sum(axis=(1, 2))).sum())
