@@ -14,7 +14,7 @@ import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets
 from signorini_fenicsx.base.text import counted
@@ -28,6 +28,8 @@ SHARE = (
     "as one part in inner, with a law"
 )
 """What is to be done."""
+PAIR = "or pair them where their meshes have nothing in common: a Pair, in a case file [[pair]]"
+"""The other thing that may be done."""
 FACING = -0.5
 """Facets face each other if the product of their outer unit normals is below this."""
 SAME = 1e-6
@@ -105,8 +107,8 @@ def check_joined(
     listed = {part for parts in named.values() for part in parts} | set(others.values())
     names = ["", *sorted(spaces.domain.parts, key=lambda part: part in listed)]
     faces = Faces.of(spaces, names)
-    if not joints:
-        _check_apart(spaces, faces)
+    may_overlap = _paired(faces, names, joints)
+    _check_apart(spaces, faces, may_overlap)
     pairs, same = seams(faces.corners, faces.apexes, faces.rows)
     is_cut = np.zeros((len(names), len(names)), dtype=bool)
     for part, other in others.items():
@@ -116,7 +118,7 @@ def check_joined(
         paired = np.ix_([names.index(part) for part in slave], [names.index(part) for part in master])
         is_cut[paired] = True
         is_cut |= is_cut.T
-    lying = ~is_cut[tuple(faces.parts[pairs].T)]
+    lying = ~is_cut[tuple(faces.parts[pairs].T)] & ~(same & may_overlap[tuple(faces.bodies[pairs].T)])
     pairs, same = (np.concatenate(spaces.mesh.comm.allgather(each[lying])) for each in (pairs, same))
     if same.any():
         raise InputError(
@@ -128,7 +130,7 @@ def check_joined(
         parts, where = sorted((names[one], names[other])), faces.told(pairs[(both == [one, other]).all(axis=1)])
         words = f"{_lie(*parts)} ({where}) and share no facet: nothing passes from one to the other"
         if not set(parts) <= set(named.get("neumann", ())):
-            raise InputError(f"{words}; {SHARE}")
+            raise InputError(f"{words}; {SHARE}; {PAIR}")
         spaces.note(f"{words}, as at an open crack; if it should, {SHARE}")
 
 
@@ -139,10 +141,20 @@ def _lie(one: str, other: str) -> str:
     return f"{f"part '{one}'" if one else 'facets in no part'} and part '{other}' lie on one another"
 
 
-def _check_apart(spaces: MeshSpaces, faces: Faces) -> None:
+def _paired(faces: Faces, names: Sequence[str], joints: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Mask:
+    """Whether facets of two bodies are paired, shape (bodies, bodies)."""
+    paired = np.zeros((faces.bodies.max(initial=-1) + 1,) * 2, dtype=bool)
+    for sides in joints:
+        slave, master = (faces.bodies[np.isin(faces.parts, [names.index(part) for part in side])] for side in sides)
+        paired[np.ix_(np.unique(slave), np.unique(master))] = True
+    return paired | paired.T
+
+
+def _check_apart(spaces: MeshSpaces, faces: Faces, paired: Mask) -> None:
     """Refuse bodies that overlap one another, or themselves at their boundaries (collective).
 
-    Where a body is twice in a place, the boundary of one part of it crosses that of another, or is within it.
+    Where a body is twice in a place, the boundary of one part of it crosses that of another, or is within it. Bodies
+    that are paired may overlap.
 
     Raises:
         InputError: If one does.
@@ -155,14 +167,18 @@ def _check_apart(spaces: MeshSpaces, faces: Faces) -> None:
         meets = (low <= ends.max(axis=(0, 1))) & (high >= ends.min(axis=(0, 1)))
         near |= meets.all(axis=1) & (spaces.bodies != body)
     cells = np.concatenate([faces.corners, faces.apexes[:, None]], axis=1)
-    found = overlaps(x[near], spaces.bodies[near], cells, faces.bodies)
-    depths, places, of_one = (np.concatenate(comm.allgather(each)) for each in found)
+    found = []
+    for body in np.unique(faces.bodies):
+        rows, others = near & (spaces.bodies == body), ~paired[body, faces.bodies]
+        found.append(overlaps(x[rows], spaces.bodies[rows], cells[others], faces.bodies[others]))
+    several = (np.concatenate(each) for each in zip(*found, strict=True))
+    depths, places, of_one = (np.concatenate(comm.allgather(each)) for each in several)
     if len(depths) > 0:
         place = _in_words(_first(places[depths >= (1 - SAME) * depths.max()]) + faces.origin)
         what, they = ("a body overlaps itself", "its sides") if of_one.all() else ("two bodies overlap", "them")
         raise InputError(
             f"{what}, by {depths.max():.3g} around {place}; each point must be in one cell only. Make {they} only "
-            f"touch; then {SHARE}"
+            f"touch; then {SHARE}; {PAIR}"
         )
 
 

@@ -74,6 +74,8 @@ def check(domain: Domain, problem: ElasticProblem, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
+    if problem.boundary.pairs:
+        raise InputError("quantities: there are none yet where surfaces that share no nodes are paired")
     if isinstance(kind, Energy):
         return
     if isinstance(kind, Force):
