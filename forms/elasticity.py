@@ -47,6 +47,14 @@ Proof: s − y = ℂε(v − u) + σ − y, so ½‖s − y‖² = ½|v − u|²
     the left side + ⟨k, |v_t|⟩ + ⟨σ_t, v_t⟩ + ⟨k, |u_t|⟩ + ⟨y_t, u_t⟩ = gap(v, y) + ⟨k, |v_t|⟩ + ⟨y_t, v_t⟩,
 
 since the last term of the proof has ⟨v_t − u_t, σ_t − y_t⟩ as well, and −⟨u_t, σ_t⟩ = ⟨k, |u_t|⟩. All terms are ≥ 0.
+
+*Pairs of surfaces* (a slave Γ₁ with the normal ν, opposite points χ(x) on a master Γ₂). With [v] = v₁ − v₂∘χ in the
+place of v and g − ν·[v] in that of g − v_n the integrals are over Γ₁. σn on Γ₂ is χ_*(λν), λ the pressure on Γ₁, where
+⟨χ_*(t), w⟩ = ⟨t, w∘χ⟩. Let y have the tractions χ_*(λ_y ν) − r there. Then
+
+    the left side = gap(v, y) − ⟨r, v₂ − u₂⟩,
+
+as (σ − y)n = χ_*((λ − λ_y)ν) + r on Γ₂, so that the last term of the proof is −⟨λ − λ_y, ν·[v − u]⟩ + ⟨r, v₂ − u₂⟩.
 """
 
 from itertools import combinations

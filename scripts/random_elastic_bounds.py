@@ -2,6 +2,7 @@
 
 uv run python scripts/random_elastic_bounds.py --seeds 60
 uv run python scripts/random_elastic_bounds.py --seeds 20 --bodies
+uv run python scripts/random_elastic_bounds.py --seeds 24 --pairs
 uv run python scripts/random_elastic_bounds.py --seeds 60 --rough
 
 A seed chooses the square, the L-shape or the cube, its mesh, the parts in contact, loaded, or fixed in a component, a
@@ -10,6 +11,8 @@ are in the discrete spaces, so that the bound is guaranteed. A row has ‖σ_f �
 where its bound says so, the ratio of the bound of σ_h to it, and that of the bound of σ_f. If the first is below 1, the
 second decides whether σ_f is not exact enough or the bound is too low. With `--bodies` a seed chooses two bodies that
 touch along a slanted side, an opening between them, different E and, in half of the plane problems, Tresca's friction.
+With `--pairs` the bodies
+are boxes with meshes of their own, whose facets do not match; the upper one may end inside a facet of the lower one.
 With `--rough` loads, pressures, gaps and Tresca's bound are texts with jumps, kinks, roots and waves off the mesh: then
 only guaranteed bounds count.
 """
@@ -31,11 +34,12 @@ from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.simplices import opposite
+from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.meshes.shapes import SHAPES
-from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Pair, Tresca
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     SplitQuadrature,
@@ -196,6 +200,46 @@ def bodies(seed: int) -> tuple[str, Domain, ElasticProblem]:
     return f"two bodies in {dim}D, E = {problem.young}, ν = {problem.poisson}{friction}", coarse, problem
 
 
+def box(low: Array, high: Array, cells: int) -> Domain:
+    """A box with so many cells along each edge; its parts are top, bottom and the others by axis."""
+    dim = len(low)
+    make = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
+    places = {"top": (dim - 1, high[-1]), "bottom": (dim - 1, low[-1])}
+    for axis in range(dim - 1):
+        places |= {f"{axis}before": (axis, low[axis]), f"{axis}after": (axis, high[axis])}
+    parts = {name: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for name, (axis, at) in places.items()}
+    return domain_of(make(MPI.COMM_SELF, [low, high], [cells] * dim), parts)
+
+
+def pairs(seed: int) -> tuple[str, Domain, ElasticProblem]:
+    """What the problem of two boxes with meshes of their own is, their mesh, and the problem."""
+    rng = np.random.default_rng(seed)
+    dim = int(rng.choice([2, 2, 2, 3]))
+    narrow = rng.uniform(0, 0.2, 2) * rng.integers(0, 2)
+    sizes, height = rng.integers(3, 7, 2) if dim == 2 else rng.permutation([2, 3]), rng.choice([0.0, 0.05])
+    low, high = np.array([[0.0] * (dim - 1) + [-0.8], [1.0] * (dim - 1) + [0.0]])
+    up, zeros = height + 0.8, [0.0] * (dim - 2)
+    over, under = low + np.array([narrow[0], *zeros, up]), high + np.array([-narrow[1], *zeros, up])
+    ends = {"up": (over, under), "low": (low, high)}
+    domain = domain_of_bodies({name: box(*ends[name], int(n)) for name, n in zip(ends, sizes, strict=True)})
+    faces = [part for part in domain.parts if part not in ("up.top", "up.bottom", "low.top", "low.bottom")]
+    stiff, law = float(rng.choice([0.2, 1.0, 5.0])), Tresca(float(rng.uniform(0, 0.05))) if rng.random() < 0.4 else None
+    push = [*rng.uniform(-0.02, 0.02, dim - 1).tolist(), -height - rng.uniform(0.02, 0.06)]
+    poisson = float(rng.choice([0.0, 0.3, 0.45, 0.49]))
+    body = Elasticity(
+        {"up": 1.0, "low": stiff},
+        poisson,
+        conditions=[
+            Dirichlet("up.top", push),
+            Dirichlet("low.bottom", [0] * dim),
+            Neumann(faces),
+            Pair("up.bottom", "low.top", law),
+        ],
+    )
+    words = "ends inside facets" if narrow.any() else "as wide"
+    return f"pair in {dim}D, {words}, {sizes}, E = {stiff}, ν = {poisson}, {law}", domain, body.on(domain)
+
+
 def rough_body(seed: int) -> tuple[str, Domain, ElasticProblem]:
     """What the problem of a seed with rough data is, its mesh, and the problem."""
     rng = np.random.default_rng(seed)
@@ -224,7 +268,7 @@ def rough_body(seed: int) -> tuple[str, Domain, ElasticProblem]:
     return f"{shape}, {touching}, {pressed}, f = {load}, E = {young}", coarse, body.on(coarse)
 
 
-KINDS = {"one": one_body, "bodies": bodies, "rough": rough_body}
+KINDS = {"one": one_body, "bodies": bodies, "pairs": pairs, "rough": rough_body}
 """What a seed makes a problem of."""
 
 
@@ -256,7 +300,8 @@ def main() -> None:
     options.add_argument("--seeds", type=int, default=60, help="number of problems that have a solution")
     options.add_argument("--first", type=int, default=0)
     kinds = options.add_mutually_exclusive_group()
-    for kind, words in (("bodies", "two bodies that touch instead of one"), ("rough", "data off the mesh")):
+    words_of = {"bodies": "two bodies that touch instead of one", "pairs": "two bodies with meshes of their own"}
+    for kind, words in (words_of | {"rough": "data off the mesh"}).items():
         kinds.add_argument(f"--{kind}", dest="kind", action="store_const", const=kind, default="one", help=words)
     asked = options.parse_args()
     rows, seed = list[ElasticRow](), asked.first

@@ -310,3 +310,12 @@ def _to_the_ends(pieces: Pieces, slaves: int) -> Pieces:
             one, corner = np.unravel_index(choose(first[own]), (len(own), 2))
             on_slave[own[one], corner] = [1 - end, end]
     return replace(pieces, on_slave=on_slave)
+
+
+def common_parts(simplices: Array, others: Array) -> tuple[Indices, Array]:
+    """What pairs of simplices have in common, as simplices: which pair each is of, and its corners."""
+    inverse = np.linalg.inv(others)
+    polygons, counts = simplices, np.full(len(simplices), simplices.shape[1])
+    for b in range(others.shape[1]):
+        polygons, counts = _cut(polygons, counts, np.einsum("nva,na->nv", polygons, inverse[:, :, b]))
+    return _simplices(polygons, counts)

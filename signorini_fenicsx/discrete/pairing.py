@@ -96,6 +96,11 @@ class Joint:
     pieces: Pieces
     covered: Array = field(default_factory=lambda: np.empty(0))
 
+    @property
+    def slaves_and_masters(self) -> Facets:
+        """The facets of both sides of this rank."""
+        return np.append(self.slaves, self.masters)
+
     def of_masters(self, comm: MPI.Intracomm, rows: npt.NDArray) -> npt.NDArray:
         """Rows of this rank's master facets as those of all ranks (collective)."""
         return np.concatenate(comm.allgather(rows))

@@ -16,6 +16,7 @@ def outside(problem: ElasticProblem) -> str:
         "with rigid tools under a force or from a surface": bool(problem.surface or problem.force or problem.moment),
         "on elastic supports": bool(problem.support),
         "of orthotropic bodies": along_axes or problem.shear is not None or problem.axes is not None,
+        "with pairs of surfaces that share no nodes": bool(problem.boundary.pairs),
         "with an initial stress": problem.initial_stress is not None,
     }
     reasons_that_hold = [reason for reason, holds in reasons.items() if holds]

@@ -38,7 +38,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.base.owned import cells_behind, sums_at
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
@@ -85,9 +85,8 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     certificate is quadratic also where the bound has a better one, and lacks the d of `lifted`.
     """
     spaces, data = solution.spaces, solution.data
-    if spaces.joints:
-        raise InputError("certify: there is no bound yet where surfaces that share no nodes are paired")
     comm = spaces.mesh.comm
+    check_pairs(spaces)
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
     v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, DEGREE)
@@ -122,6 +121,21 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     certificate = replace(gap.certificate(spaces), lacking=_lacking(resolution, gap.by_quadrature), of=of)
     about = {"guaranteed": False, "of_last_bound": True} if of_last_bound else {}
     return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.proved else {}))
+
+
+def check_pairs(spaces: ElasticSpaces) -> None:
+    """Refuse pairs without a bound (collective).
+
+    Raises:
+        InputError: If a pair is tied, or has its sides on several processes.
+    """
+    for joint in spaces.joints:
+        if joint.pair.tied:
+            raise InputError(f"pair {joint.pair.words}: there is no bound yet where a pair is tied")
+        rows = joint.pieces.master - joint.first
+        elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())
+        if spaces.mesh.comm.allreduce(elsewhere, MPI.LOR):
+            raise InputError(f"pair {joint.pair.words}: for the bound both sides have to be on one process; use one")
 
 
 def with_surface(solution: ElasticSolution, of: str) -> str:
@@ -223,6 +237,11 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
     cells = spaces.contact.cells[spaces.inner.rows], spaces.across.cells
     for one, other in (cells, cells[::-1]):  # v may jump between both sides, so both are there
         chosen[other[chosen[one]]] = True
+    if spaces.joints:  # all of them or none: each piece is on two
+        at_pairs = np.concatenate([cells_behind(spaces.mesh, each.slaves_and_masters) for each in spaces.joints])
+        some, wanted = np.union1d(np.flatnonzero(chosen), at_pairs), bool(chosen[at_pairs].any())
+        fits = comm.allreduce(len(some)) <= MANY[spaces.dim]
+        chosen[at_pairs] = comm.allreduce(wanted, MPI.LOR) and fits
     return np.flatnonzero(chosen)
 
 
@@ -235,12 +254,12 @@ def _on_contact(
     """
     contact = problem.contact
     apart = np.einsum("n,ak,nk->na", contact.facets.measure, problem.moments, problem.openings_of(v))
-    gap = np.einsum("na,na->n", y.pressure[contact.rows], apart)
+    gap = np.einsum("na,na->n", problem.pressure, apart)
     for law in problem.laws:
-        pressure = y.pressure[contact.rows[law.rows]]
-        gap[law.rows] = law.integrals(problem.openings_of(v)[law.rows], pressure, half=half)
+        gap[law.rows] = law.integrals(problem.openings_of(v)[law.rows], problem.pressure[law.rows], half=half)
     on_contact, on_rough = problem.rough
-    gap[on_contact] += problem.rubbed(v) + np.einsum("nam,nam->n", y.shear[on_rough], problem.slips(v))
+    shear = contact.at_corners(y.shear[on_rough], on_contact)
+    gap[on_contact] += problem.rubbed(v) + np.einsum("nam,nam->n", shear, problem.slips(v))
     return gap
 
 

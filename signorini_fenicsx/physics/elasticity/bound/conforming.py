@@ -32,7 +32,12 @@ from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condense
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
 from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
 from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
-from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import add_at, contact_coefficients, given_nodes
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
+    add_at,
+    contact_coefficients,
+    given_nodes,
+    in_pieces,
+)
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -86,7 +91,7 @@ class BestDisplacement:
         self.sigma = split.stress(y.stresses)
         element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
         self.space = fenicsx.function_space(mesh, element)
-        self.contact = contact_coefficients(spaces, split, self.space)
+        self.contact = in_pieces(contact_coefficients(spaces, split, self.space), spaces, split, self.space)
         self.laws = [
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
         ]
@@ -101,7 +106,8 @@ class BestDisplacement:
     def rough(self) -> tuple[Indices, Indices]:
         """The facets with friction: where they are in `contact`, and in `ElasticSpaces.rough`."""
         in_contact, everywhere = self.contact.rows, self.spaces.rough_rows
-        return np.flatnonzero(np.isin(in_contact, everywhere)), np.flatnonzero(np.isin(everywhere, in_contact))
+        rough = np.flatnonzero(np.isin(in_contact, everywhere))
+        return rough, np.searchsorted(everywhere, in_contact[rough])
 
     def _continued(self, v: fem.Function) -> fem.Function:
         """The displacement on the whole split mesh as one of this space."""
@@ -110,6 +116,12 @@ class BestDisplacement:
         continued.interpolate(v, self.spaces.split.cells.ravel()[self.split.subcells].astype(np.int32), cells)
         continued.x.scatter_forward()
         return continued
+
+    @cached_property
+    def pressure(self) -> Array:
+        """−y_nn at the corners of the facets `contact`."""
+        contact = self.contact
+        return contact.at_corners(self._y.pressure[contact.rows], np.arange(len(contact.rows)))
 
     @property
     def _without_v(self) -> Expr:
@@ -122,7 +134,8 @@ class BestDisplacement:
         Bounds of the friction that are rounding are left out.
         """
         contact, (rough, in_rough), dim = self.contact, self.rough, self.spaces.dim
-        weights = self._in_coefficients(self.data.friction.bound[in_rough], contact.facets.measure[rough])  # ∫ g B
+        strength = contact.at_corners(self.data.friction.bound[in_rough], rough)
+        weights = self._in_coefficients(strength, contact.facets.measure[rough])  # ∫ g B
         rubs = weights > ROUNDING * self.comm.allreduce(weights.max(initial=0.0), MPI.MAX)
         on, at, sides, corners, most = self._kinks()
         touching, of_rough = len(on), np.nonzero(rubs)
@@ -134,7 +147,8 @@ class BestDisplacement:
         bound[touching:] = np.einsum("kmi,ki->km", tangents, self._slipped()[rubs])
         forces, apart = self._pressing()
         measure = contact.facets.measure[rough]
-        shear = np.einsum("nak,nki->nai", self._y.shear[in_rough], self.spaces.tangents[in_rough])
+        at_corners = contact.at_corners(self._y.shear[in_rough], rough)
+        shear = np.einsum("nak,nki->nai", at_corners, self.spaces.tangents[in_rough])
         rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self.moments)
         of_y[:touching, 0] = sides * forces[on, at]
         of_y[touching:] = np.einsum("kmi,ki->km", tangents, rubbing[rubs])
@@ -151,8 +165,7 @@ class BestDisplacement:
         pull = fem.assemble_vector(fenicsx.form(-ufl.inner(*pulling) * self.material.dx))
         on_facets = forces[:, :, None] * contact.facets.normals[:, None]
         on_facets[rough] += rubbing
-        add_at(pull, contact.nodes, on_facets)
-        add_at(pull, contact.across, -on_facets[contact.touched])
+        contact.add_forces(pull, on_facets)
         add_at(pull, self.supports.on.nodes, self.supports.forces)
         pull.scatter_reverse(la.InsertMode.add)
         self._pull = pull
@@ -178,13 +191,13 @@ class BestDisplacement:
 
     def _pressing(self) -> tuple[Array, float]:
         """What presses on the coefficients of v_n, beside kinks and springs, and the part of the gap without v."""
-        contact = self.contact
-        forces = self._in_coefficients(self._y.pressure[contact.rows], contact.facets.measure)
+        contact, of_y = self.contact, self.pressure
+        forces = self._in_coefficients(of_y, contact.facets.measure)
         apart = 0.0
         for law in self.laws:
             (slope, value), opening = law.line(), self.openings[law.rows]
             at = np.einsum("fqk,fk->fq", law.basis, opening)
-            pressure = np.einsum("fqa,fa->fq", law.hats, self._y.pressure[contact.rows[law.rows]])
+            pressure = np.einsum("fqa,fa->fq", law.hats, of_y[law.rows])
             rest = pressure - value
             forces[law.rows] -= np.einsum("fq,fqk->fk", law.weights * value, law.basis)
             sprung = np.divide(rest**2, 2 * slope, out=np.zeros_like(rest), where=slope > 0) - slope * at**2 / 2
@@ -199,8 +212,8 @@ class BestDisplacement:
         """∫ β v_n w_n on each facet under the laws, β that of the line of v, and what supports add."""
         yield self.supports.matrices(self._left, self._given.frames)
         for law in self.laws:
-            nodes, signs = self.contact.of_jumps(law.rows)
-            basis = np.repeat(law.basis, 2, axis=2) * signs[:, None]
+            nodes, weights = self.contact.of_jumps(law.rows)
+            basis = law.basis @ weights
             mass = np.einsum("fq,fqk,fql->fkl", law.weights * law.line()[0], basis, basis)
             normals = np.einsum("fkij,fi->fkj", self._given.frames[nodes], self.contact.facets.normals[law.rows])
             values = np.einsum("fkl,fki,flj->fkilj", mass, normals, normals)
@@ -212,7 +225,8 @@ class BestDisplacement:
         dim, size, material, left = self.spaces.dim, self._numbers.size_local, self.material, self._left
         forces = np.einsum("nij,ni->nj", self._given.frames, self._pull.array.reshape(-1, dim))
         inside = self._condensed = condensed(self.split, self.space, left, material, self._given.frames, forces)
-        coupling = self._nodes, np.zeros((len(self._nodes), 2 * dim, 2 * dim))
+        wide = dim * self._nodes.shape[1]
+        coupling = self._nodes, np.zeros((len(self._nodes), wide, wide))
         parts = ((inside.around, inside.matrices), *self._springs(), coupling)
         self._natural = of_cells(self.comm, self._numbers, dim, [nodes for nodes, _ in parts], parts)
         own = left.of_space[:size]
@@ -287,7 +301,7 @@ class BestDisplacement:
 
     def factorise(self, stiffness: Array) -> None:
         """Get ready to solve with K + Σ AᵀDA (collective)."""
-        axes = self._axes.reshape(*stiffness.shape[:2], 2 * self.spaces.dim)
+        axes = self._axes.reshape(*stiffness.shape[:2], self.spaces.dim * self._nodes.shape[1])
         values = axes.swapaxes(1, 2) @ stiffness @ axes
         self._natural.copy(self._matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._matrix.setDiagonal(self._shift)
@@ -401,7 +415,7 @@ class BestDisplacement:
         It is linear on each facet, so the coefficients are its values at equidistant points. Shape (facets, nodes, d).
         """
         values = linear_from_means(self.spaces.along(self.data.slip_before)[self.rough[1]])
-        return np.asarray(self.contact.hats @ values)
+        return np.asarray(self.contact.hats @ self.contact.at_corners(values, self.rough[0]))
 
     def slips(self, v: fem.Function) -> Array:
         """∫ (v_t − w)φ_a over the facets with friction, shape (facets, d, d − 1); w is the slip of the last step."""
@@ -411,7 +425,8 @@ class BestDisplacement:
     def rubbed(self, v: fem.Function) -> Array:
         """A bound of ∫ g|v_t − w| over the facets with friction, see `FacetCoefficients.lengths`."""
         rough, in_rough = self.rough
-        means = self.contact.lengths(self._slips(v), self.data.friction.bound[in_rough], self.moments)
+        strength = self.contact.at_corners(self.data.friction.bound[in_rough], rough)
+        means = self.contact.lengths(self._slips(v), strength, self.moments)
         return np.asarray(self.contact.facets.measure[rough] * means)
 
     def slipping(self, v: fem.Function) -> Array:
@@ -420,8 +435,8 @@ class BestDisplacement:
         points, weights = facet_rule(self.spaces.dim, 2 * self.contact.degree)
         slips = np.einsum("qk,nkm->nqm", self.contact.basis(points), self._slips(v))
         squares = np.einsum("q,nqm->n", weights / weights.sum(), slips**2)
-        norms[in_rough] = np.sqrt(self.contact.facets.measure[rough] * squares)
-        return norms
+        np.add.at(norms, in_rough, self.contact.facets.measure[rough] * squares)
+        return np.sqrt(norms)
 
     def _slips(self, v: fem.Function) -> Array:
         """The coefficients of v_t − w on the facets with friction, shape (facets, nodes, d − 1)."""

@@ -25,6 +25,7 @@ from signorini_fenicsx.physics.elasticity.bound.hidden import (
 )
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS, local_stresses
+from signorini_fenicsx.physics.elasticity.bound.passed_on import passed_on
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution, beyond
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, split_vertices
@@ -34,6 +35,8 @@ from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) -> tuple[Array, float]:
     """How large (f − f_h, w)_T + ⟨g_N − Π₁g_N, w⟩ may be beside |w|_T, for the owned cells (collective).
+
+    At pairs of surfaces what masters lack of the tractions on slaves is in it, see `passed_on`.
 
     Returns:
         This, but for what quadrature may have missed of the linear parts of loads, and how large these may be beside
@@ -58,6 +61,7 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
         of_cells[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
             of_cells[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
+    of_cells += passed_on(spaces, data, stresses, everywhere)
     more, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + of_cells)
     return of_cells + more, together
 

@@ -26,7 +26,7 @@ from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
@@ -115,11 +115,21 @@ class FacetCoefficients:
             ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
             quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
             corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
+        return corners, self.restricted(corners)
+
+    def restricted(self, corners: Array) -> Array:
+        """The coefficients on parts of a facet from those on the facet, shape (parts, coefficients, coefficients).
+
+        Each is a mean of these with weights ≥ 0.
+
+        Args:
+            corners: Of the parts, by barycentric coordinates, shape (parts, d, d).
+        """
         points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
         hats = np.column_stack([1 - points.sum(axis=1), points])
         places = (hats @ corners)[:, :, 1:]
-        values = self.basis(places.reshape(-1, places.shape[2])).reshape(len(corners), len(points), -1)
-        return corners, np.linalg.inv(self.basis(points)) @ values
+        values = self.basis(places.reshape(-1, places.shape[2])).reshape(len(corners), len(points), len(points))
+        return np.linalg.inv(self.basis(points)) @ values
 
     @property
     def hats(self) -> Array:
@@ -165,19 +175,39 @@ def facet_coefficients(split: SplitMesh, space: fem.FunctionSpace, facets: Bound
 class ContactCoefficients(FacetCoefficients):
     """The facets of Γ_C; where two bodies touch they are those of the named side.
 
+    Slave facets of a pair are there piece by piece, so that all is a polynomial on each of `facets`.
+
     Attributes:
-        touched: Which of them are inside the domain, ascending.
-        across: The nodes of their other sides, in the same places, shape (touched, coefficients).
+        touched: Which of them have another side, ascending.
+        across: The nodes of these, shape (touched, coefficients).
+        corners: Of each of them on its whole facet, by barycentric coordinates, shape (facets, d, d).
+        own: Its coefficients from those of `nodes`, those of the whole facet, shape (facets, coefficients,
+            coefficients).
+        other: Those of the other side from those of `across`, likewise for `touched`.
+        opened: The coefficients of what the gap of a pair is more than the data have, 0 on other facets.
     """
 
     touched: Indices
     across: npt.NDArray[np.int32]
+    corners: Array
+    own: Array
+    other: Array
+    opened: Array
 
     def jump(self, values: Array) -> Array:
-        """Values of nodes on the facets, less those of the other side where there is one: (facets, coefficients, …)."""
-        jumps = values[self.nodes]
-        jumps[self.touched] -= values[self.across]
+        """Coefficients on the facets, less those of the other side where there is one: (facets, coefficients, …)."""
+        jumps = np.einsum("fkl,fl...->fk...", self.own, values[self.nodes])
+        jumps[self.touched] -= np.einsum("fkl,fl...->fk...", self.other, values[self.across])
         return jumps
+
+    def at_corners(self, values: Array, rows: Indices) -> Array:
+        """Values at the corners of some of the facets, of linear functions on their whole facets, (facets, d, …)."""
+        return np.asarray(np.einsum("fca,fa...->fc...", self.corners[rows], values))
+
+    def add_forces(self, sums: la.Vector, forces: Array) -> None:
+        """Add forces on the coefficients of the jump, shape (facets, coefficients, d), to those of nodes."""
+        add_at(sums, self.nodes, np.einsum("fkl,fki->fli", self.own, forces))
+        add_at(sums, self.across, -np.einsum("fkl,fki->fli", self.other, forces[self.touched]))
 
     def openings(self, mesh: dolfinx.mesh.Mesh, data: ElasticData) -> Array:
         """The coefficients of g, less p at the references of the laws (collective)."""
@@ -188,28 +218,33 @@ class ContactCoefficients(FacetCoefficients):
                 self.facets.take(mine), self.rows[mine], self.cells[mine], self.nodes[mine], self.degree
             )
             openings[mine] -= part.of(mesh, law)
-        return openings
+        return np.asarray(np.einsum("fkl,fl->fk", self.own, openings) + self.opened)
 
     def pairs(self, rows: Indices, places: Indices) -> tuple[Indices, Array]:
-        """The two nodes whose values make the jump at some places of facets, and their signs, shape (places, 2) each.
+        """The nodes whose values make the jump at some places of facets, and their weights, shape (places, nodes) each.
 
-        Where there is only one node, on a foundation or at the edge of a cut, it is there twice, with signs 1 and 0 or
-        0 and 0.
+        These are two nodes, on pieces more. Where there are fewer, on a foundation or at the edge of a cut, one of them
+        is there several times, with the weight 0.
         """
-        nodes = np.repeat(self.nodes[rows, places][:, None], 2, axis=1).astype(np.int64)
-        inside = np.isin(rows, self.touched)
-        nodes[inside, 1] = self.across[np.searchsorted(self.touched, rows[inside]), places[inside]]
-        signs = np.column_stack([np.ones(len(rows)), np.where(inside, -1.0, 0.0)])
-        signs[inside & (nodes[:, 0] == nodes[:, 1])] = 0.0
-        return nodes, signs
+        nodes, weights = self.of_jumps(rows)
+        weights = weights[np.arange(len(rows)), places]
+        order = np.argsort(weights == 0, axis=1, kind="stable")[:, : max(2, (weights != 0).sum(axis=1).max(initial=0))]
+        nodes, weights = np.take_along_axis(nodes, order, axis=1), np.take_along_axis(weights, order, axis=1)
+        nodes = np.where(weights == 0, nodes[:, :1], nodes)
+        weights[(nodes == nodes[:, :1]).all(axis=1) & (weights[:, 1] != 0)] = 0.0
+        return nodes, weights
 
     def of_jumps(self, rows: Indices) -> tuple[Indices, Array]:
-        """The nodes of both sides of some facets and their signs in the jump, shape (facets, 2 coefficients) each."""
-        number = self.nodes.shape[1]
-        places = np.tile(np.arange(number), len(rows))
-        nodes, signs = self.pairs(np.repeat(rows, number), places)
-        shape = len(rows), 2 * number
-        return nodes.reshape(shape), signs.reshape(shape)
+        """The nodes of both sides of some facets, and the coefficients of the jump from those of these.
+
+        The shapes are (facets, 2 coefficients) and (facets, coefficients, 2 coefficients).
+        """
+        weights = np.concatenate([self.own[rows], np.zeros_like(self.own[rows])], axis=2)
+        nodes = np.concatenate([self.nodes[rows], self.nodes[rows]], axis=1).astype(np.int64)
+        some, number = np.isin(rows, self.touched), self.nodes.shape[1]
+        places = np.searchsorted(self.touched, rows[some])
+        nodes[some, number:], weights[some, :, number:] = self.across[places], -self.other[places]
+        return nodes, weights
 
 
 def contact_coefficients(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace) -> ContactCoefficients:
@@ -217,8 +252,52 @@ def contact_coefficients(spaces: ElasticSpaces, split: SplitMesh, space: fem.Fun
     named = facet_coefficients(split, space, spaces.contact)
     other = facet_coefficients(split, space, spaces.across)
     touched = np.searchsorted(named.rows, spaces.inner.rows[other.rows])
-    order = np.argsort(touched)
-    return ContactCoefficients(**vars(named), touched=touched[order], across=other.nodes[order])
+    order, number, dim = np.argsort(touched), named.nodes.shape[1], spaces.dim
+    whole = np.broadcast_to(np.eye(number), (len(named.rows), number, number))
+    return ContactCoefficients(
+        **vars(named),
+        touched=touched[order],
+        across=other.nodes[order],
+        corners=np.broadcast_to(np.eye(dim), (len(named.rows), dim, dim)),
+        own=whole,
+        other=whole[: len(order)],
+        opened=np.zeros((len(named.rows), number)),
+    )
+
+
+def in_pieces(
+    contact: ContactCoefficients, spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace
+) -> ContactCoefficients:
+    """The same with the slave facets of pairs piece by piece; both sides of a piece are on one rank, and on `split`."""
+    for joint in spaces.joints:
+        slaves, pieces = spaces.rows_of(joint), joint.pieces
+        masters = facet_coefficients(split, space, spaces.boundary_facets(joint.masters))
+        plain = np.flatnonzero(~np.isin(contact.rows, slaves))
+        pieces = pieces.take(np.isin(slaves[pieces.slave], contact.rows))
+        own = plain[:0] if len(pieces) == 0 else np.searchsorted(contact.rows, slaves[pieces.slave])
+        rows, first = np.append(plain, own), len(plain)
+        across = np.searchsorted(masters.rows, pieces.master - joint.first)
+        opened = np.zeros((len(pieces), spaces.dim))
+        if joint.pair.distance:
+            linear = linear_from_means(joint.pieces.means(len(slaves)))
+            opened = pieces.gap - np.einsum("pca,pa->pc", pieces.on_slave, linear[pieces.slave])
+        on_pieces = (contact.restricted(pieces.on_slave), contact.restricted(pieces.on_master))
+        corners = np.concatenate([contact.corners[plain], pieces.on_slave])
+        facets, share = contact.facets.take(rows), np.append(np.ones(first), pieces.share)
+        contact = ContactCoefficients(
+            facets=replace(facets, vertices=corners @ facets.vertices, measure=share * facets.measure),
+            rows=contact.rows[rows],
+            cells=contact.cells[rows],
+            nodes=contact.nodes[rows],
+            degree=contact.degree,
+            touched=np.append(np.searchsorted(plain, contact.touched), first + np.arange(len(pieces))),
+            across=np.concatenate([contact.across, masters.nodes[across]]),
+            corners=corners,
+            own=np.concatenate([contact.own[plain], on_pieces[0]]),
+            other=np.concatenate([contact.other, on_pieces[1]]),
+            opened=np.concatenate([contact.opened[plain], opened @ contact.hats.T]),
+        )
+    return contact
 
 
 def given_nodes(
@@ -307,8 +386,8 @@ def given_along_normals(contact: ContactCoefficients, at: GivenNodes) -> tuple[A
     """What is given of v_n, or of its jump, at the coefficients on Γ_C, −∞ where some of it is not; the jump of v."""
     normals, jump = contact.facets.normals, contact.jump(np.einsum("nij,nj->ni", at.frames, at.values))
     left = np.einsum("nij,nj,nkj->nik", at.frames, ~at.given, at.frames)  # onto what is not given at a node
-    sums = left[contact.nodes]
-    sums[contact.touched] += left[contact.across]
+    sums = np.einsum("fkl,flij->fkij", contact.own, left[contact.nodes])
+    sums[contact.touched] += np.einsum("fkl,flij->fkij", contact.other, left[contact.across])
     free = np.einsum("nkij,ni,nj->nk", sums, normals, normals)
     return np.where(free <= ALONG, np.einsum("nki,ni->nk", jump, normals), -np.inf), jump
 

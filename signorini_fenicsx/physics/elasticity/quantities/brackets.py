@@ -74,10 +74,10 @@ def check(domain: Domain, problem: ElasticProblem, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
-    if problem.boundary.pairs:
-        raise InputError("quantities: there are none yet where surfaces that share no nodes are paired")
     if isinstance(kind, Energy):
         return
+    if problem.boundary.pairs:
+        raise InputError(f"{type(kind).__name__}: where surfaces that share no nodes are paired there is Energy alone")
     if isinstance(kind, Force):
         check_parts(domain, problem.boundary, kind)
         moved(domain, problem, kind, 0.0)

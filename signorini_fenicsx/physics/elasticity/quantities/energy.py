@@ -19,7 +19,13 @@ from signorini_fenicsx.expressions import TREES, Tree
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.forms.elasticity import square, strain, vector
-from signorini_fenicsx.physics.elasticity.bound.certify import LACKING, UNBALANCED, gap_of_cells, not_in_the_spaces
+from signorini_fenicsx.physics.elasticity.bound.certify import (
+    LACKING,
+    UNBALANCED,
+    check_pairs,
+    gap_of_cells,
+    not_in_the_spaces,
+)
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of, without_given
@@ -71,6 +77,9 @@ def energy(solution: ElasticSolution) -> Quantity:
     the gap has the same in it, so that the lower bound is true.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
+    check_pairs(spaces)
+    if spaces.joints and data.laws.of_parts:
+        raise InputError("Energy: of pairs there is none with other laws than contact and friction")
     y = admissible_stress(solution)
     problem = BestDisplacement(spaces, data, y, spaces.split, OF_V[spaces.dim])
     v, past = problem.minimum()

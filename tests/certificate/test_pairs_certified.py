@@ -1,0 +1,150 @@
+"""The bound where surfaces share no nodes: exact states, laws, finer solutions, an edge inside a facet, refusals."""
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+from bodies_apart import two
+from mpi4py import MPI
+
+from signorini_fenicsx.api import (
+    Contact,
+    Dirichlet,
+    Domain,
+    Elasticity,
+    InputError,
+    Neumann,
+    Pair,
+    Pressure,
+    Solution,
+    Tied,
+    Tresca,
+    Wall,
+    compare,
+    domain_of,
+    domain_of_bodies,
+    solve,
+)
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
+from signorini_fenicsx.quantities.kinds import Energy, Force
+
+COMM = MPI.COMM_SELF
+
+
+def boxes(upper: float, lower: float, left: float = 0.0, height: float = 0.05) -> Domain:
+    """Two boxes with meshes of these sizes, the upper one from `left` on."""
+    low = build_domain(COMM, "[0, 1] x [-0.8, 0]", lower, mesh="structured")
+    return domain_of_bodies(
+        {"up": build_domain(COMM, f"[{left}, 1] x [{height}, {height + 0.8}]", upper, mesh="structured"), "low": low}
+    )
+
+
+def pressed(domain: Domain, pair: Pair, young: float = 2.0) -> Solution:
+    """The upper box is moved down and aside onto the lower one."""
+    free = [f"{body}.{side}" for body in ("up", "low") for side in ("left", "right")]
+    held = [Dirichlet("up.top", (0.01, -0.1)), Dirichlet("low.bottom", (0, 0))]
+    return solve(domain, Elasticity({"up": 1.0, "low": young}, 0.3, conditions=[*held, Neumann(free), pair]))
+
+
+def finer(domain: Domain, times: int) -> Domain:
+    """All cells are refined."""
+    for _ in range(times):
+        domain = refine(domain, np.arange(domain.cells, dtype=np.int32))
+    return domain
+
+
+@pytest.mark.parametrize("law", [None, Tresca(0.2), Wall((), beta=5.0)])
+@pytest.mark.parametrize("numbers", [((3, 2), (2, 3)), ((1, 1, 1), (2, 1, 1))])
+def test_a_uniform_stress(law: Tresca | Wall | None, numbers: tuple[tuple[int, ...], ...]) -> None:
+    """Where the stress is exact the bound says so, in the plane and in space."""
+    dim = len(numbers[0])
+    last = dim - 1
+    domain = two(COMM, *numbers, gap=0.25 if law is None else 0.0)
+    sides = [Dirichlet([f"u{k}0", f"l{k}0"], 0, components="xyz"[k]) for k in range(last)]
+    sides += [Neumann([f"u{k}1", f"l{k}1"]) for k in range(last)]
+    sides += [Dirichlet(f"l{last}0", 0, components="xyz"[last]), Pressure(f"u{last}1", 1.0)]
+    body = Elasticity(1.0, 0.3, conditions=[*sides, Pair(f"u{last}0", f"l{last}1", law)])
+    certificate = solve(domain, body).certify()
+    assert certificate.guaranteed
+    assert certificate.relative < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("upper", "lower", "left", "law", "most"),
+    [(0.4, 0.27, 0.0, None, 1.3), (0.27, 0.4, 0.0, Tresca(0.02), 1.5), (0.3, 0.4, 0.17, None, 4.0)],
+)
+def test_finer_solutions(upper: float, lower: float, left: float, law: Tresca | None, most: float) -> None:
+    """The bound is above the distance to a finer solution, also where an edge is inside a master facet; not far."""
+    pair = Pair("up.bottom", "low.top", law)
+    domain = boxes(upper, lower, left)
+    coarse, fine = (pressed(each, pair) for each in (domain, finer(domain, 2 if left else 1)))
+    certificate = coarse.certify()
+    assert certificate.guaranteed
+    distance = compare(coarse, fine).norms.energy
+    assert distance < certificate.sigma_bound < most * distance
+    if left > 0:  # what is passed on counts where the edge is
+        at = certificate.indicator.x.array.argmax()
+        place = coarse.spaces.vertices[at].mean(axis=0)
+        assert abs(place[0] - left) < lower
+
+
+def test_matching_meshes() -> None:
+    """Where the facets match the bound is that of one mesh with a part inside; slave and master may change places."""
+    walls = {"left": (0, 0.0), "right": (0, 1.0), "top": (1, 0.8), "bottom": (1, -0.8)}
+    inner = domain_of(
+        dolfinx.mesh.create_rectangle(COMM, [[0, -0.8], [1, 0.8]], [3, 6]),
+        {
+            name: lambda x, axis=axis, at=at: np.isclose(x[axis], at)
+            for name, (axis, at) in (walls | {"fault": (1, 0.0)}).items()
+        },
+        {"up": lambda x: x[1] > -1e-9, "low": lambda x: x[1] < 1e-9},
+        inner=["fault"],
+    )
+    shapes = {"up": [[0, 0], [1, 0.8]], "low": [[0, -0.8], [1, 0]]}
+    bodies = {}
+    for name, (low, high) in shapes.items():
+        places = {"left": (0, low[0]), "right": (0, high[0]), "bottom": (1, low[1]), "top": (1, high[1])}
+        parts = {part: lambda x, axis=axis, at=at: np.isclose(x[axis], at) for part, (axis, at) in places.items()}
+        bodies[name] = domain_of(dolfinx.mesh.create_rectangle(COMM, [low, high], [3, 3]), parts)
+    law = Tresca(0.01)
+    held = [Dirichlet("top", (0.01, -0.1)), Dirichlet("bottom", (0, 0)), Neumann(["left", "right"])]
+    joined = [*held, Contact("fault", friction=law)]
+    one = solve(inner, Elasticity({"up": 1.0, "low": 2.0}, 0.3, conditions=joined)).certify()
+    apart = domain_of_bodies(bodies)
+    two_bounds = [
+        pressed(apart, Pair(*sides, law)).certify() for sides in (("up.bottom", "low.top"), ("low.top", "up.bottom"))
+    ]
+    for certificate in two_bounds:
+        assert certificate.bound == pytest.approx(one.bound, rel=1e-3)
+        assert certificate.gap == pytest.approx(one.gap, rel=1e-3)
+
+
+def test_exchange_of_slave_and_master() -> None:
+    """Both solutions are in the sum of their bounds, and the energies of both are in both intervals."""
+    domain = boxes(0.4, 0.27, height=0.0)
+    sides = ("up.bottom", "low.top"), ("low.top", "up.bottom")
+    one, other = (pressed(domain, Pair(*names)) for names in sides)
+    assert compare_stresses(one, other) < one.certify().sigma_bound + other.certify().sigma_bound
+    fine = pressed(finer(domain, 1), Pair(*sides[0])).quantity(Energy())
+    for solution in (one, other):
+        energy = solution.quantity(Energy())
+        assert energy.guaranteed
+        assert energy.lower <= fine.upper
+        assert fine.lower <= energy.upper
+
+
+def compare_stresses(one: Solution, other: Solution) -> float:
+    """‖σ − σ'‖ of two solutions on one mesh, E being 1 and 2."""
+    difference = other.stresses - one.stresses
+    return float(np.sqrt(energy_squares(one.spaces, one.data, difference).sum()))
+
+
+def test_what_is_refused() -> None:
+    """Tied pairs have no bound yet, and other quantities than the energy none."""
+    domain = boxes(0.5, 0.5, height=0.0)
+    tied, touching = (pressed(domain, Pair("up.bottom", "low.top", law)) for law in (Tied(), None))
+    with pytest.raises(InputError, match="no bound yet where a pair is tied"):
+        tied.certify()
+    with pytest.raises(InputError, match="there is Energy alone"):
+        touching.quantity(Force("up.top", direction=(0, 1)))
