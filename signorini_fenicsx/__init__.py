@@ -6,6 +6,7 @@ A problem:
 - `Diffusion` and `Elasticity` hold the data and the conditions on the parts of the boundary: `Dirichlet`, `Neumann`,
   `Pressure`, `Support`, `Contact` with `Tresca` or `Coulomb`, and the laws `Signorini`, `Friction`, `TwoSided`, `Wall`,
   `Regulator`, `Seepage`, `River` and `Corners`; in regions `Obstacle`, `Reaction`, `Corners` and, in time, `Storage`;
+  κ may be a soil, `VanGenuchten`, `Gardner` or `BrooksCorey`;
 - `load_case` reads a case file, or a shipped case by its name.
 
 Solving it:

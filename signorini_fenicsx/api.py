@@ -92,6 +92,7 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
+from signorini_fenicsx.physics.diffusion.soils import BrooksCorey, Gardner, VanGenuchten
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Pair, Tied, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure, Support
 from signorini_fenicsx.solution import Solution
@@ -101,6 +102,7 @@ from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
 
 __all__ = [
+    "BrooksCorey",
     "Contact",
     "Corners",
     "Coulomb",
@@ -110,6 +112,7 @@ __all__ = [
     "Elasticity",
     "Evolution",
     "Friction",
+    "Gardner",
     "InputError",
     "Neumann",
     "NumericalFailure",
@@ -130,6 +133,7 @@ __all__ = [
     "Tied",
     "Tresca",
     "TwoSided",
+    "VanGenuchten",
     "Wall",
     "adapt",
     "adapt_case",

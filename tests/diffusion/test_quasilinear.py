@@ -182,6 +182,7 @@ alpha = 2
         (("n = 1.3", ""), "n: must be a number for a van Genuchten soil"),
         (("u_D = 3", "u_D = 3\nkappa = 1"), "leave out \\[problem\\] kappa"),
         (("u_D = 3", 'u_D = 3\nform = "pressure"'), "unknown form 'pressure'"),
+        (("[soil.core]", "[time]\nend = 1\nsteps = 2\n[soil.core]"), "without \\[time\\]"),
         (("[soil.core]", "[soil.all]"), "leave out the other soils"),
     ],
 )

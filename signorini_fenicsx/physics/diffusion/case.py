@@ -178,8 +178,8 @@ class Case(CaseFile):
                 raise ValueError(f"[problem] {key}: '{part}' is no part in [boundary] {OF_LIST[key]}")
         if self.soil and "kappa" in self.problem.model_fields_set:
             raise ValueError("[soil]: says what κ is; leave out [problem] kappa")
-        if self.soil and self.time is not None and self.time.capacity is not None:
-            raise ValueError("[soil]: says what the storage is; leave out [time] capacity")
+        if self.soil and self.time is not None:
+            raise ValueError("[soil]: soils are for problems without [time], as their storage is not there")
         if EVERYWHERE in self.soil and len(self.soil) > 1:
             raise ValueError(f"[soil.{EVERYWHERE}]: is the soil everywhere; leave out the other soils")
         for i, texts in enumerate(self.law):

@@ -42,6 +42,7 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, pa
 from signorini_fenicsx.physics.diffusion.discrete.data import cell_means
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -68,6 +69,8 @@ class DiffusionSteps:
             InputError: If a text cannot be read, or C or u_0 is not what it has to be.
         """
         dim = spaces.mesh.geometry.dim
+        if has_soils(problem.kappa):
+            raise InputError("[time]: with soils there is none, as the storage θ(h − z) is not there; leave out [time]")
         if start is not None:
             evolution = replace(evolution, initial=_carried(start, spaces))
         self.spaces, self._evolution = spaces, evolution

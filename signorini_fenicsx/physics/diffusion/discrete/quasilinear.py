@@ -166,6 +166,11 @@ def depends_on_u(kappa: Any) -> bool:
     return _takes_u(kappa) or (isinstance(kappa, TREES) and depends_on(kappa, "u"))
 
 
+def has_soils(kappa: Any) -> bool:
+    """Whether κ is that of a soil somewhere."""
+    return any(isinstance(each, Soil) for each in (kappa.values() if isinstance(kappa, Mapping) else [kappa]))
+
+
 def _takes_u(given: object) -> bool:
     """Whether it is a function of x and u."""
     if isinstance(given, Soil):
