@@ -95,8 +95,8 @@ def certified(solution: Solved, certify: Callable[[Bounds], Certificate]) -> Cer
     return replace(certificate, seconds=watch.longest(solution.spaces.mesh.comm)["certificate"])
 
 
-def no_bound(solution: Solved) -> Certificate:
-    """No bound (collective)."""
+def no_bound(solution: Solved, why: str = "") -> Certificate:
+    """No bound, and why (collective)."""
     spaces, infinite = solution.spaces, math.inf
     return Certificate(
         bound=infinite,
@@ -111,5 +111,5 @@ def no_bound(solution: Solved) -> Certificate:
         coarse=np.zeros(len(spaces.cell_measures), dtype=bool),
         indicator=fem.Function(spaces.Q, name="indicator"),
         v=solution.u,
-        if_none=f"none is known for {solution.physics}",
+        if_none=why or f"none is known for {solution.physics}",
     )

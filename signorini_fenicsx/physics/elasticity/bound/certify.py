@@ -37,9 +37,9 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cells_behind, sums_at
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
+from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
@@ -86,7 +86,8 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     """
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    check_pairs(spaces)
+    if why := pairs_without_bound(spaces):
+        return no_bound(solution, why)
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
     v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, DEGREE)
@@ -123,19 +124,16 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.proved else {}))
 
 
-def check_pairs(spaces: ElasticSpaces) -> None:
-    """Refuse pairs without a bound (collective).
-
-    Raises:
-        InputError: If a pair is tied, or has its sides on several processes.
-    """
+def pairs_without_bound(spaces: ElasticSpaces) -> str:
+    """Why there is no bound for the pairs of surfaces, in words; empty if there is one (collective)."""
     for joint in spaces.joints:
         if joint.pair.tied:
-            raise InputError(f"pair {joint.pair.words}: there is no bound yet where a pair is tied")
+            return f"none is there yet where a pair is tied, as {joint.pair.words}"
         rows = joint.pieces.master - joint.first
         elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())
         if spaces.mesh.comm.allreduce(elsewhere, MPI.LOR):
-            raise InputError(f"pair {joint.pair.words}: for the bound both sides have to be on one process; use one")
+            return f"both sides of the pair {joint.pair.words} have to be on one process for it; run on one process"
+    return ""
 
 
 def with_surface(solution: ElasticSolution, of: str) -> str:

@@ -22,9 +22,9 @@ from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.certify import (
     LACKING,
     UNBALANCED,
-    check_pairs,
     gap_of_cells,
     not_in_the_spaces,
+    pairs_without_bound,
 )
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
@@ -77,7 +77,8 @@ def energy(solution: ElasticSolution) -> Quantity:
     the gap has the same in it, so that the lower bound is true.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
-    check_pairs(spaces)
+    if why := pairs_without_bound(spaces):
+        raise InputError(f"Energy: {why}")
     if spaces.joints and data.laws.of_parts:
         raise InputError("Energy: of pairs there is none with other laws than contact and friction")
     y = admissible_stress(solution)
