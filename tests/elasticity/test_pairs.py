@@ -1,11 +1,12 @@
 """Bodies with meshes of their own: exact patch tests, any ranks, a matching mesh as a limit, refusals."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from bodies_apart import joined, two
+from bodies_apart import apart, box_cells, joined, two
 from mpi4py import MPI
 
 from signorini_fenicsx.api import (
@@ -167,3 +168,29 @@ def test_steps_a_tool_and_springs_beside_a_pair() -> None:
     assert forces["u11"][1] == pytest.approx(-0.1, rel=1e-9)
     assert forces["u10"][1] == pytest.approx(0.1, rel=1e-9)
     assert forces["l11"][1] == pytest.approx(-0.1, rel=1e-9)
+
+
+@pytest.mark.parametrize(("slave", "master"), [("i.out", "o.in"), ("o.in", "i.out")])
+def test_a_press_fit(slave: str, master: str) -> None:
+    """Two quarters of rings, the polygons of one circle, with an interference in the place of their distance: Lamé."""
+    radii, parts, bodies = {"i": (0.5, 1.0), "o": (1.0, 2.0)}, {}, {}
+    for name, number, (low, high) in (("i", 16, radii["i"]), ("o", 23, radii["o"])):
+        x, cells = box_cells((number // 2, number), [low, 0.0], [high, np.pi / 2], seed=number)
+        bodies[name] = x[:, :1] * np.column_stack([np.cos(x[:, 1]), np.sin(x[:, 1])]), cells
+        parts[f"{name}.in"], parts[f"{name}.out"] = ((name, partial(on_circle, r)) for r in (low, high))
+        parts[f"{name}.x"], parts[f"{name}.y"] = ((name, partial(on_axis, axis)) for axis in (1, 0))
+    planes = [Dirichlet([f"i.{held}", f"o.{held}"], 0, components=k) for held, k in (("x", "y"), ("y", "x"))]
+    conditions = [Neumann(["i.in", "o.out"]), *planes, Pair(slave, master, gap=-1e-3)]
+    solution = solve(apart(MPI.COMM_SELF, bodies, parts), Elasticity(young=1, poisson=0.3, conditions=conditions))
+    pressure = 1e-3 * (1 / 0.91) / (5 / 3 + 5 / 3)  # δE'/b over (c² + b²)/(c² − b²) + (b² + a²)/(b² − a²)
+    np.testing.assert_allclose(np.abs(solution.resultants()[slave][:2]), pressure, rtol=2e-3)
+
+
+def on_circle(radius: float, x: np.ndarray) -> np.ndarray:
+    """Whether points are as far from the origin."""
+    return np.isclose(np.hypot(x[0], x[1]), radius)
+
+
+def on_axis(axis: int, x: np.ndarray) -> np.ndarray:
+    """Whether a coordinate is 0."""
+    return np.isclose(x[axis], 0.0, atol=1e-12)
