@@ -15,6 +15,7 @@ from signorini_fenicsx import (
     Options,
     Seepage,
     Signorini,
+    Wall,
     domain_of,
     load_case,
     load_solution,
@@ -69,6 +70,19 @@ def test_kirchhoff(options: Options):
     assert texts.contact.facets == linear.contact.facets
     assert texts.norms()["sigma_L2"] == pytest.approx(linear.norms()["sigma_L2"], rel=5e-3)
     assert texts.outcome.details["kappa_change"] < 1e-9
+
+
+@pytest.mark.parametrize("options", [Options(), RT1])
+@pytest.mark.parametrize("laws", [{"obstacle": -0.1}, {"c": 3}, {"conditions": [Wall("bottom", beta=5, level=-0.05)]}])
+def test_other_laws(options: Options, laws: dict):
+    """Laws in Ω, terms cu and slopes go with a κ of u, which may be nearly a number."""
+    square = build_domain(COMM, "square", 0.25, mesh="structured")
+    small, none = (solve(square, Diffusion(kappa=kappa, f=-8, **laws), options) for kappa in ("1 + u^2/1e7", "1"))
+    assert small.norms() == pytest.approx(none.norms(), rel=1e-5, abs=1e-9)
+    varied = solve(square, Diffusion(kappa="1 + u^2", f=-8, **laws), options)
+    assert varied.outcome.reason.endswith("u gives the κ of its problem")
+    assert varied.outcome.details["kappa_change"] < 1e-8
+    assert varied.norms()["sigma_L2"] != pytest.approx(none.norms()["sigma_L2"], rel=1e-5)
 
 
 def test_a_kappa_that_does_not_vary_is_the_same():

@@ -144,9 +144,11 @@ class FluxSystem(HybridSystem):
         functionals = data.by_kappa(spaces, sigma)
         none = np.zeros((len(sigma), count))
         found = np.zeros((len(sigma), count * spaces.dim, count))
+        for block in self.eliminated(np.zeros(functionals.shape[:2]), none):
+            found[block.cells] = block.load[:, :, None]  # of laws in Ω
         for vertex in range(count):
             for block in self.eliminated(functionals[:, :, vertex], none):
-                found[block.cells, :, vertex] = -block.load
+                found[block.cells, :, vertex] -= block.load
         return found
 
     def of_cells(self, matrices: Array) -> PETSc.Mat:

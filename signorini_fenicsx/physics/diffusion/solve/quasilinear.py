@@ -20,6 +20,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.loop import LINEAR
 from signorini_fenicsx.methods.task import Loop
 
 CHANGE = 1e-9
@@ -38,6 +39,8 @@ EXACT = 1e-13
 """Newton's method ends where no residual is above this share of u, or where they do not fall below `CHANGE` of it."""
 FALLS, PATIENCE = 0.9, 8
 """Newton's method has failed where its residual has not fallen to this share of the least one in so many steps."""
+KEPT = "u gives the κ of its problem"
+"""Why it ends."""
 POWERS, SHORTEST = 5, 1e-3
 """How many powers of κ are tried at first, and the shortest step from one to another."""
 
@@ -89,7 +92,9 @@ class QuasiLinear:
         data, last = self.backend.data, self.changes[-1]
         dry = int(np.count_nonzero(data.quasilinear.on_floor(data.kappa_values)))
         about = {"kappa_problems": len(self.changes), "kappa_change": last.largest, "kappa_energy_change": last.energy}
-        return replace(outcome, details=outcome.details | about | {"dry_cells": self.backend.comm.allreduce(dry)})
+        about["dry_cells"] = self.backend.comm.allreduce(dry)
+        reason = KEPT if outcome.reason == LINEAR else f"{outcome.reason}, and {KEPT}"
+        return replace(outcome, details=outcome.details | about, reason=reason if outcome.converged else outcome.reason)
 
     @property
     def _found(self) -> bool:
