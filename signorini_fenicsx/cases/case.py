@@ -293,7 +293,7 @@ def _below(branch: Any, section: str, key: str) -> Any:
         return branch[int(section)]
     if not isinstance(branch, dict):
         raise InputError(f"{key}: no such key in a case")
-    if section in ("law", "quantity") and section not in branch:
+    if section in ("law", "pair", "quantity") and section not in branch:
         raise InputError(f"{key}: the case has no [[{section}]]")
     return branch.setdefault(section, {})
 

@@ -187,8 +187,8 @@ def shipped_text(name: str) -> str:
         InputError: If there is no such case.
     """
     path = file_of("case", name)
-    text, tree = text_of(path), read_toml(path)
-    file = tree.get("geometry", {}).get("file")
-    if file is None:
-        return text
-    return text.replace(json.dumps(file), json.dumps(os.path.normpath(path.parent / file)))
+    text, geometry = text_of(path), read_toml(path).get("geometry", {})
+    bodies = [body if isinstance(body, str) else body.get("file") for body in geometry.get("bodies", {}).values()]
+    for file in filter(None, [geometry.get("file"), *bodies]):
+        text = text.replace(json.dumps(file), json.dumps(os.path.normpath(path.parent / file)))
+    return text

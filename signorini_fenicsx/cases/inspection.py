@@ -14,6 +14,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.solving import check_quantities_of, options_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
+from signorini_fenicsx.discrete.paired import overviews
 from signorini_fenicsx.meshes.checks import faces, left_over, neighbours
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES
@@ -69,12 +70,14 @@ class Checked:
         counts: Numbers of cells and of facets of Γ_S, which in elasticity is Γ_C, Γ_N and Γ_D.
         left: Parts of Γ_D that no list has; "" stands for facets in no part.
         parts: For each part its condition, the number of its facets, and their measure.
+        pairs: Of each pair of surfaces how they cover each other, distances and sizes of facets, in a line.
         remarks: What is worth knowing of the data besides, in sentences.
     """
 
     counts: Mapping[str, int]
     left: Sequence[str]
     parts: Mapping[str, Mapping[str, Any]]
+    pairs: Sequence[str]
     remarks: Sequence[str]
 
 
@@ -165,7 +168,8 @@ def check(case: CaseFile, comm: MPI.Comm) -> Checked:
     ]
     names = ("cells", f"{contact}_facets", "neumann_facets", "dirichlet_facets")
     totals = dict(zip(names, comm.allreduce(np.array(counts)).tolist(), strict=True))
-    return Checked(totals, _left(case, spaces), _parts(case, spaces), [*spaces.notices, *remarks])
+    pairs = [each.line() for each in overviews(getattr(spaces, "joints", ()), comm)]
+    return Checked(totals, _left(case, spaces), _parts(case, spaces), pairs, [*spaces.notices, *remarks])
 
 
 def _parts(case: CaseFile, spaces: MeshSpaces) -> dict[str, dict[str, Any]]:

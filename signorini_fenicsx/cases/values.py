@@ -1,7 +1,7 @@
 """Types of the values in a case file: numbers, names, expressions, matrices of these."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -122,6 +122,20 @@ def _leaves(value: Text | str) -> list[str]:
     return [value] if isinstance(value, str) else [text for entry in value for text in _leaves(entry)]
 
 
+def _names(value: object) -> object:
+    """One name as a list of it."""
+    return [value] if isinstance(value, str) else value
+
+
+def _direction(value: object) -> object:
+    """Refuse what is neither "normal" nor a vector."""
+    if value != "normal" and not isinstance(value, list):
+        raise ValueError(f'must be "normal", or a vector such as [0, -1], not {shown(value)}')
+    return value if value == "normal" else [number(each) for each in value]
+
+
+PartNames = Annotated[list[str], BeforeValidator(_names), Field(min_length=1)]
+Direction = Annotated[Literal["normal"] | list[float], BeforeValidator(_direction)]
 Positive = Annotated[float, BeforeValidator(number), Field(gt=0, allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(number)]
 MATRICES = (), (2, 2), (3, 3)

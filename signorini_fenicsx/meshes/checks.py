@@ -259,7 +259,7 @@ def _rows_of_parts(mesh: FileMesh, rows: Indices) -> dict[str, Indices]:
 def key_of(section: str) -> str:
     """How a case file names the list of the parts with one kind of condition."""
     place, _, key = section.rpartition(".")
-    return section if place.startswith("law.") else f"[{place or 'boundary'}] {key}"
+    return section if place.startswith(("law.", "pair.")) else f"[{place or 'boundary'}] {key}"
 
 
 def _check_components(mesh: FileMesh, everything: Indices, fixed: Indices) -> None:

@@ -59,6 +59,10 @@ def test_examples_are_shipped():
             "rock",
             "soil",
             "sphere",
+            "lap_joint",
+            "press_fit",
+            "roller",
+            "sliding_block",
             "stack",
             "two_cylinders",
         ]

@@ -12,10 +12,13 @@ from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
 from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.values import (
+    Direction,
     Directions,
     Expression,
     ExpressionByPart,
     Moduli,
+    PartNames,
+    Positive,
     Stiffnesses,
     Vector,
     VectorByPart,
@@ -25,7 +28,7 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
 from signorini_fenicsx.discrete.on_parts import one_value
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Pair, Tied, Tresca
 from signorini_fenicsx.physics.elasticity.problem import (
     ElasticBoundary,
     ElasticProblem,
@@ -65,13 +68,17 @@ class ElasticParts(Parts):
             raise ValueError(str(error)) from None
         return self
 
-    def read(self, contact: list[str], turned: Sequence[str] = ()) -> ElasticBoundary:
+    def read(self, contact: list[str], turned: Sequence[str] = (), pairs: Sequence[Pair] = ()) -> ElasticBoundary:
         """The boundary for the solver, with these parts in contact, some of which have their law from the other side.
+
+        The other parts of pairs have no condition.
 
         Raises:
             InputError: If a component is unknown.
         """
-        return ElasticBoundary(contact, self.neumann, self.fixed, self.inner, turned=turned)
+        beside = [part for each in pairs for part in (each.master if each.on_slave else each.parts)]
+        paired, pulled = [each.on_boundary for each in pairs], [*self.neumann, *beside]
+        return ElasticBoundary(contact, pulled, self.fixed, self.inner, turned=turned, pairs=paired)
 
 
 OF_DATA = OF_LAWS | {
@@ -98,8 +105,8 @@ WITHOUT_FRICTION = data_section(
 )
 
 
-class WithFriction(WITHOUT_FRICTION):  # type: ignore[misc, valid-type]
-    """The data of contact with friction."""
+class FrictionTexts(DataSection):
+    """The data of friction."""
 
     g: Expression | None = None
     mu: Expression | None = None
@@ -111,10 +118,16 @@ class WithFriction(WITHOUT_FRICTION):  # type: ignore[misc, valid-type]
         return self
 
 
-WITH_CONTACT = {"contact": WITHOUT_FRICTION, "friction": WithFriction}
+class WithFriction(FrictionTexts, WITHOUT_FRICTION):  # type: ignore[misc, valid-type]
+    """The data of contact with friction."""
+
+
+WITHOUT_SURFACE: dict[str, type[DataSection]] = {"contact": DataSection, "friction": FrictionTexts, "tied": DataSection}
+WITH_CONTACT: dict[str, type[DataSection]] = {"contact": WITHOUT_FRICTION, "friction": WithFriction}
 NORMAL = tuple(name for name, kind in LAWS.items() if kind not in (Friction, River, Seepage))
 
 
+SIDES = ("slave", "master")
 IN_WORDS = {
     "contact": ("Contact without friction.", []),
     "friction": ("Contact with Coulomb's friction, |σ_t| ≤ mu · pressure.", ["mu = 0.3"]),
@@ -140,12 +153,48 @@ class ContactTexts(KindSection):
         data = dict(self.model_extra or {})
         if self.kind not in WITH_CONTACT:
             return LAWS[self.kind](self.parts, **data)
-        bounds = [friction(data.pop(key)) for key, friction in (("g", Tresca), ("mu", Coulomb)) if key in data]
-        return Contact(self.parts, **data, friction=next(iter(bounds), None))
+        friction = _friction_or_none(data)
+        return Contact(self.parts, **data, friction=friction)
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key."""
         return [*([] if self.gap is None else [("gap", self.gap)]), *super().texts()]
+
+
+def _friction_or_none(data: dict[str, Any]) -> Tresca | Coulomb | None:
+    """The friction of some data, whose bound is taken out of them."""
+    bounds = [friction(data.pop(key)) for key, friction in (("g", Tresca), ("mu", Coulomb)) if key in data]
+    return next(iter(bounds), None)
+
+
+class PairTexts(KindSection):
+    """`[[pair]]`: two surfaces that share no nodes, which touch or are apart, with contact or another law between them.
+
+    The keys of laws are those of `[[law]]`; `tied` has none.
+    """
+
+    word = "pair"
+    of_kind = WITHOUT_SURFACE | {name: OF_KIND[name] for name in NORMAL}
+    kind: Annotated[str, choice("kind of a pair", tuple(of_kind))]
+    slave: PartNames
+    master: PartNames
+    direction: Direction = "normal"
+    within: Positive | None = None
+    gap: Expression = "distance"
+
+    def made(self) -> Pair:
+        """The pair."""
+        data = dict(self.model_extra or {})
+        law: Any = {"contact": None, "tied": Tied()}.get(self.kind)
+        if self.kind in NORMAL:
+            law = LAWS[self.kind]((), **data)
+        elif self.kind == "friction":
+            law = _friction_or_none(data)
+        return Pair(self.slave, self.master, law, self.direction, self.within, self.gap)
+
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key; of the gap what is given besides the distance."""
+        return [("gap", str(self.made().added[1])), *super().texts()]
 
 
 OF_PROBLEM = data_section(
@@ -193,6 +242,7 @@ class ElasticCase(CaseFile):
     boundary: ElasticParts
     problem: ElasticTexts
     law: Annotated[list[ContactTexts], Field(default=[], exclude_if=lambda laws: not laws)]
+    pair: Annotated[list[PairTexts], Field(default=[], exclude_if=lambda pairs: not pairs)]
     exact: ElasticExact = ElasticExact()
 
     @property
@@ -216,7 +266,9 @@ class ElasticCase(CaseFile):
     @property
     def states(self) -> tuple[str, str]:
         """What reports call vertices under the two conditions; with friction in the tangential component as well."""
-        return ("free", "held") if any(law.kind != "contact" for law in self.law) else ("open", "contact")
+        return (
+            ("free", "held") if {each.kind for each in [*self.law, *self.pair]} - {"contact"} else ("open", "contact")
+        )
 
     @property
     def lists(self) -> dict[str, list[str]]:
@@ -227,7 +279,13 @@ class ElasticCase(CaseFile):
         for key in friction:  # beside a law in the normal direction
             others = [part for other, parts in alone.items() if other not in friction for part in parts]
             alone |= {key: [part for part in alone.get(key, []) if part not in others]}
+        alone |= {f"pair.{i}.{side}": getattr(each, side) for i, each in enumerate(self.pair) for side in SIDES}
         return alone | {"contact": [part for part in self.boundary.contact if part not in in_laws]}
+
+    def texts(self) -> list[tuple[str, str, bool]]:
+        """Each expression, also those of pairs, see `CaseFile.texts`."""
+        of_pairs = [(f"pair.{i}.{key}", text, True) for i, pair in enumerate(self.pair) for key, text in pair.texts()]
+        return [*super().texts(), *of_pairs]
 
     @property
     def meeting(self) -> list[str]:
@@ -236,13 +294,17 @@ class ElasticCase(CaseFile):
 
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
+        for pair in self.pair:
+            for side, other in (SIDES, SIDES[::-1]):
+                if part in getattr(pair, side):
+                    return f"{side} of {', '.join(getattr(pair, other))}, {pair.kind}"
         word = "elastic support" if part in self.problem.support else super().condition_of(part)
         return {"friction": "contact with friction"}.get(word, word)
 
     @property
     def approach(self) -> str:
         """What is solved and how, in words."""
-        return f"{'elastic contact' if self.meeting else 'elasticity'}, {self.solve.algorithm}"
+        return f"{'elastic contact' if self.meeting or self.pair else 'elasticity'}, {self.solve.algorithm}"
 
     @property
     def unproved(self) -> str:
@@ -265,10 +327,14 @@ class ElasticCase(CaseFile):
         values: dict[str, Any] = dict(self.problem)
         gaps = dict.fromkeys(self.boundary.contact, self.problem.gap)
         gaps |= {part: self.problem.gap if law.gap is None else law.gap for law in self.law for part in law.parts}
+        pairs = [pair.made() for pair in self.pair]
+        on_slaves = [on_slave for pair in pairs if (on_slave := pair.on_slave) is not None]
+        gaps |= {part: pair.added[1] for pair in pairs if pair.on_slave is not None for part in pair.slave}
         values["gap"] = one_value(gaps, self.problem.gap)
         laws = [law.made() for law in self.law]
         turned = [part for law in laws if getattr(law, "behind", False) for part in law.parts]
-        meeting, boundary = of_meeting(laws), self.boundary.read(self.meeting, turned)
+        contact = [*self.meeting, *(part for each in on_slaves for part in each.parts)]
+        meeting, boundary = of_meeting([*laws, *on_slaves]), self.boundary.read(contact, turned, pairs)
         problem = ElasticProblem(**values, **meeting, exact=self.exact.u, boundary=boundary)
         if step is None or self.time is None:
             return problem

@@ -27,7 +27,7 @@ from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.show import shown
 from signorini_fenicsx.physics.elasticity.show.differences import differences
-from signorini_fenicsx.physics.elasticity.show.notes import large_deformation, notes_of
+from signorini_fenicsx.physics.elasticity.show.notes import far_slides, large_deformation, notes_of
 from signorini_fenicsx.physics.elasticity.show.readings import quantities
 from signorini_fenicsx.physics.elasticity.show.shown import STATES
 from signorini_fenicsx.physics.elasticity.solve.residuals import (
@@ -358,7 +358,7 @@ class ElasticSolution(Solution):
 
     def notes(self) -> list[str]:
         """See `Solved.notes`."""
-        return [*notes_of(self.spaces, self.data), *super().notes(), *self.own_notes()]
+        return [*notes_of(self.spaces, self.data), *super().notes(), *self.own_notes(), *far_slides(self)]
 
     def own_notes(self) -> list[str]:
         """What the size of u says (collective)."""

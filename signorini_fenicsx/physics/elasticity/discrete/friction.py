@@ -278,7 +278,7 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
     """
     rubbing = [(index, law) for index, law in enumerate(laws) if not is_normal(law)]
     rough, dim = spaces.rough, spaces.dim
-    number, order = len(rough.facets), np.argsort(rough.facets)
+    number = len(rough.facets)
     coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
     none = np.zeros((number, dim))
     slipping = Slipping.nowhere(number) if dim == 3 and rubbing else None
@@ -288,8 +288,8 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
         key = "mu" if isinstance(law, CoulombLaw) else "g"
         name, given = f"law.{index}.{key}", getattr(law, key)
         for part in law.parts:
-            facets = spaces.part(part)
-            rows = order[np.searchsorted(rough.facets, facets.facets, sorter=order)]
+            rows = np.flatnonzero(np.isin(rough.facets, spaces.domain.facets[part]))  # a pair leaves some facets out
+            facets = rough.take(rows)
             values, datum = _lower_values(spaces, name, given, facets)
             if isinstance(law, CoulombLaw):
                 bounds.mu[rows], bounds.bound[rows], bounds.coulomb[rows] = values, STICKS, True

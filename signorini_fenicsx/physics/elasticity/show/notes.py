@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_words
 from signorini_fenicsx.discrete.curved import curved_parts
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
+from signorini_fenicsx.discrete.paired import overviews
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -22,7 +25,7 @@ SMALL = 0.1
 
 
 def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
-    """Where displacements that are given jump, or the gap (collective)."""
+    """Where displacements that are given jump, or the gap; what would be better for pairs (collective)."""
     given = [("gap", data.gap, spaces.contact.facets, TIGHTER)]
     for facets, _, _, of in spaces.fixed:
         given += [("u_D", data.u_D.components[r], facets.facets, NO_TRACE) for r in of]
@@ -32,7 +35,8 @@ def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
         for mask, part in datum.by_facets(facets)
         for note in jump_in_words(spaces, name, part, facets[mask], so)
     ]
-    return list(dict.fromkeys(notes))
+    advice = [sentence for each in overviews(spaces.joints, spaces.mesh.comm) for sentence in each.advice()]
+    return [*dict.fromkeys(notes), *advice]
 
 
 def direction_of_gap(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
@@ -44,6 +48,36 @@ def direction_of_gap(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
         f"the gap on {', '.join(curved)} is the distance along the outer normal of each facet, which turns on the "
         "part; to a plane at the distance d along a direction m it is d/(n·m)"
     ]
+
+
+def far_slides(solution: ElasticSolution) -> list[str]:
+    """Pairs whose surfaces slide in contact by more than a facet (collective)."""
+    spaces, comm = solution.spaces, solution.spaces.mesh.comm
+    u = spaces.displacement_values(solution.u)
+
+    def on(facets: BoundaryFacets) -> Array:
+        return u[facets.cells][np.arange(spaces.dim + 1) != facets.local[:, None]].reshape(-1, spaces.dim, spaces.dim)
+
+    notes = []
+    for joint in spaces.joints if solution.converged else ():
+        pieces, normals = joint.pieces, joint.slave.normals
+        master = joint.of_masters(comm, on(spaces.boundary_facets(joint.masters)))[pieces.master]
+        moved = np.einsum("nab,nbi->nai", pieces.on_slave, on(spaces.boundary_facets(joint.slaves))[pieces.slave])
+        jump = moved - np.einsum("nab,nbi->nai", pieces.on_master, master)
+        across = normals[pieces.slave][:, None]
+        slides = np.linalg.norm(jump - across * (jump * across).sum(axis=2, keepdims=True), axis=2).max(
+            axis=1, initial=0
+        )
+        touching = solution.touching[spaces.rows_of(joint)].any(axis=1)
+        shares = slides / (2 * joint.slave.balls[1][pieces.slave])
+        shares = np.where(touching[pieces.slave], shares, 0.0) if len(touching) > 0 else 0 * shares
+        largest = largest_of(comm, shares[:, None], joint.slave.corners[pieces.slave, :1])
+        if largest["largest"] > 1:
+            notes.append(
+                f"pair {joint.pair.words}: they slide on each other by {largest['largest']:.2g} facets of the slave at "
+                f"{place_in_words(largest['at'])}, and the law holds between points that were opposite before"
+            )
+    return notes
 
 
 def large_deformation(solution: ElasticSolution) -> list[str]:

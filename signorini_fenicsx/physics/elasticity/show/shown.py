@@ -276,7 +276,7 @@ def drawn(solution: ElasticSolution) -> Drawn:
         | {kind: (facets, np.full(len(facets), np.nan)) for kind, facets in kinds.items()},
         cells={"u": u.mean(axis=1), "stress": stress},
         segments=[*_segment_names(solution), *STATES] if named else (),
-        inside=solution.boundary.inner,
+        inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
     )
 
 
@@ -317,7 +317,7 @@ def lines(solution: ElasticSolution, summary: Mapping[str, Any]) -> dict[str, st
         texts[f"on {part}"] += f"; the tool has moved by {_moved(about)}"
     if "least_gap" in summary:
         least = f"negative, down to {summary['least_gap']:.4g}"
-        other = "another body" if any(solution.boundary.inner) else "the foundation"
+        other = "another body" if solution.boundary.inner or solution.boundary.pairs else "the foundation"
         texts["gap"] = f"{least}: there {other} reaches into the body at rest, and is taken to press it back"
     for part, segments in summary.get("segments", {}).items():
         counts = ", ".join(f"{name} {count['vertices']}" for name, count in segments.items())

@@ -1,0 +1,6 @@
+// A box
+SetFactory("OpenCASCADE");
+Box(1) = {1, 0, 0.3, 2, 1, 0.3};
+Physical Surface("left") = {1}; Physical Surface("right") = {2}; Physical Surface("sides") = {3, 4};
+Physical Surface("bottom") = {5}; Physical Surface("top") = {6}; Physical Volume("box") = {1};
+Mesh.MeshSizeMin = 0.4; Mesh.MeshSizeMax = 0.4;

@@ -1,0 +1,121 @@
+"""Assemblies of bodies with meshes of their own by case files: exact and published numbers, `check`, wrong files."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import signorini
+from mpi4py import MPI
+
+from signorini_fenicsx import load_case, solve_case
+from signorini_fenicsx.cases.solving import evolve_case
+
+COMM = MPI.COMM_WORLD
+BLOCKS = """
+physics = "elasticity"
+[geometry]
+bodies = {up = {shape = "[0.2, 0.8] x [1, 1.5]", h = 0.3}, low = {shape = "square", h = 0.5, mesh = "structured"}}
+[boundary]
+neumann = ["up.left", "up.right", "low.left", "low.right"]
+[problem]
+young = {up = 1, low = 2}
+poisson = 0
+u_D = {"up.top" = [0, -0.05]}
+"""
+PAIR = """[[pair]]
+slave = "up.bottom"
+master = ["low.top"]
+kind = "contact"
+"""
+
+
+def on(solution: Any, part: str) -> Any:
+    """The contact on a part, as reports have it (collective)."""
+    return solution.quantities()["contact"][part]
+
+
+@pytest.mark.parallel([1, 3])
+def test_a_roller_on_a_block() -> None:
+    """NAFEMS has the peak 3585 and the half width 6.21."""
+    about = on(solve_case(load_case("roller")), "roller.face")
+    assert abs(about["peak_pressure"]["largest"] - 3585) < 0.01 * 3585
+    assert abs(about["width"] - 6.21) < 0.8 / 2 + 0.1  # half of a facet
+
+
+def test_a_press_fit() -> None:
+    """Lamé's pressure, by the mean over the face."""
+    solution = solve_case(load_case("press_fit"))
+    force = np.hypot(*solution.resultants()["shaft.face"][:2])
+    assert abs(force / (2 * np.sqrt(2)) - 1.9963e-4) < 0.005 * 1.9963e-4
+    assert any("curved" in note for note in solution.notes())
+
+
+def test_a_block_slides() -> None:
+    """The push is 0.3 times the weight in the end, whatever the mesh; the table feels both."""
+    *_, last = (instant.solution for instant in evolve_case(load_case("sliding_block")))
+    forces = last.resultants()
+    assert np.allclose(forces["block.right"][:2], [0.006, 0], atol=1e-12)
+    assert np.allclose(forces["table.top"][:2], [0.006, -0.02], atol=1e-12)
+
+
+def test_a_lap_joint_slides() -> None:
+    """The upper plate is held by 0.2 times the force of the bolt; the washer goes with it."""
+    solution = solve_case(load_case("lap_joint"))
+    forces = solution.resultants()
+    assert 0.99 * 0.005 < forces["upper.right"][0] < 0.005 * (1 + 1e-9)
+    assert abs(on(solution, "upper.top")["pressure_force"] - 0.025) < 1e-10
+    assert np.abs(forces["washer.bottom"][:2]).max() < 1e-10
+
+
+WRONG = [
+    (PAIR.replace('"up.bottom"', "3"), "pair.0.slave"),
+    ('slave = "up.bottom"', "missing"),
+    (PAIR + "mu = 0.3", "unknown key 'mu' of the pair 'contact'"),
+    (PAIR + 'gap = "distance*2"', "distance"),
+    (PAIR + "direction = [0]", "direction"),
+    (PAIR + 'direction = "up"', 'must be "normal"'),
+    (PAIR + "within = 0", "within"),
+    (PAIR + 'gap = "distance - w"', "pair.0.gap"),
+    (PAIR.replace("low.top", "low.tip"), "pair.0.master: unknown part 'low.tip'"),
+    (PAIR.replace("low.top", "up.bottom"), "up.bottom"),
+    (PAIR.replace("low.top", "low.left"), "listed twice"),
+    (PAIR.replace("contact", "glue"), "unknown kind of a pair 'glue'; use one of contact, friction, tied"),
+    (PAIR.replace("contact", "friction"), "must have either g"),
+    (PAIR + "within = 1e-3\ndirection = [0, 1]", "no facet of the slave is covered"),
+    ('[[law]]\nkind = "contact"\nparts = ["up.bottom", "low.top"]', "in a case file [[pair]]"),
+]
+
+
+@pytest.mark.parametrize(("pair", "words"), WRONG)
+def test_wrong_pairs_are_refused(tmp_path: Path, pair: str, words: str) -> None:
+    """One sentence, exit status 2, nothing written."""
+    text = pair if pair.startswith("[[") else "[[pair]]\n" + pair
+    (tmp_path / "case.toml").write_text(BLOCKS + text)
+    done = signorini(tmp_path, "solve", "case.toml", "--output", "out")
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_check_tells_how_surfaces_cover_each_other(tmp_path: Path) -> None:
+    """Facets, pieces, distances, and that a finer slave should be the master."""
+    (tmp_path / "case.toml").write_text(BLOCKS.replace("[1, 1.5]", "[1.25, 1.75]") + PAIR)
+    done = signorini(tmp_path, "check", "case.toml")
+    assert done.returncode == 0
+    told = " ".join(done.stdout.split())
+    assert "up.bottom on low.top: 3 slave facets; 3 master facets; 5 pieces; distance 0.25 to 0.25" in told
+    assert "swap slave and master" in told
+    assert "slave of low.top, contact" in told
+
+
+def test_bodies_in_no_pair_may_not_overlap(tmp_path: Path) -> None:
+    """A pair takes the overlap of its bodies; a third body in them is refused."""
+    deep = BLOCKS.replace("[1, 1.5]", "[0.99, 1.49]")
+    (tmp_path / "case.toml").write_text(deep + PAIR)
+    assert signorini(tmp_path, "check", "case.toml").returncode == 0
+    third = deep.replace("low = {", 'third = {shape = "[0, 1] x [0.1, 0.2]", h = 1}, low = {')
+    (tmp_path / "case.toml").write_text(third.replace("low = 2}", "low = 2, third = 1}") + PAIR)
+    done = signorini(tmp_path, "check", "case.toml")
+    assert done.returncode == 2
+    assert "two bodies overlap" in done.stderr
