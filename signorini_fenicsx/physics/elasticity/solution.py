@@ -310,9 +310,11 @@ class ElasticSolution(Solution):
         if not self.data.laws.of_parts:
             return FacetSet(spaces, open_by <= EXACT_CONTACT * largest)
         chains = self.data.laws.chains[:: spaces.dim]  # of the first vertex of each facet
-        opening = open_by - self.data.laws.p_h.reshape(-1, spaces.dim).mean(axis=1) - EXACT_CONTACT * largest
-        behind = (chains.p < opening[:, None]).sum(axis=1)
-        return FacetSet(spaces, np.take_along_axis(chains.slope, behind[:, None], axis=1)[:, 0] > 0)
+        opening, rounding = open_by - self.data.laws.p_h.reshape(-1, spaces.dim).mean(axis=1), EXACT_CONTACT * largest
+        behind = [(chains.p < (opening + side)[:, None]).sum(axis=1) for side in (-rounding, rounding)]
+        number = np.arange(chains.slope.shape[1])
+        near = (number >= behind[0][:, None]) & (number <= behind[1][:, None])
+        return FacetSet(spaces, (near & (chains.slope > 0)).any(axis=1))
 
     def of_step(self) -> dict[str, float]:
         """The row of `steps.csv`: peak stresses, motions of tools, force and mean u of each part (collective)."""

@@ -185,11 +185,11 @@ def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[s
     for part in more:
         if fixed.get(part, more[part]) != more[part]:
             raise InputError(f"fixed: part '{part}' has a law, by which '{more[part]}' is fixed, not '{fixed[part]}'")
-    parts = [part for law in normal for part in law.parts]
+    parts = [part for law in laws for part in law.parts]
     return {
         "laws": tuple(law if isinstance(law, Law) else Friction(law.parts, law.g) for law in laws),
         "boundary": StokesBoundary(
-            contact=[*parts, *(part for law in slips for part in law.parts)],
+            contact=parts,
             neumann=neumann,
             fixed={**fixed, **more},
             turned=parts,
@@ -199,7 +199,7 @@ def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[s
 
 @dataclass(frozen=True)
 class StokesBoundary(ElasticBoundary):
-    """The parts of the boundary as those of an elastic body: Γ_C has the laws, those for u_n from the other side."""
+    """The parts of the boundary as those of an elastic body: Γ_C has the laws, all from the other side."""
 
     physics: ClassVar[str] = "stokes"
     words: ClassVar[tuple[str, str, str]] = ("what a law allows", "its −least", "velocity")

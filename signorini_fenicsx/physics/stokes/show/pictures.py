@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.panels import File, Panel, Pictures, Where, error_panel
+from signorini_fenicsx.pictures.panels import File, Panel, Pictures, Where
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.streams import streamlines
 
@@ -31,10 +31,13 @@ def files(scene: Scene) -> dict[str, File]:
         Panel("gap", Where.GAMMA, "velocity outwards", curves={"gap": ("$u_n$", line | {"color": "C0"})}),
         Panel("pressure", Where.GAMMA, "traction", curves={"pressure": (r"$\sigma_{nn}$", line | {"color": "C3"})}),
     ]
+    if (scene.sites.state >= 0).any():
+        slips = {"shear": (r"$\sigma_t$", line | {"color": "C2"})}, {"sliding": ("$u_t$", line | {"color": "C1"})}
+        for (what, title), curves in zip((("shear_vector", "shear"), ("sliding_vector", "slip")), slips, strict=True):
+            along.append(Panel(what, Where.GAMMA, title, curves=curves, colours=style.SIGNED_MAP))
     return {
         "flow": (f"{scene.title}\n{scene.caption}", [*panels, Panel(p, Where.MAP, "pressure", **pressure)]),
         "laws": (scene.caption, along if scene.labels else []),
-        "certificate": ("", error_panel(scene)),
     }
 
 

@@ -16,7 +16,7 @@ from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
 
 NAMES = {"pressure": "sigma_nn", "gap": "u_n", "contact": "closed"}
-"""What bodies have in contact, and what that is under laws of a flow; on walls with slip it is −σ_nn."""
+"""What bodies have in contact, and what that is under laws of a flow, which are from the other side."""
 
 
 def pressure_of(stresses: Array) -> Array:
@@ -27,7 +27,7 @@ def pressure_of(stresses: Array) -> Array:
 def fields(solution: Any) -> Fields:
     """The fields, see `Solved.fields`: u_h, σ_h and p as they are, and what is missing in the balance.
 
-    On parts with laws they are u_h, u_n less its least or 0, σ_nn from the references, and the states.
+    On parts with laws they are u_h, u_n, σ_nn, and the states.
     """
     found = dict(of_bodies.fields(solution))
     found[IN_CELLS] = [*found[IN_CELLS], Field("pressure", pressure_of(solution.stresses))]
