@@ -23,13 +23,14 @@ from signorini_fenicsx.cli.evolving import EvolutionReport, solve_in_time
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.physics.elasticity.case import ElasticCase
 from signorini_fenicsx.pictures import style
 
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
 """The diameter of a shape divided by h."""
 WIDTH = 900
+FIRST = {"elasticity": "deformed", "stokes": "flow"}
+"""Which picture is kept of a physics, if not u."""
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
 STRIP = {
     "example2": (0.0825, 0.055, 0.452, 0.82),
@@ -48,7 +49,7 @@ def draw(name: str) -> None:
         shape = shape_of(case.geometry.shape)
         case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
-        picture = Path(folder) / ("deformed.png" if isinstance(case, ElasticCase) else "u.png")
+        picture = Path(folder) / f"{FIRST.get(case.PHYSICS, 'u')}.png"
         if case.time is not None:
             kept = {"restart": False, "certify_steps": False}
             solve_in_time(case, MPI.COMM_WORLD, EvolutionReport(quiet=True), Path(folder, "x"), **kept, plot=True)

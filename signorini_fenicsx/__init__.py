@@ -8,6 +8,7 @@ A problem:
   `Friction`, `TwoSided`, `Wall`, `Regulator`, `Seepage`, `River` and `Corners`; in regions `Obstacle`, `Reaction`,
   `Corners` and, in time, `Storage`;
   κ may be a soil, `VanGenuchten`, `Gardner` or `BrooksCorey`;
+- `Stokes` holds those of a viscous flow, with `Outflow`, `Slip` and `Leak`;
 - `load_case` reads a case file, or a shipped case by its name.
 
 Solving it:

@@ -95,6 +95,7 @@ from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.diffusion.soils import BrooksCorey, Gardner, VanGenuchten
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Pair, Tied, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure, Support
+from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
 from signorini_fenicsx.solution import Solution
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.evolving import evolve
@@ -114,10 +115,12 @@ __all__ = [
     "Friction",
     "Gardner",
     "InputError",
+    "Leak",
     "Neumann",
     "NumericalFailure",
     "Obstacle",
     "Options",
+    "Outflow",
     "Pair",
     "Pressure",
     "Reaction",
@@ -125,9 +128,11 @@ __all__ = [
     "River",
     "Seepage",
     "Signorini",
+    "Slip",
     "Solution",
     "Solver",
     "StepBounds",
+    "Stokes",
     "Storage",
     "Support",
     "Tied",

@@ -154,10 +154,10 @@ def adapt[S: Solved](
         raise InputError(f"the first mesh, h = {domain.h:.3g}, has {cells}")
     solve_on = problem if callable(problem) else _solving(domain, problem)
     solution, start, mesh = solve_on(domain, None), None, 0
-    if PHYSICS[solution.physics].bound is None:
-        raise InputError(f"adapt: no error bound is known for {solution.physics}, by which a mesh could be refined")
     while True:
         check_kind("what `problem` returns", solution, Solved)
+        if PHYSICS[solution.physics].bound is None:
+            raise InputError(f"adapt: no error bound is known for {solution.physics}, by which a mesh could be refined")
         start = solution if solution.method.starts_from_sets else None
         with _after(solution):
             certificate = certify(solution)

@@ -19,6 +19,7 @@ from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cli.app import app
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.elasticity.case import ContactTexts, ElasticCase
+from signorini_fenicsx.physics.stokes.case import FlowLaw, StokesCase
 
 PUBLIC = {"signorini_fenicsx": signorini_fenicsx, "signorini_fenicsx.extend": extend}
 ROOT = Path(__file__).parents[2]
@@ -52,11 +53,11 @@ def test_commands(command: str):
 
 def test_keys_of_case_files():
     """Each key that a page shows in a case file is one of a case, also those behind `# `."""
-    models = [definition for model in (Case, ElasticCase) for definition in schemas(model)]
+    models = [definition for model in (Case, ElasticCase, StokesCase) for definition in schemas(model)]
     known = {name for definition in models for name in definition.get("properties", {})}
     known |= {
         key
-        for model in (LawTexts, ContactTexts, QuantityTexts)
+        for model in (LawTexts, ContactTexts, FlowLaw, QuantityTexts)
         for own in model.of_kind.values()
         for key in keys_of(own)
     }
