@@ -12,6 +12,7 @@ from signorini_fenicsx import (
     Dirichlet,
     InputError,
     Neumann,
+    NumericalFailure,
     Options,
     Seepage,
     Signorini,
@@ -222,3 +223,11 @@ def test_soils_of_a_case(tmp_path: Path):
         solve(square, Diffusion(kappa="u - 9", f=1))
     with pytest.raises(InputError, match="alg1 or alg2"):
         solve(square, Diffusion(kappa="1 + u^2", f=1), Options(algorithm="alg3"))
+
+
+def test_failure():
+    """Where no u is found that gives its κ, the run says by how much κ still changes, and keeps the state."""
+    square = build_domain(COMM, "square", 0.3, mesh="structured")
+    with pytest.raises(NumericalFailure, match="the last u still changes κ by") as failure:
+        solve(square, Diffusion(kappa="exp(-60*u)", f=9, conditions=[Signorini("bottom")]))
+    assert not failure.value.solution.converged

@@ -132,7 +132,8 @@ class Data:
             InputError: If κ is not positive.
         """
         comm = spaces.mesh.comm
-        least = comm.allreduce(float(np.nan_to_num(values, nan=-np.inf).min(initial=np.inf)), MPI.MIN)
+        usable = np.where(values < np.inf, values, -np.inf)  # NaN is not
+        least = comm.allreduce(float(usable.min(initial=np.inf)), MPI.MIN)
         if not least > 0:
             raise InputError(f"[problem] kappa: must be positive; for a u that occurs it is {least:.3g}")
         means = values.mean(axis=1)

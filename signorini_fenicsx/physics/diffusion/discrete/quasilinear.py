@@ -130,8 +130,9 @@ class Quasilinear:
         """κ and its derivative where û is looked at."""
         (value, slope), power = self._of_u(traces + self.constant), self.power
         if power < 1:
-            moved = self._first ** (1 - power) * value**power
-            value, slope = moved, power * moved / value * slope
+            with np.errstate(all="ignore"):  # a κ of no use is refused
+                moved = self._first ** (1 - power) * value**power
+                value, slope = moved, power * moved / value * slope
         return value, slope
 
     def _of_u(self, u: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ What is judged is the largest change of κ, and the energy norm of (κ(x, u) −
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -78,9 +79,10 @@ class QuasiLinear:
         """The solution whose u gives its κ (collective)."""
         outcome = self._frozen()
         for way in (self._anderson(FIRST), self._newton(), self._anderson(FIRST), self._newton(), self._by_powers()):
-            for outcome in way:
-                if self._found or not outcome.converged:
-                    return self._told(outcome)
+            with contextlib.suppress(LinearSolveFailure):  # as where κ differs by too many orders
+                for outcome in way:
+                    if self._found or not outcome.converged:
+                        return self._told(outcome)
         last = self.changes[-1]
         return self._told(outcome).ended(
             f"after {len(self.changes)} problems with a fixed κ the last u still changes κ by {last.largest:.1e} of "
@@ -134,9 +136,12 @@ class QuasiLinear:
             if len(x) > 1:
                 moved, fallen = np.diff(x, axis=0), np.diff(left, axis=0)
                 squares = backend.comm.allreduce(fallen @ np.column_stack([fallen.T, left[-1]]))
+                if not np.isfinite(squares).all():
+                    return
                 shares = np.linalg.lstsq(squares[:, :-1], squares[:, -1], rcond=RANK)[0]
                 step = step - shares @ (moved + RELAXED * fallen)
-            kappa = np.exp(x[-1] + step).reshape(backend.data.kappa_values.shape)
+            with np.errstate(over="ignore"):
+                kappa = np.exp(x[-1] + step).reshape(backend.data.kappa_values.shape)
             try:
                 backend.take_kappa(backend.data.with_kappa(backend.spaces, kappa))
             except InputError:
@@ -191,3 +196,5 @@ class QuasiLinear:
                 backend.x.array_w[:] = kept[0]
                 backend.take_kappa(backend.data.with_kappa(backend.spaces, kept[1]))
         with_power(1.0)
+        if done < 1:
+            yield self._frozen()
