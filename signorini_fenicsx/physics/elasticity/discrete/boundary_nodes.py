@@ -274,7 +274,9 @@ def in_pieces(
         masters = facet_coefficients(split, space, spaces.boundary_facets(joint.masters))
         plain = np.flatnonzero(~np.isin(contact.rows, slaves))
         pieces = pieces.take(np.isin(slaves[pieces.slave], contact.rows))
-        own = plain[:0] if len(pieces) == 0 else np.searchsorted(contact.rows, slaves[pieces.slave])
+        order = np.argsort(contact.rows, kind="stable")  # those of pairs before are at the end
+        at = np.searchsorted(contact.rows, slaves[pieces.slave], sorter=order)
+        own = plain[:0] if len(pieces) == 0 else order[at]
         rows, first = np.append(plain, own), len(plain)
         across = np.searchsorted(masters.rows, pieces.master - joint.first)
         opened = np.zeros((len(pieces), spaces.dim))
