@@ -147,7 +147,7 @@ LAW = '[[law]]\nkind = "friction"\nparts = ["bottom"]\nmuu = 0.3'
         (
             'h = "1/4"',
             f'h = "1/4"\n{LAW}',
-            "unknown key 'muu' of the law 'friction'; known are kind, parts, gap, surface, force, moment, behind, g, mu",
+            "unknown key 'muu' of the law 'friction'; known are kind, parts, gap, surface, force, moment, behind, g",
         ),
         ('["bottom"]', '["floor"]', "contact: unknown part 'floor' of square"),
         ('h = "1/4"', 'h = "1/4"\nalgorithm = "vi"', "[solve] algorithm: elastic contact is solved by alg1 or alg2"),

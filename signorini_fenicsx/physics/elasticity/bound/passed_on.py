@@ -22,6 +22,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.fenicsx import bisected
 from signorini_fenicsx.base.owned import cell_nodes
 from signorini_fenicsx.discrete.linear_traces import linear_values
 from signorini_fenicsx.discrete.overlay import Pieces, common_parts
@@ -63,7 +64,7 @@ def fine_cells(dim: int) -> FineCells:
         near = dolfinx.mesh.locate_entities(mesh, dim - 1, lambda x: np.abs(x[dim - 1]) < 1e-9)
         mesh.topology.create_connectivity(dim - 1, 1)
         edges = dolfinx.mesh.compute_incident_entities(mesh.topology, near, dim - 1, 1)
-        mesh, _, _ = dolfinx.mesh.refine(mesh, edges)
+        mesh, _, _ = bisected(mesh, edges)
     numbers = np.sort(cell_nodes(mesh), axis=1)
     x = mesh.geometry.x[numbers, :dim]
     facets = numbers[:, opposite(dim)]
