@@ -39,7 +39,7 @@ def files(scene: Scene) -> dict[str, File]:
     """The pictures of a solution."""
     fields, u = scene.fields, scene.fields.at_points["u"]
     size, largest = float(np.ptp(fields.points, axis=0).max()), float(np.linalg.norm(u, axis=1).max(initial=0.0))
-    factor, apart = _rounded(SHARE * size / largest) if largest > 0 else 1.0, _apart(scene, APART * size)
+    factor, apart = _enlarged(scene, SHARE * size, largest), _apart(scene, APART * size)
     moved = fields.points + factor * u + apart
     what = "displacement and gap" if scene.labels else "displacement"
     told = f"{what} × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
@@ -119,9 +119,10 @@ def _apart(scene: Scene, distance: float) -> Array:
 
     Their meshes fit together, so that they would cover each other where they are pressed over the gap.
     """
-    facets, points, inside = scene.facets, scene.fields.points, _inside(scene)
+    facets, points = scene.facets, scene.fields.points
     assert isinstance(facets, BodyFacets)
-    if not facets.apart.any():
+    inside = _inside(scene) & (facets.paired == 0)
+    if not facets.apart[inside].any():
         return np.zeros_like(points)
     size = len(points)
     body = joined(size, scene.fields.cells)
@@ -135,6 +136,17 @@ def _apart(scene: Scene, distance: float) -> Array:
     rows[each, named_body[two]], rows[each, other_body[two]] = 1.0, -1.0
     moved = np.linalg.lstsq(rows, -distance * facets.normals[inside][two], rcond=None)[0]
     return np.asarray(moved[body])
+
+
+def _enlarged(scene: Scene, most: float, largest: float) -> float:
+    """How many times displacements are drawn: the largest is not much longer than the most.
+
+    Where surfaces that share no nodes have a distance, displacements are not enlarged, as that distance is not.
+    """
+    facets = scene.facets
+    assert isinstance(facets, BodyFacets)
+    factor = _rounded(most / largest) if largest > 0 else 1.0
+    return min(factor, 1.0) if facets.apart[facets.paired > 0].any() else factor
 
 
 def _inside(scene: Scene) -> Mask:
@@ -185,7 +197,7 @@ def _near(scene: Scene) -> tuple[Scene, Mask, float] | None:
         return None
     moves = fields.at_points["u"] - fields.at_points["u"][of_parts].mean(axis=0)
     largest = float(np.linalg.norm(moves[of_parts], axis=1).max())
-    factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
+    factor = _enlarged(scene, SHARE * size, largest)
     frame = np.stack([(low + high) / 2 - AROUND * size, (low + high) / 2 + AROUND * size])
     moved = fields.points + factor * moves
     shown = [places[fields.cells] for places in (fields.points, moved)]

@@ -251,12 +251,14 @@ class BodyFacets(Facets):
     Attributes:
         normals: The outer unit normals, shape (facets, d).
         gaps: The gap at the vertices of each facet, linear on it, shape (facets, d).
-        apart: The gap before any displacement there, 0 but for parts inside the domain.
+        apart: The gap before any displacement there, 0 but for parts inside the domain and slaves of pairs.
+        paired: 1 for slaves of pairs, else 0.
     """
 
     normals: Array
     gaps: Array
     apart: Array
+    paired: Array
 
 
 def drawn(solution: ElasticSolution) -> Drawn:
@@ -287,7 +289,9 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     apart = np.zeros((len(middle), spaces.dim))
     normal = spaces.site_kinds["normal"]
     means = normal.rows_of(solution.data.lift[normal.unknown] + solution.data.laws.p_h)
-    apart[spaces.inner.rows] = linear_from_means(means)[spaces.inner.rows]
+    slaves = np.concatenate([[], *(spaces.rows_of(joint) for joint in spaces.joints)]).astype(np.int64)
+    opposite = np.concatenate([spaces.inner.rows, slaves])
+    apart[opposite] = linear_from_means(means)[opposite]
     nodes = dolfinx.mesh.entities_to_geometry(spaces.mesh, spaces.dim - 1, contact.facets)
     numbers = np.take_along_axis(spaces.mesh.geometry.input_global_indices[nodes], contact.ranking, axis=1)
     ascending = np.argsort(numbers, axis=1)
@@ -300,6 +304,7 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
         normals=contact.normals,
         gaps=np.take_along_axis(solution.linear_gap, ascending, axis=1),
         apart=np.take_along_axis(apart, ascending, axis=1),
+        paired=np.isin(np.arange(len(middle)), slaves).astype(float),
     )
 
 
