@@ -16,7 +16,8 @@ def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
     geometry = case.geometry
     if geometry.shape is not None:
         return build_domain(comm, geometry.shape, case.solve.h, mesh=geometry.mesh, diagonal=geometry.diagonal)
-    domain = own_domain(comm, geometry.source, case.file_h, case.parts.named, case.sides)
+    pairs = [[*pair.slave, *pair.master] for pair in getattr(case, "pair", ())]
+    domain = own_domain(comm, geometry.source, case.file_h, case.parts.named, case.sides, pairs)
     case.check_dimension(domain.mesh.topology.dim)
     return domain
 

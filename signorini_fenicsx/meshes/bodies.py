@@ -6,7 +6,7 @@ are called `body.region`. The whole mesh is made on rank 0, and handed out then.
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +24,11 @@ from signorini_fenicsx.meshes.meshing import (
     build_domain,
     estimated_cells,
     expected_size,
-    handed_out,
     own_size,
 )
-from signorini_fenicsx.meshes.own import gathered
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
+from signorini_fenicsx.meshes.whole import check_pairs, gathered, handed_out
 
 SAME = 1e-9
 """Sizes that differ by less than this share are equal."""
@@ -150,7 +149,7 @@ class Bodies:
 
 
 @collector_off()
-def domain_of_bodies(bodies: Mapping[str, Domain]) -> Domain:
+def domain_of_bodies(bodies: Mapping[str, Domain], *, pairs: Sequence[Sequence[str]] = ()) -> Domain:
     """One domain of several that share nothing, as bodies with meshes of their own (collective).
 
     A part of a body is called `body.part`; its cells are the region `body`, or `body.region` where it has several. The
@@ -158,9 +157,11 @@ def domain_of_bodies(bodies: Mapping[str, Domain]) -> Domain:
 
     Args:
         bodies: The domains by the names of their bodies, all in the plane or all in space.
+        pairs: The names of the parts on both sides of each `Pair`, such as [["up.bottom", "low.top"]], whose cells get
+            to one rank: only there its error has a bound.
 
     Raises:
-        InputError: If a name has a dot, or a domain is cut along an inner part.
+        InputError: If a name has a dot, a domain is cut along an inner part, or there is no part of a pair.
     """
     check_kind("bodies", bodies, Mapping, hint='; an example is {"up": domain, "low": domain_of(…)}')
     meshes: dict[str, FileMesh | None] = {}
@@ -175,7 +176,8 @@ def domain_of_bodies(bodies: Mapping[str, Domain]) -> Domain:
     comm = next(iter(bodies.values())).mesh.comm
     whole = list[FileMesh]()
     on_root(comm, lambda: whole.append(_joined({name: mesh for name, mesh in meshes.items() if mesh is not None})))
-    return handed_out(comm, whole[0] if whole else None, ", ".join(bodies), "bodies")
+    check_pairs(pairs, [f"{name}.{part}" for name, domain in bodies.items() for part in domain.parts])
+    return handed_out(comm, whole[0] if whole else None, ", ".join(bodies), "bodies", pairs)
 
 
 def check_name(name: str) -> None:

@@ -1,7 +1,7 @@
 """Distributed meshes with named boundary parts and regions; these are passed on as vertices by files and refinement."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 from weakref import WeakKeyDictionary
 
@@ -75,6 +75,7 @@ class Domain:
         coarser: The mesh of which this one is a uniform refinement, with all cells on the rank of their parents, if
             there is one.
         unsided: The parts inside the domain of which a condition has to name the side, as the last coordinate does not.
+        together: Groups of parts, those of pairs of surfaces: the cells behind each group are on one rank.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -88,6 +89,7 @@ class Domain:
     made: str = "given"
     coarser: "Domain | None" = None
     unsided: frozenset[str] = frozenset()
+    together: tuple[tuple[str, ...], ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a mesh far from 0 whose cells are too small for its coordinates (collective).
@@ -174,11 +176,13 @@ class Marks:
         cells: Mask of the cells in each region, shape (cells, regions), for the cells that this rank passed when
             the mesh was made; None if it passed none.
         regions: Names of the regions.
+        together: See `Domain`.
     """
 
     facets: Mapping[str, Indices]
     cells: Mask | None
     regions: tuple[str, ...]
+    together: tuple[tuple[str, ...], ...] = ()
 
 
 def bounding_box(points: Array, comm: MPI.Comm) -> Array:
@@ -257,6 +261,20 @@ def _bring_together(comm: MPI.Comm, ranks: npt.NDArray[np.int32], pairs: Indices
     ranks[own[is_own]] = lowest[is_own]
 
 
+def brought_together(comm: MPI.Comm, groups: Sequence[Indices]) -> Indices:
+    """The pairs for `distribute` by which all cells of each group get to one rank (collective).
+
+    Args:
+        comm: Communicator.
+        groups: Some cells of each on each rank, by their numbers there.
+    """
+    pairs = [np.empty((0, 2), dtype=np.int64)]
+    for cells in groups:
+        first = comm.allreduce(int(cells.min(initial=np.iinfo(np.int64).max)), MPI.MIN)
+        pairs.append(np.column_stack([np.full_like(cells, first), cells]))
+    return np.concatenate(pairs)
+
+
 def largest_diameter(mesh: dolfinx.mesh.Mesh) -> float:
     """Largest cell diameter (collective)."""
     return float(mesh.comm.allreduce(mesh.h(mesh.topology.dim, owned_cells(mesh)).max(initial=0.0), MPI.MAX))
@@ -281,7 +299,8 @@ def marked_domain(
         inside = fetch_rows(mesh.comm, original_cells(mesh), marks.cells)
         regions = {name: np.flatnonzero(inside[:, k]).astype(np.int32) for k, name in enumerate(marks.regions)}
     facets = found(mesh, marks.facets, dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    return Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape, made, coarser)
+    domain = Domain(mesh, largest_diameter(mesh), parts, facets, regions, curvature, name, is_shape, made, coarser)
+    return replace(domain, together=marks.together)
 
 
 def found(

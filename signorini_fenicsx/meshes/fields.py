@@ -16,8 +16,8 @@ from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
-from signorini_fenicsx.meshes.meshing import handed_out
 from signorini_fenicsx.meshes.sampling import at_points
+from signorini_fenicsx.meshes.whole import handed_out
 
 WITHOUT = (".msh", ".geo")
 """Endings of files whose values are not read, as Gmsh reads their meshes."""

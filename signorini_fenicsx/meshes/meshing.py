@@ -22,12 +22,13 @@ from signorini_fenicsx.base.parallel import on_root, on_root_only
 from signorini_fenicsx.base.signals import listen_again
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters, faces
 from signorini_fenicsx.meshes.cut import Side, cut, opened
-from signorini_fenicsx.meshes.domain import AXES, Domain, Marks, axis_part, distribute, largest_diameter, marked_domain
+from signorini_fenicsx.meshes.domain import Domain, distribute, largest_diameter
 from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
+from signorini_fenicsx.meshes.whole import handed_out
 
 CURVATURE = 0.25
 """`Domain.curvature` of named shapes: radii of curvature R are at least 1/2, and a chord of length h ≤ R is at most
@@ -44,8 +45,6 @@ NEAR = 0.985
 diameter would have about 5 % fewer cells in space, which save less time than another mesh takes."""
 GOOD = 0.6
 """Gmsh improves tetrahedra of a worse quality before they are refined; its default is 0.3."""
-OWN_CURVATURE = 8.0
-"""`Domain.curvature` of a domain of size 1 from a file, on the assumption that radii are at least 1/64."""
 
 
 def estimated_cells(shape_name: str, h: float) -> float:
@@ -233,6 +232,7 @@ def own_domain(
     h: float | None,
     conditions: Mapping[str, Sequence[str]],
     sides: Mapping[str, Side] | None = None,
+    pairs: Sequence[Sequence[str]] = (),
 ) -> Domain:
     """Read or make a mesh that is of no named shape, and check it (collective).
 
@@ -242,6 +242,7 @@ def own_domain(
         h: Wanted largest cell diameter of a mesh that is made; None for the sizes of the source.
         conditions: The parts with each kind of condition, see `check_boundary`; the mesh is cut along those of "inner".
         sides: The named sides of inner parts, see `cut.opened`.
+        pairs: The parts of each pair of surfaces, see `Domain.together`.
 
     Raises:
         InputError: If the source, its mesh or its parts cannot be used, or the mesh does not fit into memory.
@@ -257,7 +258,7 @@ def own_domain(
 
     dim, size, levels = on_root(comm, about)
     check_memory(comm, source.words, dim, size * 2 ** (dim * levels))
-    domain = handed_out(comm, read[0] if read else None, source.name, source.made)
+    domain = handed_out(comm, read[0] if read else None, source.name, source.made, pairs)
     for _ in range(levels):
         domain = refined_uniformly(domain)
     return domain
@@ -283,37 +284,6 @@ def usable(
     except InputError as error:
         raise InputError(f"{source.words}: {error}") from None
     return mesh
-
-
-def handed_out(comm: MPI.Comm, whole: FileMesh | None, name: str, made: str = "given") -> Domain:
-    """The domain of a mesh that rank 0 has, distributed (collective).
-
-    Args:
-        comm: Communicator of the domain.
-        whole: The mesh; None on other ranks.
-        name: Name of the domain.
-        made: How the mesh was made, in words.
-    """
-
-    def about() -> tuple[int, dict[str, str], tuple[str, ...], float, bool]:
-        assert whole is not None
-        labels = {part: AXES[_longest_axis(whole.points[facets])] for part, facets in whole.parts.items()}
-        size = float(np.ptp(whole.points, axis=0).max())
-        return whole.dim, labels, tuple(whole.regions), OWN_CURVATURE / size, whole.together is not None
-
-    dim, labels, regions, curvature, is_cut = on_root(comm, about)
-    points, cells = np.empty((0, dim)), np.empty((0, dim + 1), dtype=np.int64)
-    facets: Mapping[str, Indices] = {part: np.empty((0, dim), dtype=np.int64) for part in labels}
-    inside, together = None, np.empty((0, 2), dtype=np.int64) if is_cut else None
-    if whole is not None:
-        together = whole.together
-        points, cells, facets = whole.points, whole.cells, whole.parts
-        inside = np.zeros((len(cells), len(regions)), dtype=bool)
-        for column, chosen in enumerate(whole.regions.values()):
-            inside[chosen, column] = True
-    parts = {part: axis_part(label) for part, label in labels.items()}
-    mesh, marks = distribute(comm, points, cells, dim, together=together), Marks(facets, inside, regions)
-    return marked_domain(mesh, parts, marks, curvature=curvature, name=name, made=made)
 
 
 def _file_refinements(path: str, h: float | None) -> tuple[int, int]:
@@ -384,10 +354,6 @@ def allowed(cells: float, h: float, name: str) -> float:
     if cells > MAX_CELLS:
         raise InputError(f"h = {h:g} asks for about {cells:.1e} cells of {name}; at most {MAX_CELLS:.0e} are made")
     return cells
-
-
-def _longest_axis(points: Array) -> int:
-    return int(np.argmax(np.ptp(points.reshape(-1, points.shape[-1]), axis=0))) if points.size else 0
 
 
 def _gmsh_mesh(shape_name: str, h: float, levels: int) -> Simplices:

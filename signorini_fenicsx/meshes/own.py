@@ -11,12 +11,12 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, sums_at
-from signorini_fenicsx.base.parallel import collector_off, gather_rows, on_root
+from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.cut import ANY, along_last_axis, opened
 from signorini_fenicsx.meshes.domain import AXES, Domain, axis_part, bounding_box, largest_diameter, other_side
-from signorini_fenicsx.meshes.meshing import OWN_CURVATURE, handed_out
+from signorini_fenicsx.meshes.whole import OWN_CURVATURE, check_pairs, gathered, handed_out
 
 type Entities = npt.NDArray[np.int32]
 type Chosen = npt.ArrayLike | Callable[[Array], Mask]
@@ -32,12 +32,13 @@ def domain_of(
     name: str = "mesh",
     *,
     inner: Sequence[str] = (),
+    pairs: Sequence[Sequence[str]] = (),
 ) -> Domain:
     """A mesh with its parts, in the form that the solver needs (collective).
 
     The parts of `inner` are inside the domain: a crack, a fault, two bodies that touch. The mesh is cut along them, so
     that u may jump there. Then the domain has a new mesh, made on rank 0, and UFL data must be written on
-    `domain.mesh`.
+    `domain.mesh`; likewise with `pairs`.
 
     Args:
         mesh: Triangles or tetrahedra with straight edges, with or without ghost cells.
@@ -47,6 +48,8 @@ def domain_of(
         name: Name of the domain.
         inner: Names of the parts inside the domain. The named side of each, out of which n points, is where the last
             coordinate is larger, if its condition has no `side`. It has to have one where facets are along that axis.
+        pairs: The names of the parts on both sides of each `Pair`, whose cells get to one rank: only there its error
+            has a bound.
 
     Raises:
         InputError: If the mesh cannot be used, or a part or region is given neither by numbers nor by a function.
@@ -68,17 +71,18 @@ def domain_of(
         for part, chosen in parts.items()
     }
     cells = {region: _entities(mesh, dim, f"regions['{region}']", chosen) for region, chosen in (regions or {}).items()}
-    if inner:
+    check_pairs(pairs, parts)
+    if inner or pairs:
         whole, cut = gathered(mesh, facets, cells), list[FileMesh]()
 
         def open_them() -> frozenset[str]:
             assert whole is not None
             unsided = [part for part in inner if part in whole.parts and along_last_axis(whole, part)]
-            cut.append(opened(whole, inner, dict.fromkeys(unsided, ANY)))
+            cut.append(opened(whole, inner, dict.fromkeys(unsided, ANY)) if inner else whole)
             return frozenset(unsided)
 
         unsided = on_root(mesh.comm, open_them)
-        return replace(handed_out(mesh.comm, cut[0] if cut else None, name), unsided=unsided)
+        return replace(handed_out(mesh.comm, cut[0] if cut else None, name, pairs=pairs), unsided=unsided)
     labels = {part: axis_part(_longest_axis(mesh, chosen)) for part, chosen in facets.items()}
     box = bounding_box(mesh.geometry.x, mesh.comm)
     curvature = OWN_CURVATURE / float((box[1] - box[0]).max())
@@ -122,36 +126,6 @@ def _owned(mesh: dolfinx.mesh.Mesh, dim: int, numbers: Indices) -> Entities:
     """The owned entities, ascending, that any rank lists (collective)."""
     index_map = mesh.topology.index_map(dim)
     return np.flatnonzero(sums_at(index_map, numbers)[: index_map.size_local]).astype(np.int32)
-
-
-def gathered(
-    mesh: dolfinx.mesh.Mesh, parts: Mapping[str, Entities], regions: Mapping[str, Entities]
-) -> FileMesh | None:
-    """The whole mesh on rank 0; None elsewhere (collective)."""
-    dim, comm, nodes = mesh.topology.dim, mesh.comm, mesh.geometry.index_map()
-    size = number_of_cells(mesh)
-
-    def numbers(local: Entities) -> Indices:
-        return nodes.local_to_global(local.ravel().astype(np.int32)).reshape(local.shape)
-
-    facets = {
-        name: numbers(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, chosen)).reshape(-1, dim)
-        for name, chosen in parts.items()
-    }
-    inside = np.zeros((size, len(regions)), dtype=bool)
-    for column, chosen in enumerate(regions.values()):
-        inside[chosen, column] = True
-    points = gather_rows(comm, mesh.geometry.x[: nodes.size_local, :dim])
-    cells, rows = gather_rows(comm, numbers(cell_nodes(mesh))), gather_rows(comm, inside)
-    vertices_of_parts = {name: gather_rows(comm, np.sort(chosen, axis=1)) for name, chosen in facets.items()}
-    if points is None or cells is None or rows is None:
-        return None
-    return FileMesh(
-        points=points,
-        cells=cells,
-        parts={name: np.unique(chosen, axis=0) for name, chosen in vertices_of_parts.items() if chosen is not None},
-        regions={name: np.flatnonzero(rows[:, column]) for column, name in enumerate(regions)},
-    )
 
 
 def _longest_axis(mesh: dolfinx.mesh.Mesh, facets: Entities) -> str:

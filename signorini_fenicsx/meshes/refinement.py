@@ -16,6 +16,7 @@ from signorini_fenicsx.meshes.domain import (
     Domain,
     Marks,
     bounding_box,
+    brought_together,
     distribute,
     facet_pairs,
     largest_diameter,
@@ -102,14 +103,18 @@ def refine(domain: Domain, cells: npt.NDArray[np.int32]) -> Domain:
         {name: np.sort(vertices(children[np.isin(boundary, f)], dim), axis=1) for name, f in domain.facets.items()},
         membership(domain)[parent_cell],
         tuple(domain.regions),
+        domain.together,
     )
     points, children_of_cells = fine.geometry.x[: nodes.size_local, :dim], vertices(cell_nodes(fine), dim + 1)
     together = None
-    if pairs:
+    if pairs or domain.together:
         places = np.sort(fine.geometry.x[children], axis=1).sum(axis=1)
         sides = [np.flatnonzero(np.isin(boundary, facets)) for facets in (named, across)]
         together = np.stack([behind[rows[np.lexsort(places[rows].T)]] for rows in sides], axis=1).astype(np.int64)
-        together += fine.topology.index_map(dim).local_range[0]
+        at_pairs = [np.concatenate([domain.facets[part] for part in names]) for names in domain.together]
+        groups = [behind[np.isin(boundary, facets)] for facets in at_pairs]
+        first = fine.topology.index_map(dim).local_range[0]
+        together = np.concatenate([together + first, brought_together(mesh.comm, [first + cells for cells in groups])])
     refined = distribute(mesh.comm, points, children_of_cells, dim, together=together)
     return descendant(domain, refined, marks, "refined where the error is")
 

@@ -75,7 +75,7 @@ def refined_uniformly(domain: Domain) -> Domain:
     cells = children.reshape(-1, dim + 1)
     facets = {name: _children_of_facets(mesh, facets, numbers) for name, facets in domain.facets.items()}
     fine = distribute(comm, points, cells, dim, stay=True)
-    marks = Marks(facets, np.repeat(membership(domain), 2**dim, axis=0), tuple(domain.regions))
+    marks = Marks(facets, np.repeat(membership(domain), 2**dim, axis=0), tuple(domain.regions), domain.together)
     return descendant(domain, fine, marks, made=domain.made, coarser=domain)
 
 

@@ -109,12 +109,13 @@ def _read_domain(checkpoint: Checkpoint, comm: MPI.Comm, used: Mapping[str, Sequ
         InputError: If these parts are not on the boundary.
     """
     about, arrays = checkpoint.about, checkpoint.arrays
+    pairs = tuple((*each.slave, *each.master) for each in getattr(checkpoint.boundary, "pairs", ()))
     mesh = distribute(comm, arrays["points"], arrays["cells"], checkpoint.dim, together=arrays.get("together"))
     facets = {name: arrays[f"part_{index}"] for index, name in enumerate(about.parts)}
     domain = marked_domain(
         mesh,
         _parts(checkpoint),
-        Marks(facets, arrays.get("inside"), tuple(about.regions)),
+        Marks(facets, arrays.get("inside"), tuple(about.regions), pairs),
         curvature=about.bend,
         name=checkpoint.domain,
         is_shape=checkpoint.shape is not None,

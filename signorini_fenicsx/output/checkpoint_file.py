@@ -130,7 +130,7 @@ class Checkpoint:
         case: Its case; None for a problem given in Python.
         headers: Shape and type of its arrays, see `MESH` and `Keeping.layout`. Further arrays: `part_0` … with the
             facets of each boundary part, shape (facets, dim); `inside`, shape (cells, regions), if there are regions;
-            `together`, shape (pairs, 2), the pairs of cells at facets inside the domain, if there are parts there.
+            `together`, shape (pairs, 2), pairs of cells for one rank, if there are parts inside or pairs of surfaces.
         arrays: The rows of its arrays that this rank has read; rows continue from rank to rank.
     """
 
@@ -292,7 +292,7 @@ def _check_layout(checkpoint: Checkpoint) -> None:
     if about.regions:
         layout["inside"] = (np.bool_, "cells", "regions")
     dim = checkpoint.dim if "points" in headers else 0
-    if dim and checkpoint.boundary.named.get("inner"):
+    if dim and (checkpoint.boundary.named.get("inner") or "together" in headers):
         layout["together"] = (np.int64, "pairs", "two")
     missing = [name for name in layout if name not in headers]
     if missing:

@@ -21,7 +21,7 @@ from signorini_fenicsx.base.owned import cell_nodes, cells_behind, original_cell
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import Order
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.meshes.domain import facet_vertices, membership
+from signorini_fenicsx.meshes.domain import brought_together, facet_vertices, membership
 from signorini_fenicsx.output.checkpoint_file import FOLDER, FORMAT, TEXT, GivenInPython
 from signorini_fenicsx.solving.kept import Arrays, Keeping
 from signorini_fenicsx.solving.physics import DIFFUSION, PHYSICS
@@ -119,10 +119,11 @@ def _arrays(solution: Solved) -> Arrays:
     arrays["facet_vertices"] = renumbered(arrays["facet_vertices"])
     for index, facets in enumerate(domain.facets.values()):
         arrays[f"part_{index}"] = renumbered(facet_vertices(mesh, facets))
-    if spaces.inner.present:
-        inner, original = spaces.inner, original_cells(mesh)
-        pairs = np.column_stack([spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])
-        arrays["together"] = order.places(original[pairs].ravel()).reshape(-1, 2)
+    inner, joints, original = spaces.inner, getattr(spaces, "joints", ()), original_cells(mesh)
+    if inner.present or joints:
+        pairs = original[np.column_stack([spaces.cells[inner.rows], cells_behind(mesh, inner.facets)])]
+        groups = [original[cells_behind(mesh, np.append(joint.slaves_and_masters, joint.left_out))] for joint in joints]
+        arrays["together"] = order.places(np.vstack([pairs, brought_together(comm, groups)]).ravel()).reshape(-1, 2)
     return arrays | ({"inside": order.sorted(membership(domain))} if domain.regions else {})
 
 

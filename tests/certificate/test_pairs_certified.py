@@ -1,5 +1,8 @@
 """The bound where surfaces share no nodes: exact states, laws, finer solutions, an edge inside a facet, refusals."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import dolfinx.mesh
 import numpy as np
 import pytest
@@ -22,22 +25,30 @@ from signorini_fenicsx.api import (
     compare,
     domain_of,
     domain_of_bodies,
+    load_solution,
     solve,
 )
 from signorini_fenicsx.meshes.meshing import build_domain
-from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.meshes.refinement import dorfler, refine
+from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 from signorini_fenicsx.quantities.kinds import Energy, Force
 
 COMM = MPI.COMM_SELF
 
 
-def boxes(upper: float, lower: float, left: float = 0.0, height: float = 0.05) -> Domain:
+def boxes(
+    upper: float,
+    lower: float,
+    left: float = 0.0,
+    height: float = 0.05,
+    comm: MPI.Intracomm = COMM,
+    pairs: Sequence[Sequence[str]] = (),
+) -> Domain:
     """Two boxes with meshes of these sizes, the upper one from `left` on."""
-    low = build_domain(COMM, "[0, 1] x [-0.8, 0]", lower, mesh="structured")
-    return domain_of_bodies(
-        {"up": build_domain(COMM, f"[{left}, 1] x [{height}, {height + 0.8}]", upper, mesh="structured"), "low": low}
-    )
+    low = build_domain(comm, "[0, 1] x [-0.8, 0]", lower, mesh="structured")
+    up = build_domain(comm, f"[{left}, 1] x [{height}, {height + 0.8}]", upper, mesh="structured")
+    return domain_of_bodies({"up": up, "low": low}, pairs=pairs)
 
 
 def pressed(domain: Domain, pair: Pair, young: float = 2.0) -> Solution:
@@ -149,3 +160,30 @@ def test_what_is_refused() -> None:
         tied.quantity(Energy())
     with pytest.raises(InputError, match="there is Energy alone"):
         touching.quantity(Force("up.top", direction=(0, 1)))
+
+
+@pytest.mark.parallel(3)
+def test_several_ranks(folder: Path) -> None:
+    """The bound is that of one rank: of a solution, of a finer one, and of one that was written and read."""
+    pair, parts = Pair("up.bottom", "low.top", Tresca(0.02)), ("up.bottom", "low.top")
+    bounds = []
+    for comm, pairs in ((COMM, []), (MPI.COMM_WORLD, [parts])):
+        first = pressed(boxes(0.4, 0.27, left=0.17, comm=comm, pairs=pairs), pair)
+        certificate = first.certify()
+        assert certificate.guaranteed
+        cells = dorfler(certificate.indicator.x.array, 0.5, comm)
+        second = pressed(refine(first.spaces.domain, cells), pair)
+        bounds.append([certificate.bound, second.certify().bound])
+    assert bounds[1][0] == pytest.approx(bounds[0][0], rel=1e-10)
+    assert bounds[1][1] == pytest.approx(
+        bounds[0][1], rel=1e-6
+    )  # v is nearly the best; how near is up to numbers of cells
+    write_solution(first, folder, fields=False)
+    read = load_solution(folder, MPI.COMM_WORLD)
+    assert read.certify().bound == pytest.approx(bounds[0][0], rel=1e-10)
+    assert read.spaces.domain.together == (parts,)
+    with pytest.raises(InputError, match=r"pairs: unknown part 'low.up'; there are up.left, "):
+        boxes(0.5, 0.5, comm=MPI.COMM_WORLD, pairs=[["up.bottom", "low.up"]])
+    apart = pressed(boxes(0.4, 0.27, left=0.17, comm=MPI.COMM_WORLD), pair)
+    if MPI.COMM_WORLD.size > 1:
+        assert "give these parts as `pairs` where the domain is made" in apart.certify().if_none

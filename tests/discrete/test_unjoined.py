@@ -16,7 +16,7 @@ from signorini_fenicsx.discrete.unjoined import check_joined
 from signorini_fenicsx.meshes.checks import FileMesh, faces, neighbours
 from signorini_fenicsx.meshes.cut import cut
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.meshes.meshing import handed_out
+from signorini_fenicsx.meshes.whole import handed_out
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 
 type Piece = tuple[np.ndarray, np.ndarray]

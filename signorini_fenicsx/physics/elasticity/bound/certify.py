@@ -132,7 +132,10 @@ def pairs_without_bound(spaces: ElasticSpaces) -> str:
         rows = joint.pieces.master - joint.first
         elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())
         if spaces.mesh.comm.allreduce(elsewhere, MPI.LOR):
-            return f"both sides of the pair {joint.pair.words} have to be on one process for it; run on one process"
+            return (
+                f"both sides of the pair {joint.pair.words} have to be on one process for it; give these parts as "
+                "`pairs` where the domain is made, or run on one process"
+            )
     return ""
 
 

@@ -28,6 +28,7 @@ from signorini_fenicsx.discrete.linear_traces import linear_values
 from signorini_fenicsx.discrete.overlay import Pieces, common_parts
 from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 from signorini_fenicsx.meshes.domain import distribute
+from signorini_fenicsx.meshes.refinement import OBLIQUE
 from signorini_fenicsx.physics.elasticity.bound.korn import trace_constants
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, compliance_product, reference
@@ -88,11 +89,14 @@ def passed_on(spaces: ElasticSpaces, data: ElasticData, stresses: Array, complia
         return of_cells
     tractions = data.pulled - spaces.tractions(spaces.contact, stresses)
     for joint in spaces.joints:
-        masters, pieces = spaces.boundary_facets(joint.masters), joint.pieces
-        pieces = replace(pieces, master=pieces.master - joint.first)
+        masters, rows = spaces.boundary_facets(joint.masters), joint.pieces.master - joint.first
+        order = np.argsort(masters.vertices @ OBLIQUE[: spaces.dim], axis=1)  # the same on any number of ranks
+        on_master = np.take_along_axis(joint.pieces.on_master, order[rows][:, None], axis=2)
+        pieces = replace(joint.pieces, master=rows, on_master=on_master)
         behind = spaces.vertices[masters.cells]
         apex = behind[np.arange(len(behind)), masters.local]
-        vertices = np.concatenate([masters.vertices, apex[:, None]], axis=1)
+        facets = np.take_along_axis(masters.vertices, order[:, :, None], axis=1)
+        vertices = np.concatenate([facets, apex[:, None]], axis=1)
         of_facets = _oscillation(pieces, tractions[spaces.rows_of(joint)], vertices, compliance[masters.cells])
         np.add.at(of_cells, masters.cells, of_facets)
     return of_cells
@@ -124,7 +128,8 @@ def _oscillation(pieces: Pieces, tractions: Array, vertices: Array, compliance: 
     moments = moments.reshape(count, number, dim, dim) - mass @ np.einsum("kca,nai->nkci", corners, projected)
     sizes = np.linalg.norm(facet_normals(vertices)[:, -1], axis=1)[:, None] * share
     norms = np.zeros(count)
-    for some in np.array_split(np.arange(count), max(1, -(-count // AT_ONCE[dim]))):
+    for start in range(0, count, AT_ONCE[dim]):
+        some = slice(start, start + AT_ONCE[dim])
         loads = sizes[some, :, None, None] * moments[some]
         norms[some] = _norms(fine, vertices[some], compliance[some], loads, sizes[some] * rest[some])
     return norms
