@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator
-from typing import get_args
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -75,17 +75,17 @@ def naming(case: str) -> Iterator[None]:
 
 def _known_keys(model: type[BaseModel], sections: list[str], wrong: str) -> str:
     for section in sections:
-        if section.isdigit():  # which one of a list of sections
-            continue
-        model = _section(model, section)
+        if section in model.model_fields:  # else which one of a list or table of sections it is
+            model = _section(model, section)
     keys = keys_of(model)
     return ", ".join(keys) + did_you_mean(wrong, keys)
 
 
 def _section(model: type[BaseModel], name: str) -> type[BaseModel]:
     """The model of a section of a file; one without keys for what is none."""
-    annotation = model.model_fields[name].annotation
-    kinds = (annotation, *get_args(annotation))  # a section that may be left out is a union with None
+    kinds: list[Any] = [model.model_fields[name].annotation]
+    for kind in kinds:  # a union with None of a section that may be left out; a table with a section for each name
+        kinds += get_args(kind)
     return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), BaseModel)
 
 

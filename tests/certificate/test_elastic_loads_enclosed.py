@@ -138,9 +138,9 @@ def largest_displacement(spaces: ElasticSpaces, loaded: list[str]) -> float:
     energy = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
     mass = ufl.inner(u, v) * ufl.dx + length_of_facets(spaces) * ufl.inner(u, v) * ds
     given = []
-    for on, k, letter in spaces.fixed:
-        axis = k if letter != "n" else int(np.argmax(np.abs(on.normals[0])))
-        given.append(fem.locate_dofs_topological(space.sub(axis), dim - 1, on.facets))
+    for each in spaces.fixed:
+        axis = int(np.argmax(np.abs(each.axes).sum(axis=0)))
+        given.append(fem.locate_dofs_topological(space.sub(axis), dim - 1, each.facets.facets))
     kept = np.setdiff1d(np.arange(space.dofmap.index_map.size_local * dim), np.concatenate(given))
     matrices = (fem.assemble_matrix(fem.form(form)).to_dense()[np.ix_(kept, kept)] for form in (mass, energy))
     last = len(kept) - 1

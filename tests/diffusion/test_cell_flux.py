@@ -1,6 +1,7 @@
 """Products of fluxes cell by cell against the forms; fluxes on Γ_S by the equations of its facets."""
 
 from itertools import chain
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,7 +104,8 @@ def test_gap_without_its_matrix(dim: int):
     for function in (y, v, kappa):
         function.x.array[:] = random.uniform(1, 2, len(function.x.array))
     ones, zeros = np.ones(len(v.x.array)), np.zeros(len(v.x.array))
-    gap = _Gap(space, y, (kappa, ufl.dx), ones, zeros, None, None, Jumps.nowhere(space))
+    nowhere: Any = None  # spaces are for jumps
+    gap = _Gap(space, nowhere, y, (kappa, ufl.dx), ones, zeros, None, None, Jumps.nowhere(space))
     free = random.uniform(size=len(v.x.array)) < 0.7
     found = [gap.at(v), gap.lowered(np.where(free, gap.at(v)[1], 0.0), free, 3)]
     gap.assemble()
