@@ -76,6 +76,7 @@ def test_few_set_updates_whatever_h():
         assert len(outcome.history) <= 5
 
 
+@pytest.mark.slow
 def test_few_set_updates_on_a_fine_mesh():
     outcome = sphere(5).outcome
     assert len(outcome.history) <= 5
@@ -207,6 +208,7 @@ def test_no_proof():
     assert "without an obstacle" in proof.reason
 
 
+@pytest.mark.slow
 def test_adaptive():
     rows: list = []
     case = load_case("sphere").with_values({"solve.h": 0.7})

@@ -4,7 +4,9 @@ import pytest
 from random_elasticity import examine
 
 
-@pytest.mark.parametrize("seed", [*range(5), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(5, 150))])
+@pytest.mark.parametrize(
+    "seed", [1, 3, 4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, *range(5, 150)))]
+)
 def test_random_problem(seed: int):
     result = examine(seed)
     assert result.good, result

@@ -56,7 +56,7 @@ def exact_mean(text: str, low: float = 0.0) -> float:
     return float(weights @ values(read(text, "xy"), at) @ weights)
 
 
-@pytest.mark.parametrize("name", ["transition", "dead_core"])
+@pytest.mark.parametrize("name", ["transition", pytest.param("dead_core", marks=pytest.mark.slow)])
 def test_known_means(name: str):
     """The mean of a known u is inside, and the interval shrinks faster than h."""
     widths = []

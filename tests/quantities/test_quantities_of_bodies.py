@@ -82,7 +82,9 @@ def inside(found: Quantity, known: float, width: float = 1e-6) -> bool:
     return found.lower - 1e-9 <= known <= found.upper + 1e-9 and found.width < width
 
 
-@pytest.mark.parametrize("friction", [Tresca(0.02), Coulomb(0.2)], ids=["tresca", "coulomb"])
+@pytest.mark.parametrize(
+    "friction", [pytest.param(Tresca(0.02), marks=pytest.mark.slow), Coulomb(0.2)], ids=["tresca", "coulomb"]
+)
 def test_sliding(friction: Tresca | Coulomb):
     """All quantities of a body in a uniform state; under Coulomb's friction they have the name of Tresca's problem."""
     solution = solve(build_domain(COMM, "square", 1 / 2, mesh="structured"), sliding(friction))

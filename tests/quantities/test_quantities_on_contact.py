@@ -20,7 +20,9 @@ def around(found: Quantity, known: float, width: float) -> bool:
     return found.lower - 1e-9 <= known <= found.upper + 1e-9 and found.width <= width
 
 
-@pytest.mark.parametrize("friction", [Tresca(0.02), Coulomb(0.2)], ids=["tresca", "coulomb"])
+@pytest.mark.parametrize(
+    "friction", [pytest.param(Tresca(0.02), marks=pytest.mark.slow), Coulomb(0.2)], ids=["tresca", "coulomb"]
+)
 def test_of_a_sliding_body(friction: Tresca | Coulomb):
     """The slip of the foundation of a body in a uniform state, with weights, and what does not move."""
     solution = solve(build_domain(COMM, "square", 1 / 2, mesh="structured"), sliding(friction))
