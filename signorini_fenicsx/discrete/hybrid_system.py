@@ -34,6 +34,9 @@ class Sides:
     says what σn is, and the equation of û on the other side says that it takes this σn. So a law between the jump and
     σn is imposed like one between û and σn on the boundary, and the matrix stays positive definite. As P² = 0, the
     way back is x = û − Pû.
+
+    Attributes:
+        basis: I + P; None without such facets.
     """
 
     def __init__(self, traces: fem.FunctionSpace, entries: tuple[Indices, Indices, Array], *, present: bool):
@@ -44,21 +47,25 @@ class Sides:
             entries: Rows, as owned unknowns of this rank; columns, as unknowns over all ranks; and values of P.
             present: Whether there are any on some rank.
         """
-        self._traces, self._entries, self._present = traces, entries, present
+        self._traces, self._entries = traces, entries
         self._owned = traces.dofmap.index_map_bs * traces.dofmap.index_map.size_local
-        self._matrix = self.matrix() if present else None
+        self.basis = self._identity_with(entries[2]) if present else None
 
     def values(self, x: Array) -> Array:
         """û from the unknowns x of this rank, ghosts too, which are no jumps (collective)."""
-        return x if self._matrix is None else np.append(self._image(self._matrix.mult, x), x[self._owned :])
+        return x if self.basis is None else np.append(self._image(self.basis.mult, x), x[self._owned :])
 
     def forces(self, forces: Array) -> Array:
         """The forces on the owned unknowns x, from those on û (collective)."""
-        return forces if self._matrix is None else self._image(self._matrix.multTranspose, forces)
+        return forces if self.basis is None else self._image(self.basis.multTranspose, forces)
+
+    def of_unknowns(self, matrix: PETSc.Mat) -> PETSc.Mat:
+        """A matrix for the unknowns x, from one for û (collective)."""
+        return matrix if self.basis is None else matrix.ptap(self.basis)
 
     def _image(self, product: Callable[[PETSc.Vec, PETSc.Vec], None], x: Array) -> Array:
-        assert self._matrix is not None
-        start, image = self._matrix.createVecs()
+        assert self.basis is not None
+        start, image = self.basis.createVecs()
         start.array_w[:] = x[: self._owned]
         product(start, image)
         values: Array = image.array_r.copy()
@@ -66,16 +73,15 @@ class Sides:
         image.destroy()
         return values
 
-    def matrix(self, *, back: bool = False) -> PETSc.Mat | None:
-        """I + P, or its inverse I − P; None without such facets (collective)."""
-        if not self._present:
-            return None
-        rows, columns, values = self._entries
+    def inverse(self) -> PETSc.Mat | None:
+        """I − P, the inverse of `basis`; None without such facets (collective)."""
+        return None if self.basis is None else self._identity_with(-self._entries[2])
+
+    def _identity_with(self, values: Array) -> PETSc.Mat:
         numbers, size = self._traces.dofmap.index_map, self._traces.dofmap.index_map_bs
+        rows, columns, _ = self._entries
         rows = size * numbers.local_range[0] + rows
-        return identity_with(
-            self._traces.mesh.comm, self._owned, rows, columns, -values if back else values, block=size
-        )
+        return identity_with(self._traces.mesh.comm, self._owned, rows, columns, values, block=size)
 
 
 def copies(
@@ -234,9 +240,11 @@ class HybridSystem(ABC):
 
     def _assembled(self) -> PETSc.Mat:
         """Eliminate, and assemble the matrix (collective)."""
-        matrix = of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], self._parts())
-        jumps = self._sides.matrix()
-        return matrix if jumps is None else matrix.ptap(jumps)
+        return self._sum_of(self._parts())
+
+    def _sum_of(self, parts: Iterable[OfCells]) -> PETSc.Mat:
+        """The sum of matrices of cells, for the unknowns (collective)."""
+        return self._sides.of_unknowns(of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], parts))
 
     def assemble_again(self) -> None:
         """Eliminate and assemble with other cells of the same facets; the matrix gets other entries (collective)."""

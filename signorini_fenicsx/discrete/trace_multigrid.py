@@ -212,7 +212,7 @@ def trace_interpolation(spaces: LinearTraces, displacements: fem.FunctionSpace, 
         csr=(begins, indices, values[used]),
         comm=mesh.comm,
     )
-    to_jumps = spaces.sides.matrix(back=True)
+    to_jumps = spaces.sides.inverse()
     return of_sides if to_jumps is None else to_jumps.matMult(of_sides)
 
 

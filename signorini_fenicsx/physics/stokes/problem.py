@@ -79,11 +79,7 @@ class Leak(Law):
     places = ("parts",)
     word = "leak"
 
-    def graph(self, values: Values) -> Graph:
-        """The reference is in the middle of the vertical segment."""
-        return Graph((0.0, 0.0), [(0.0, values["g"]), (0.0, -values["g"])])
-
-    refused = Friction.refused
+    graph, refused = Friction.graph, Friction.refused
 
 
 @dataclass(frozen=True)

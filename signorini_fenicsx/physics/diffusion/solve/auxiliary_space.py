@@ -43,7 +43,7 @@ class AuxiliarySpace:
         self._space = fenicsx.function_space(spaces.mesh, ("Lagrange", 1))
         self._jumps = Jumps.of(self._space, spaces)
         self._interpolation = facet_means(self._space, system.space)
-        to_jumps = system.sides.matrix(back=True)
+        to_jumps = system.sides.inverse()
         if self._jumps.basis is not None and to_jumps is not None:
             self._interpolation = to_jumps.matMult(self._interpolation.matMult(self._jumps.basis[0]))
         self._operator = ConstrainedMatrix(self._galerkin(), PETSc.Mat.Option.SPD)

@@ -99,7 +99,7 @@ class FacetSystem:
         self.sides = Sides(self.space, copies(self.space, named, across), present=spaces.inner.present)
         self._facets, self._cells = spaces.site_kinds
         self.sources = sources(spaces, data)
-        self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, self.sides.matrix())
+        self.operator = ConstrainedMatrix(self._form(data), PETSc.Mat.Option.SPD, self.sides.basis)
         self.matrix = self.operator.matrix
         self._imposed: SiteConditions | None = None
         self.x, self.b = self.matrix.createVecs()
@@ -185,9 +185,7 @@ class FacetSystem:
     def of_cells(self, matrices: Array) -> PETSc.Mat:
         """The sum of matrices of the owned cells, between û on their facets (collective)."""
         nodes, comm = cell_dofs(self.space), self.spaces.mesh.comm
-        matrix = of_cells(comm, self.space.dofmap.index_map, 1, [nodes], [(nodes, matrices)])
-        jumps = self.sides.matrix()
-        return matrix if jumps is None else matrix.ptap(jumps)
+        return self.sides.of_unknowns(of_cells(comm, self.space.dofmap.index_map, 1, [nodes], [(nodes, matrices)]))
 
     def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
         """The owned unknowns of some sites."""

@@ -13,7 +13,6 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
 from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
-from signorini_fenicsx.discrete.matrices import of_cells
 from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals, opposite
 from signorini_fenicsx.discrete.vertex_laws import InCells
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
@@ -155,10 +154,7 @@ class FluxSystem(HybridSystem):
         """The sum of matrices of the owned cells, from û at the vertices of their facets to ⟨σ·n, q⟩ (collective)."""
         transposed = matrices.transpose(0, 2, 1).copy()
         self.spaces.to_unknowns(transposed, np.arange(len(matrices), dtype=np.int32))
-        part = self._dofs, transposed.transpose(0, 2, 1)
-        matrix = of_cells(self._traces.mesh.comm, self._numbers, self._size, [self._dofs], [part])
-        jumps = self._sides.matrix()
-        return matrix if jumps is None else matrix.ptap(jumps)
+        return self._sum_of([(self._dofs, transposed.transpose(0, 2, 1))])
 
     def fields(self, parts: Iterable[tuple[Eliminated, Array, Array]]) -> tuple[Array, Array]:
         """σ at the nodes and u at the vertices of the cells, shapes (cells, nodes, d) and (cells, d + 1)."""

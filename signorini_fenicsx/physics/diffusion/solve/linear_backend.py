@@ -185,7 +185,7 @@ class LinearBackend(VertexBackend, TraceBackend):
 
     def new_tangent(self) -> Tangent:
         """Newton's method from the last solution."""
-        return Tangent(self, iterates=self._solver.iterates, preconditioner=self._solver.preconditioner)
+        return Tangent(self, self._solver)
 
     def imposed(self, conditions: SiteConditions) -> tuple[PETSc.Mat, npt.NDArray[np.int32], Array, Array]:
         """See `Tangible.imposed` (collective)."""

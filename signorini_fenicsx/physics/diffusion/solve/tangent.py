@@ -18,7 +18,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.linear.gmres import gmres
-from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.linear.petsc import LinearSolver, direct_solver
 
 HALVINGS = 8
 """A step is halved so often at most."""
@@ -66,16 +66,15 @@ class Tangent:
     left = np.inf
     norm = np.inf
 
-    def __init__(self, backend: Any, *, iterates: bool, preconditioner: Any):
+    def __init__(self, backend: Any, solver: LinearSolver):
         """Begin at the last solution of the backend (collective).
 
         Args:
             backend: See `Tangible`; its data get the κ of each step.
-            iterates: Whether the linear solver iterates.
-            preconditioner: Gives that of the matrix under the present conditions.
+            solver: Its linear solver, whose preconditioner is that of the matrix under the present conditions.
         """
         self._backend: Tangible = backend
-        self._iterates, self._preconditioner = iterates, preconditioner
+        self._iterates, self._preconditioner = solver.iterates, solver.preconditioner
 
     def step(self, conditions: SiteConditions) -> None:
         """One step under these conditions (collective).

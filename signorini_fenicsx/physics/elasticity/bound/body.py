@@ -146,8 +146,7 @@ def _is_positive(spaces: ElasticSpaces, compliance: Array, of_facets: Array, the
         parts.append((spaces.dofs[numbers], matrices))
     if not comm.allreduce(inside, MPI.LAND):
         return False
-    matrix, jumps = of_cells(comm, index_map, size, [spaces.dofs], parts), spaces.sides.matrix()
-    matrix = matrix if jumps is None else matrix.ptap(jumps)
+    matrix = spaces.sides.of_unknowns(of_cells(comm, index_map, size, [spaces.dofs], parts))
     fixed = np.concatenate([spaces.unknowns(facets, k).ravel() for facets, k, *_ in spaces.fixed])
     matrix.zeroRowsColumns(fixed + size * index_map.local_range[0])
     return _negative(matrix) == 0
