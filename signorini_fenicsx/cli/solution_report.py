@@ -21,8 +21,8 @@ from signorini_fenicsx.quantities.bracket import PASSES
 from signorini_fenicsx.solving.solved import Solved
 
 if TYPE_CHECKING:  # SciPy takes a second to load
+    from signorini_fenicsx.certificate.proof import Proven
     from signorini_fenicsx.output.writing import Found
-    from signorini_fenicsx.rigorous.proven import Proven
 
 PARTS = {"gap": "energy gap", "oscillation": "data within cells", "remainder": "solver and penalty"}
 """What a bound is made of."""

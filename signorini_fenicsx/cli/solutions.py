@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     from signorini_fenicsx.cases.case import CaseFile
     from signorini_fenicsx.certificate.certificate import Certificate
+    from signorini_fenicsx.certificate.proof import Proof
     from signorini_fenicsx.physics.diffusion.case import Case
     from signorini_fenicsx.quantities import Quantity
-    from signorini_fenicsx.rigorous.proof import Proof
     from signorini_fenicsx.solution import Solution
     from signorini_fenicsx.solving.solved import Solved
 
@@ -98,7 +98,7 @@ def solve(
 
 def _proof(solution: Any, certificate: "Certificate | None") -> "Proof | None":
     """The proof of a bound, whose library takes a second to load; None without a bound (collective)."""
-    from signorini_fenicsx.rigorous.proof import proof_of
+    from signorini_fenicsx.certificate.proof import proof_of
 
     return None if certificate is None else proof_of(solution, certificate.v)
 
@@ -139,7 +139,7 @@ def _check_provable(case: "CaseFile") -> None:
         InputError: If its mesh is too large, or if there is no theorem for the problem.
     """
     from signorini_fenicsx.cases.domains import rough_cells
-    from signorini_fenicsx.rigorous.proof import check_size
+    from signorini_fenicsx.certificate.proof import check_size
 
     check_size(rough_cells(case), case.PHYSICS)
     if case.unproved:

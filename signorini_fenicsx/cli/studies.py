@@ -3,11 +3,8 @@
 from typing import Annotated
 
 import typer
-from mpi4py import MPI
 
-from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.shipped import study_names
-from signorini_fenicsx.cli.common import results_place
 from signorini_fenicsx.cli.options import Json, OutputFolder, Quiet
 
 
@@ -31,31 +28,7 @@ def study(
       mpirun -n 4 signorini study my-study.toml
       signorini study my-study.toml --status
     """
-    from signorini_fenicsx.cli.study_report import Progress, StudyReport, listing
-    from signorini_fenicsx.studies.folder import StudyFolder
-    from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
-    from signorini_fenicsx.studies.study import load_study
+    from signorini_fenicsx.cli.study_report import StudyReport, do_study
 
-    comm, report = MPI.COMM_WORLD, StudyReport(quiet=quiet, as_json=as_json)
-    declared, runs = on_root(comm, lambda: load_study(study))
-    folder = StudyFolder(comm, results_place(output, f"{declared.name}-study"))
-    report.heading(declared, runs, comm)
-    if dry_run or status:
-        if status:
-            on_root(comm, lambda: report.status(runs, folder))
-        else:
-            report.plan(runs, folder)
-        if as_json:
-            report.json(on_root(comm, lambda: listing(declared, runs, folder)))
-        return
-    with folder:
-        if retry_failed:
-            on_root(comm, lambda: folder.forget_failures(runs))
-        with Progress(runs, folder, comm, report) as progress:
-            undrawn = run_study(
-                runs, declared.ranks_per_run, folder, comm, title=declared.title or declared.name, on_run=progress.say
-            )
-        report.results(folder.path)
-        if as_json:
-            report.json(on_root(comm, lambda: listing(declared, runs, folder)))
-        check_all_succeeded(runs, folder, comm, undrawn)
+    report = StudyReport(quiet=quiet, as_json=as_json)
+    do_study(study, output, report, dry_run=dry_run, retry_failed=retry_failed, status=status, as_json=as_json)

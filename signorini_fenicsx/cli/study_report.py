@@ -1,7 +1,8 @@
-"""The report of `signorini study`: the plan, a live view, and the end. Only rank 0 prints."""
+"""What `signorini study` does and prints: the plan, a live view, and the end. Only rank 0 prints."""
 
 import time
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -9,10 +10,13 @@ from mpi4py import MPI
 from rich.live import Live
 from rich.text import Text
 
+from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.text import printable_lines
+from signorini_fenicsx.cli.common import results_place
 from signorini_fenicsx.cli.report import Report
 from signorini_fenicsx.studies.folder import Record, Status, StudyFolder
-from signorini_fenicsx.studies.study import Run, Study
+from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
+from signorini_fenicsx.studies.study import Run, Study, load_study
 from signorini_fenicsx.studies.varied import in_words, varied_keys
 
 ENDED = (Status.DONE, Status.FAILED)
@@ -141,3 +145,43 @@ class Progress:
         failed = f", {states.count(Status.FAILED)} of them failed" if Status.FAILED in states else ""
         head = f"{len(ended)}/{len(self._runs)}{failed}{self._left(ended)}"
         return Text(printable_lines("\n".join([head, *(f"  running {in_words(run, self._keys)}" for run in running)])))
+
+
+def do_study(
+    path: str,
+    output: Path | None,
+    report: StudyReport,
+    *,
+    dry_run: bool,
+    retry_failed: bool,
+    status: bool,
+    as_json: bool,
+) -> None:
+    """Do all unfinished runs of a study, or show how far it is (collective).
+
+    Raises:
+        InputError: If the study or its folder is not right.
+        NumericalFailure: If a run failed.
+    """
+    comm = MPI.COMM_WORLD
+    study, runs = on_root(comm, lambda: load_study(path))
+    folder = StudyFolder(comm, results_place(output, f"{study.name}-study"))
+    report.heading(study, runs, comm)
+    if status:
+        on_root(comm, lambda: report.status(runs, folder))
+    elif dry_run:
+        report.plan(runs, folder)
+    if dry_run or status:
+        if as_json:
+            report.json(on_root(comm, lambda: listing(study, runs, folder)))
+        return
+    title = study.title or study.name
+    with folder:
+        if retry_failed:
+            on_root(comm, lambda: folder.forget_failures(runs))
+        with Progress(runs, folder, comm, report) as progress:
+            undrawn = run_study(runs, study.ranks_per_run, folder, comm, title=title, on_run=progress.say)
+        report.results(folder.path)
+        if as_json:
+            report.json(on_root(comm, lambda: listing(study, runs, folder)))
+        check_all_succeeded(runs, folder, comm, undrawn)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from mpi4py import MPI
 
@@ -25,6 +25,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.of_field import FieldBound
+from signorini_fenicsx.certificate.proof import Proof
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
@@ -33,9 +34,6 @@ from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
 from signorini_fenicsx.solving.solved import Solved
-
-if TYPE_CHECKING:  # SciPy takes a second to load
-    from signorini_fenicsx.rigorous.proof import Proof
 
 type Write = Callable[[Path], None]
 """Writes files into a folder."""

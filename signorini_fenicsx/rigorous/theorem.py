@@ -29,6 +29,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.proof import Proofs, Proven
 from signorini_fenicsx.expressions.intervals import PI, Interval, enclosing
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -45,7 +46,6 @@ from signorini_fenicsx.rigorous.discrete import (
     gathered,
 )
 from signorini_fenicsx.rigorous.elementary import FromArb
-from signorini_fenicsx.rigorous.proven import Proofs, Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     bernstein,

@@ -16,6 +16,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.laws import gap, with_mean
+from signorini_fenicsx.certificate.proof import proof_of
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners, Friction, Regulator, River, Signorini, TwoSided, Wall
@@ -24,7 +25,6 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.physics.diffusion.bound import relaxation
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.rigorous.proof import proof_of
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 

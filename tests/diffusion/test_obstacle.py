@@ -17,6 +17,7 @@ from signorini_fenicsx import Friction, InputError, Options, Solution, certify, 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
+from signorini_fenicsx.certificate.proof import proof_of
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -24,7 +25,6 @@ from signorini_fenicsx.meshes.sampling import sampled
 from signorini_fenicsx.physics.diffusion.discrete.spaces import build_spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
-from signorini_fenicsx.rigorous.proof import proof_of
 
 COMM = MPI.COMM_WORLD
 RADIUS = 0.697965148223374

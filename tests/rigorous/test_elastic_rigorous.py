@@ -17,6 +17,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.proof import proof_of
 from signorini_fenicsx.contact.laws import Friction
 from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 from signorini_fenicsx.expressions import Binary, Tree, exactly, read, values
@@ -38,7 +39,6 @@ from signorini_fenicsx.rigorous.elasticity.loads import PROVED, Moments, constan
 from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, pulls_with, stresses_of, wrenches
 from signorini_fenicsx.rigorous.elasticity.theorem import prove
 from signorini_fenicsx.rigorous.elementary import FromArb
-from signorini_fenicsx.rigorous.proof import proof_of
 from signorini_fenicsx.rigorous.simplices import simplices
 from signorini_fenicsx.solving.solver import solve
 

@@ -20,6 +20,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import rough_cells
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.certificate.proof import check_size, proof_of
 from signorini_fenicsx.cli.solution_report import above
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
@@ -30,7 +31,6 @@ from signorini_fenicsx.rigorous.balance import _tree, balanced
 from signorini_fenicsx.rigorous.data import Given
 from signorini_fenicsx.rigorous.discrete import Discrete, gathered
 from signorini_fenicsx.rigorous.elementary import FromArb
-from signorini_fenicsx.rigorous.proof import check_size, proof_of
 from signorini_fenicsx.rigorous.simplices import EDGES
 from signorini_fenicsx.rigorous.theorem import prove
 from signorini_fenicsx.rigorous.trace import _lifts

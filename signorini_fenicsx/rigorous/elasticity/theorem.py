@@ -28,6 +28,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.certificate.proof import Proofs, Proven
 from signorini_fenicsx.discrete.simplices import facet_normals, opposite
 from signorini_fenicsx.expressions import Binary, Tree, interval, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
@@ -44,7 +45,6 @@ from signorini_fenicsx.rigorous.elasticity.loads import Moments, constants, forc
 from signorini_fenicsx.rigorous.elasticity.on_contact import changed, pressed, reactions, rubbed, shear_near, tangential
 from signorini_fenicsx.rigorous.elasticity.stress import equilibrated, stresses_of
 from signorini_fenicsx.rigorous.elementary import FromArb
-from signorini_fenicsx.rigorous.proven import Proofs, Proven
 from signorini_fenicsx.rigorous.simplices import (
     Simplices,
     facet_measures,
