@@ -11,11 +11,16 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.complaints import complaint, keys_of
 from signorini_fenicsx.cases.parts import Section
-from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, texts_of
+from signorini_fenicsx.cases.values import Conductivity, Expression, ExpressionByRegion, VectorByPart, texts_of
 from signorini_fenicsx.contact.law import VERTICAL
-from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix
+from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix, GivenVectorByRegion
 
-READERS: dict[object, Any] = {Given: Expression, GivenByRegion: ExpressionByRegion, GivenMatrix: Conductivity}
+READERS: dict[object, Any] = {
+    Given: Expression,
+    GivenByRegion: ExpressionByRegion,
+    GivenMatrix: Conductivity,
+    GivenVectorByRegion: VectorByPart,
+}
 """How a case file has data of these types."""
 
 

@@ -26,6 +26,8 @@ type GivenByRegion = Given | Mapping[str, Given]
 """A scalar, or one for each region of the mesh."""
 type GivenMatrix = Given | Mapping[str, Given]
 """A number times the unit matrix, or a symmetric matrix; or one of these for each region of the mesh."""
+type GivenVectorByRegion = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike] | Mapping[str, Any]
+"""A vector by its components, or one for each region of the mesh."""
 
 
 def parsed(given: Any, names: str, key: str) -> Any:

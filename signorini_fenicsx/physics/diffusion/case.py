@@ -24,7 +24,8 @@ from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_secti
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import depends_on_u
 from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
 from signorini_fenicsx.physics.diffusion.problem import Problem, of_u
-from signorini_fenicsx.physics.diffusion.soil_section import FORMS, SoilTexts, kappa_of
+from signorini_fenicsx.physics.diffusion.soil_section import SoilTexts, kappa_of
+from signorini_fenicsx.physics.diffusion.soils import FORMS
 from signorini_fenicsx.solving.evolution import SCHEMES
 from signorini_fenicsx.solving.options import ELEMENTS
 
@@ -52,14 +53,16 @@ NOTHING = exactly(0)
 """The value on parts without one."""
 
 
-ELSEWHERE: dict[str, Any] = dict.fromkeys(("exact", "laws", "boundary")) | dict.fromkeys(OF_LIST, ExpressionOrByPart)
+ELSEWHERE: dict[str, Any] = dict.fromkeys(("exact", "laws", "boundary", "form")) | dict.fromkeys(
+    OF_LIST, ExpressionOrByPart
+)
 
 
 class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
     """`[problem]`: the data of a `Problem` as text in x, y, z.
 
-    κ is a text, a matrix, or one of them per region; f and c are texts, or one per region; u_D, g_N, ψ and q_S are
-    texts, or one per part, and 0 on parts without one.
+    κ is a text, a matrix, or one of them per region; f and c are texts, or one per region; b a vector of texts, or one
+    per region; u_D, g_N, ψ and q_S are texts, or one per part, and 0 on parts without one.
     """
 
     form: Annotated[str, choice("form", FORMS)] = Field(default=FORMS[0], exclude_if=lambda form: form == FORMS[0])
@@ -92,7 +95,7 @@ class ProblemTexts(data_section(Problem, **ELSEWHERE)):  # type: ignore[misc]
             first, *others = ([on(key, part) for key in keys] for part in parts)
             laws += [kind([part], *own) for part, own in zip(parts[1:], others, strict=True) if own != first]
             data |= dict(zip(keys, first, strict=True))
-        return Problem(**data, laws=laws)
+        return Problem(**data, laws=laws, form=self.form)
 
 
 class Boundary(Parts):
@@ -178,6 +181,10 @@ class Case(CaseFile):
                 raise ValueError(f"[problem] {key}: '{part}' is no part in [boundary] {OF_LIST[key]}")
         if self.soil and "kappa" in self.problem.model_fields_set:
             raise ValueError("[soil]: says what κ is; leave out [problem] kappa")
+        if self.problem.form != FORMS[0] and not self.soil:
+            raise ValueError(f"[problem] form: '{self.problem.form}' is for soils, see [soil]")
+        if self.problem.form != FORMS[0] and self.problem.b is not None:
+            raise ValueError("[problem] b: with the form 'pressure' gravity is the given flux; leave out b")
         if self.soil and self.time is not None:
             raise ValueError("[soil]: soils are for problems without [time], as their storage is not there")
         if EVERYWHERE in self.soil and len(self.soil) > 1:
@@ -217,6 +224,8 @@ class Case(CaseFile):
             return "the proof is for a κ that does not depend on u"
         if self.law or self.problem.by_part:
             return "the proof is for the law of Signorini alone, without [[law]] and data by part"
+        if self.problem.b is not None:
+            return "the proof is for problems without a given flux b"
         if self.problem.c != "0":
             return "the proof is for c = 0 alone; leave out [problem] c"
         no_obstacle = self.problem.obstacle is None

@@ -9,8 +9,20 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, Signorini
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
-from signorini_fenicsx.expressions.given import Given, GivenByRegion, GivenMatrix, at_time, parsed, with_data
+from signorini_fenicsx.expressions.given import (
+    Given,
+    GivenByRegion,
+    GivenMatrix,
+    GivenVectorByRegion,
+    at_time,
+    parsed,
+    with_data,
+)
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
+from signorini_fenicsx.physics.diffusion.soils import FORMS
+
+NO_DATA = ("laws", "boundary", "form")
+"""The fields of a `Problem` that are no data."""
 
 if TYPE_CHECKING:
     from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -26,11 +38,13 @@ class Scalar:
     u_D: Given = 0.0
     obstacle: Given | None = None
     exact: GivenByRegion | None = None
+    b: GivenVectorByRegion | None = None
+    form: str = FORMS[0]
 
 
 @dataclass(frozen=True)
 class Diffusion(Scalar):
-    """−∇·(κ∇u) + cu + s = f, with a condition on each part of the boundary; u = u_D where there is none.
+    """−∇·(κ∇u + b) + cu + s = f, with a condition on each part of the boundary; u = u_D where there is none.
 
     With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω, with equality in one of them. The conditions are
     `Dirichlet`, `Neumann` and laws: `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator`, `Seepage`, `River`,
@@ -46,6 +60,8 @@ class Diffusion(Scalar):
         u_D: Trace on the parts that no condition names, continuous.
         obstacle: Lower bound of u in Ω, continuous; None for none. A short form of `Obstacle(region="all", psi=…)`.
         exact: The exact u, where it is known, or one for each region.
+        b: A given flux, a vector or one for each region; None for none. With it κ∇u + b stands for κ∇u everywhere.
+        form: What u is where κ is that of soils: "head", or "pressure" for the pressure head, with gravity as b.
         conditions: The conditions, each on its parts. That of a part inside the domain is one between the jump of u and
             κ∇u·n, with n outward from the named side.
 
@@ -113,6 +129,8 @@ class Problem(Scalar):
         c: c ≥ 0, or one for each region of the mesh. Where it is positive somewhere, no Γ_D is needed.
         obstacle: Lower bound of u in Ω, continuous, at most u_D on Γ_D; None for none.
         exact: The exact u, where it is known, or one for each region.
+        b: A given flux in σ = κ∇u + b, a vector or one for each region; None for none.
+        form: What u is where κ is that of soils: "head" or "pressure".
         laws: Other laws on Γ_S, and laws in Ω.
         boundary: The parts of Γ_S and Γ_N; those of laws are added to Γ_S.
 
@@ -157,12 +175,12 @@ class Problem(Scalar):
         Raises:
             InputError: If a text cannot be read.
         """
-        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim] + of_u(key), key), but=("laws", "boundary"))
+        return with_data(self, lambda key, given: parsed(given, "xyz"[:dim] + of_u(key), key), but=NO_DATA)
 
     def _changed(self, change: Callable[[str, Any], Any]) -> "Problem":
         """The problem with changed data, also those of the laws, see `with_data`."""
         laws = tuple(law.with_data(change) for law in self.laws)
-        return replace(with_data(self, change, but=("laws", "boundary")), laws=laws)
+        return replace(with_data(self, change, but=NO_DATA), laws=laws)
 
 
 def of_u(key: str) -> str:

@@ -13,9 +13,6 @@ from signorini_fenicsx.cases.values import Positive, choice, number
 from signorini_fenicsx.contact.law import EVERYWHERE
 from signorini_fenicsx.physics.diffusion.soils import SOILS, Soil
 
-FORMS = ("head",)
-"""What u may be: the head, with the height as the last coordinate."""
-
 type NotNegative = Annotated[float, BeforeValidator(number), Field(ge=0, allow_inf_nan=False)]
 
 

@@ -1,6 +1,6 @@
 """Soils above the water table: how their conductivity and their water content fall with the pressure head ψ.
 
-With the head h as u and the height z as the last coordinate, ψ = h − z, κ = K k_r(ψ) and the water in a unit volume is
+With the head h and the height z as the last coordinate, ψ = h − z, κ = K k_r(ψ) and the water in a unit volume is
 θ(ψ) + S_s ψ. For ψ ≥ 0 a soil is saturated, k_r = 1 and θ = θ_s; S = (θ − θ_r)/(θ_s − θ_r) is the saturation. Sources:
 van Genuchten, Soil Sci. Soc. Am. J. 44, 1980, with Mualem's k_r; Gardner, Soil Science 85, 1958; Brooks and Corey,
 1964, with Burdine's k_r. The `air_entry` is that of Vogel, van Genuchten and Cislerova, Adv. Water Resour. 24, 2000.
@@ -18,6 +18,8 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 
+FORMS = ("head", "pressure")
+"""What u may be where there are soils: the head h, or the pressure head ψ, with gravity as a given flux κe_z."""
 FLOOR = 1e-12
 """k_r is not smaller, so that the equations keep a solution in dry soil."""
 TINY = 1e-14

@@ -358,6 +358,8 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
         method.rule is None or method.rule.penalty is not None or options.backend != "hybrid"
     ):
         raise InputError("[problem] kappa: one that depends on u takes alg1 or alg2 with the hybrid backend")
+    if data.b is not None and method.rule is None:
+        raise InputError("[problem] b: a given flux takes alg1 to alg4")
     check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")

@@ -27,6 +27,8 @@ Other laws than Signorini's take the place of ψ and q_S in steps 1 to 3, see `l
 `inside`. After a penalty method u is the exact solution of the penalty problem, or of the Signorini problem if
 one asks for that. Its domain is the one that the mesh covers: a polygon or polyhedron if the boundary is curved.
 
+With a given flux b in σ = κ∇u + b the square in the gap is ‖κ∇v + b − y‖², see `added_flux`.
+
 With a term cu the balance is ∇·y = −f_h + c_h u* with u* near u_h, the gap and osc have the terms of `reaction`, and
 |∇w|² + ‖c^½w‖² takes the place of |∇w|². The two errors are bounded as before, and with them ‖c^½(v − u)‖.
 """
@@ -45,6 +47,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.laws import Area, gap
 from signorini_fenicsx.discrete.points import facet_type, in_facets
+from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.conductivity import enclosed
 from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
@@ -128,6 +131,8 @@ class Admissible:
         energies: Squares of energy norms.
         y: y.
         flux: y cell by cell.
+        driving: y less the given flux b, or less quadratics near it.
+        off_b: ‖κ^-½(b − these)‖ of each owned cell, at most.
         level: u*.
         remainder: Bound of ‖y − σ_h‖; infinite if y is not admissible.
         unbalanced: Why it is infinite; empty if it is not.
@@ -144,6 +149,8 @@ class Admissible:
     energies: Energies
     y: fem.Function
     flux: CellFlux
+    driving: CellFlux
+    off_b: Array
     level: fem.Function
     remainder: float
     unbalanced: str
@@ -157,10 +164,16 @@ class Admissible:
         spaces, data = solution.spaces, solution.data
         comm = spaces.mesh.comm
         metric = cell_metric(spaces, data)
-        size = math.sqrt(comm.allreduce(metric.squares(solution.cell_flux).sum()))
+        driving = data.driving(solution.cell_flux)
+        size, of_driving = (
+            math.sqrt(comm.allreduce(metric.squares(each).sum())) for each in (solution.cell_flux, driving)
+        )
         cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
         resolution = Resolution(
-            spaces, data, size * cells ** (-(spaces.degree + 1) / dim), comm.allreduce(metric.volume.sum())
+            spaces,
+            data,
+            max(size, of_driving) * cells ** (-(spaces.degree + 1) / dim),
+            comm.allreduce(metric.volume.sum()),
         )
         metric = enclosed(resolution, metric, data.kappa, size)
         energies = Energies(resolution, metric, data.kappa)
@@ -169,8 +182,9 @@ class Admissible:
         y, flux, level, remainder, unbalanced = admissible_flux(solution, metric, goal)
         inside = Inside.of(solution, metric, y, level, resolution)
         on = OnGammaS.of(solution, goal, metric, y, flux)
+        driving, off_b = data.driving(flux), beside_b(resolution, metric)
         trace = law_trace(solution, metric, y, on, inside, field)
-        of_y = y, flux, level, remainder, unbalanced
+        of_y = y, flux, driving, off_b, level, remainder, unbalanced
         return cls(solution, goal, metric, size, resolution, energies, *of_y, inside, on, trace)
 
 
@@ -217,7 +231,8 @@ def gap_parts(
     contact = contact + gap_inside
     terms = () if memory is None else memory.terms
     reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution, terms)
-    mismatch = of_y.energies.squares(flux, trace).most
+    mismatch = of_y.energies.squares(of_y.driving, trace).most
+    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + of_y.off_b) ** 2
     total, number = comm.allreduce(np.array([mismatch.sum(), len(mismatch)])).tolist()
     enough = LITTLE * math.sqrt(max(total, 0.0) / number) if spaces.degree else 0.0
     oscillation = load_oscillation(

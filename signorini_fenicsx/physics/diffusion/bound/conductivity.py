@@ -102,7 +102,7 @@ def enclosed(resolution: Resolution, metric: CellMetric, kappa: Datum, size: flo
         kappa: κ.
         size: ‖σ_h‖.
     """
-    if kappa.number is not None or (isinstance(kappa, OnCells) and kappa.polynomial == 0):
+    if kappa.number is not None or isinstance(kappa, OnCells):  # constant or linear: its ends are at vertices
         return metric
     number, frame = len(metric.volume), resolution.spaces.frame
     low, high, kappa_min = metric.low.copy(), metric.high.copy(), metric.kappa_min.copy()

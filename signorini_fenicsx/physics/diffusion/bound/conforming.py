@@ -34,6 +34,7 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
+from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Mask
@@ -143,13 +144,18 @@ def law_trace(
     if field is None:
         load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside)
     weight = _weight(solution)
-    flux, by_nodes = (y, on.by_nodes) if field is None else (weight[0] * ufl.grad(near), False)
+    flux, by_nodes = (_driving(data, y), on.by_nodes) if field is None else (weight[0] * ufl.grad(near), False)
     pull = None if pieces is None else pieces.springs(space)
     relax(v, spaces, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
     jumps.undone(v)
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
         ray.move_inside(v, limits_of_ray, on_dirichlet)
     return _with_exact_data(on, data, _with_levels(on, data, v, u_D, pieces), inside, hindrance=hindrance)
+
+
+def _driving(data: Data, y: fem.Function) -> Expr:
+    """The flux y less a given flux (collective)."""
+    return y if data.b is None else y - data.b.function(data.kappa)
 
 
 def _weight(solution: Solution) -> Weight:

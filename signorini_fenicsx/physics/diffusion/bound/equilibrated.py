@@ -108,8 +108,9 @@ def _balanced(
     flux = flux if y is sigma else CellFlux.of(spaces, y)
     c_h = 0.0 if data.c_h is None else owned_values(data.c_h)
     loads = np.abs(owned_values(data.f_h)) + c_h * np.abs(owned_values(u))
-    squares = comm.allreduce(np.array([metric.squares(flux).sum(), volume @ loads**2]))
-    rounding = float(np.sqrt(squares) @ [ROUNDING, OF_SUMS * constant])
+    of_fluxes = [metric.squares(each).sum() for each in (flux, data.driving(flux))]
+    *of_fluxes, of_loads = np.sqrt(comm.allreduce(np.array([*of_fluxes, volume @ loads**2])))
+    rounding = float(ROUNDING * max(of_fluxes) + OF_SUMS * constant * of_loads)
     for _ in range(CORRECTIONS):
         s, may = flux.divergence + owned_values(data.source(u)), None
         off = s
@@ -209,6 +210,7 @@ def balancing_flux(
         psi_h=nothing,
         q_Sh=nothing,
         inside=inside,
+        b=None,
     )
     return HybridBackend(spaces, loads).solve(SiteConditions(kind))
 

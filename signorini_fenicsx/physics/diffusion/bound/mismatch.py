@@ -43,6 +43,7 @@ from signorini_fenicsx.physics.diffusion.bound.conductivity import Conductivity,
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, Resolution, of_all_cells
+from signorini_fenicsx.physics.diffusion.discrete.added_flux import DEGREE as DEGREE_OF_B
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 
 QUADRATIC = 2
@@ -86,8 +87,8 @@ class Energies:
 
     @property
     def _order(self) -> int:
-        """The degree of y, of ∇v and of w."""
-        return self.resolution.spaces.degree + 1
+        """The degree of y, of ∇v and of w; with b that of the polynomials near it."""
+        return _order(self.resolution)
 
     @property
     def _degree(self) -> int:
@@ -107,7 +108,9 @@ class Energies:
         near_cells = np.empty(0, dtype=np.int32) if trace is None else trace.cells
         far = np.delete(owned_cells(mesh), near_cells)
         of_kappa = max(quadrature_degree(self.kappa), 2 * (self._degree + self._order)) if varies else 2 * self._order
-        near_degree = 2 * self._order if trace is None else degree_near(trace) + self._degree
+        near_degree = 2 * self._order
+        if trace is not None:
+            near_degree = max(near_degree, degree_near(trace)) + self._degree
         squares = Squares(*np.zeros((3, len(self.metric.volume))))
         for near, cells, degree in ((False, far, of_kappa), (True, near_cells, near_degree)):
             for points in in_cells(mesh, cells, *positive_quadrature(mesh.basix_cell(), degree)):
@@ -122,7 +125,7 @@ class Energies:
         kappa = self.kappa.values(points)
         off = scaled(kappa, slope) - y
         squares.seen[rows] = points.integrals(_product(off, scaled(inverted(kappa), off)))
-        if self.kappa.number is not None or self.kappa.pieces is None:
+        if self.kappa.number is not None or (self.kappa.pieces is None and self.kappa.polynomial is None):
             return
         cell = points.mesh.basix_cell()
         ends = CellPoints(points.mesh, points.cells, _nearer(nodes(cell, self._order), INSIDE), np.empty(0))
@@ -216,7 +219,7 @@ class _InParts:
         """The squares on these cells (collective)."""
         vertices, frame = self.resolution.vertices[self.cells], self.resolution.spaces.frame
         centre, hats = vertices.mean(axis=1), barycentric_gradients(vertices)
-        cell, order = SIMPLEX[vertices.shape[2]], self.resolution.spaces.degree + 1
+        cell, order = SIMPLEX[vertices.shape[2]], _order(self.resolution)
         points, weights = positive_quadrature(cell, 2 * (DEGREE + order))
         barycentric, rule = np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
         shares, of_nodes = exponents(cell, order) / order, interpolation(cell, order, points)
@@ -251,6 +254,11 @@ class _InParts:
         share = parts.share[:, None] * of_parts
         share[np.isnan(share)] = np.inf
         return Squares(*(self.volume * np.bincount(parts.own, column, len(self.cells)) for column in share.T))
+
+
+def _order(resolution: Resolution) -> int:
+    order: int = resolution.spaces.degree + 1
+    return order if resolution.data.b is None else max(order, DEGREE_OF_B)
 
 
 def _missed(

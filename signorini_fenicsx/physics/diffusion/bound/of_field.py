@@ -29,11 +29,16 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         parts = gap_parts(repaired, repaired, goal)
         of_repaired = summed(repaired, parts)
         to_bernstein(field)
-        flux, of_field = solution.cell_flux, replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0])
+        flux, of_field = (
+            solution.data.driving(solution.cell_flux),
+            replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0]),
+        )
         squares = own.energies.squares(flux, of_field)
+        most = (np.sqrt(squares.most) + own.off_b) ** 2
+        least = np.maximum(np.sqrt(squares.least) - own.off_b, 0.0) ** 2
         moved = np.sqrt(own.energies.squares(None, repaired.trace, field).most) + parts.hidden
     repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
-    return joined(solution, certificate, (squares.most, squares.least), own.size, repair, of_repaired)
+    return joined(solution, certificate, (most, least), own.size, repair, of_repaired)
 
 
 def _in_nodes(v: fem.Function) -> fem.Function:

@@ -139,7 +139,7 @@ class LinearisedFluxes(HybridLinearised):
         for numbers, weights, hats, kappa in self._in_points("kappa"):
             shapes, size, inverse = _quadratics(hats), kappa.shape[2:], np.linalg.inv(as_matrices(kappa, spaces.dim))
             change = as_matrices(changes["kappa"].reshape(len(moments), -1, *size)[numbers], spaces.dim)
-            strain = inverse @ change @ inverse @ (shapes @ sigma[numbers])[..., None]
+            strain = inverse @ change @ inverse @ (shapes @ sigma[numbers] - self._b_at(numbers))[..., None]
             at_nodes = np.einsum("nq,nqa,nqi->nai", weights, shapes, strain[..., 0], optimize=True)
             pulled = at_nodes @ Cells(spaces.vertices[numbers]).map
             functional[numbers] = np.tensordot(pulled, element.at_nodes, ((1, 2), (0, 1)))
@@ -170,11 +170,17 @@ class LinearisedFluxes(HybridLinearised):
             by["c"].append((weights * values).ravel())
         for numbers, weights, hats, kappa in self._in_points("kappa"):
             shapes, inverse = _quadratics(hats), np.linalg.inv(as_matrices(kappa, self._spaces.dim))
-            strain = np.einsum("nqij,nqj->nqi", inverse, shapes @ self._solution.sigma_values[numbers])
+            driving = shapes @ self._solution.sigma_values[numbers] - self._b_at(numbers)
+            strain = np.einsum("nqij,nqj->nqi", inverse, driving)
             adjoint = np.einsum("nqji,nqj->nqi", inverse, shapes @ sigma[numbers])
             entries = "nq,nqi,nqj->nqij" if self._data.kappa.shape else "nq,nqi,nqi->nq"
             by["kappa"].append(np.einsum(entries, weights, adjoint, strain).ravel())
         return {name: np.concatenate(blocks) for name, blocks in by.items()}
+
+    def _b_at(self, numbers: npt.NDArray[np.int32]) -> Array | float:
+        """The given flux b in the points of κ on some cells; 0 without it (collective)."""
+        b, kappa = self._data.b, self._data.kappa
+        return 0.0 if b is None else b.at(data_points(self._spaces, numbers, quadrature_degree(kappa)), kappa)
 
     @cached_property
     def _u(self) -> Array:

@@ -9,7 +9,7 @@ p = value on vertical segments, σ·n = g_h on Γ_N, and a term −(s, v) or u_T
 symmetric. So the change with the data and the adjoint state (λ_σ, λ_u, λ_p), B(·, λ) = dJ for all that is homogeneous,
 are solutions of one system, see `facet_system.Loads`, and
 
-    dJ = −(d(κ_h⁻¹)σ, λ_σ) + ⟨du_D, λ_σ·n⟩ + (dc_h u − df_h, λ_u) + ⟨dβ p − dvalue, λ_p⟩
+    dJ = −(d(κ_h⁻¹)(σ − b), λ_σ) + ⟨du_D, λ_σ·n⟩ + (dc_h u − df_h, λ_u) + ⟨dβ p − dvalue, λ_p⟩
          + ⟨dvalue, J_p + λ_σ·n⟩ on vertical segments − ⟨dg_h, λ̂⟩ on Γ_N,
 
 with λ̂ the trace of λ_u on a facet. In a cell that a law holds the factor of dvalue is J_u − ∇·λ_σ.
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import dolfinx.mesh
 import numpy as np
@@ -150,7 +151,7 @@ class LinearisedDiffusion(Linearised):
         if "kappa" in changes:
             kappa = data.kappa_h.copy()
             set_owned(kappa, changes["kappa"])
-            flux.x.array[:] = -assembled(spaces.kept(_with_kappa, data.kappa_h, self._solution.sigma, kappa))
+            flux.x.array[:] = -assembled(spaces.kept(_with_kappa, data.kappa_h, self._driving, kappa))
             flux.x.scatter_forward()
         traces.x.array[cells_and_dofs(space, spaces.dirichlet_facets)[1]] = changes.get("u_D", 0.0)
         forces[cells_and_dofs(space, spaces.neumann_facets)[1]] = changes.get("g_N", 0.0) * spaces.neumann_measure
@@ -190,11 +191,17 @@ class LinearisedDiffusion(Linearised):
         by = {"f": of_f, "c": -u * of_f, "g_N": -traces[on_neumann] * spaces.neumann_measure}
         by["line"] = np.append(on_facets, in_cells)
         if "kappa" in self.seen:
-            form = spaces.kept(_by_kappa, data.kappa_h, self._solution.sigma, of_sigma)
+            form = spaces.kept(_by_kappa, data.kappa_h, self._driving, of_sigma)
             by["kappa"] = -assembled(form)[self.seen["kappa"].dofs]
         if "u_D" in self.seen:
             by["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
         return by
+
+    @cached_property
+    def _driving(self) -> fem.Function:
+        """σ, less a given flux b (collective)."""
+        solution, b = self._solution, self._data.b
+        return solution.sigma if b is None else b.less_projected(solution.cell_flux)
 
     def _jumps(self, functional: fem.Function) -> Array:
         """The z whose ⟨z, τ·n⟩ is the value at τ of a functional, given by its values at the basis functions."""
@@ -240,11 +247,14 @@ def _with_kappa(spaces: Spaces, kappa: Expr, sigma: Expr, change: Expr) -> Form:
 
 
 def check_fixed_kappa(solution: Solution) -> None:
-    """Refuse a κ that depends on u.
+    """Refuse a κ that depends on u, and a given flux in UFL.
 
     Raises:
-        InputError: If it does.
+        InputError: If there is one.
     """
+    b = solution.data.b
+    if b is not None and any(component.pieces is None for component in b.components):
+        raise InputError("derivatives: there are none with a given flux b in UFL, or with numbers in it as controls")
     if solution.data.quasilinear is not None:
         raise InputError("derivatives: there are none where κ depends on u")
 

@@ -169,9 +169,15 @@ class LinearFlux(CellFlux):
     def of(cls, spaces: Spaces, sigma: fem.Function) -> Self:
         """The flux on cells of a function with up-to-date ghost values (collective)."""
         assert isinstance(spaces, LinearSpaces)
-        mesh, cell, dim = spaces.mesh, spaces.mesh.basix_cell(), spaces.mesh.topology.dim
+        cell = spaces.mesh.basix_cell()
         components = np.stack([coefficients_of(each, cell) for each in np.moveaxis(spaces.by_dolfinx(sigma), 2, 0)])
-        jets = [jet(each, np.full((1, 1, dim + 1), 1 / (dim + 1)), hat_gradients(mesh))[:, 0] for each in components]
+        return cls.by_components(spaces, components)
+
+    @classmethod
+    def by_components(cls, spaces: Spaces, components: Array) -> Self:
+        """The quadratic flux with these components."""
+        dim, middle = len(components), np.full((1, 1, len(components) + 1), 1 / (len(components) + 1))
+        jets = [jet(each, middle, hat_gradients(spaces.mesh))[:, 0] for each in components]
         slope = sum(each[:, 1 + i] for i, each in enumerate(jets)) / dim
         return cls(spaces, np.stack([each[:, 0] for each in jets], axis=1), np.asarray(slope), components)
 

@@ -32,8 +32,9 @@ from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows
+from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux, b_of
 from signorini_fenicsx.physics.diffusion.discrete.boundary_laws import BoundaryLaws, boundary_laws
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cells
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws, cell_laws, with_reactions
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells, Quasilinear, depends_on_u, quasilinear_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -80,6 +81,7 @@ class Data:
             of regions has names such as "kappa.core".
         given: The constants and functions in the data, with the values that they had.
         quasilinear: κ as a function of u; None if it does not depend on u.
+        b: The given flux in σ = κ∇u + b; None for none.
     """
 
     f: Datum
@@ -105,6 +107,7 @@ class Data:
     memory: fem.Function | None = None
     given: Values = ()
     quasilinear: Quasilinear | None = None
+    b: AddedFlux | None = None
 
     @property
     def chains(self) -> Chains:
@@ -186,6 +189,14 @@ class Data:
         entries = owned_values(self.kappa_h).reshape(-1, *(self.kappa.shape or (1, 1)))
         return entries if self.kappa.shape else entries * identity
 
+    def jumps(self, spaces: Spaces) -> Array | None:
+        """What stands for b in the first equation, see `AddedFlux.jumps` (collective)."""
+        return None if self.b is None else self.b.jumps(self.matrices(spaces))
+
+    def driving(self, flux: CellFlux) -> CellFlux:
+        """A flux less b: the κ∇u of σ (collective)."""
+        return flux if self.b is None else self.b.taken_from(flux, self.kappa)
+
     def extent(self, spaces: Spaces) -> tuple[float, float]:
         """The smallest and the largest mean of u_D, of ψ on the boundary, and of references in Ω (collective)."""
         in_cells = np.empty(0) if self.inside is None else self.inside.means
@@ -259,7 +270,8 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     problem, known = problem.parsed(spaces.mesh.geometry.dim), known or Known(spaces.mesh.comm)
     problem = with_reactions(spaces, problem)
     # κ_h, f_h, σ_lift, u_lift: functions made in another order make another form, which would be compiled again.
-    of_u = quasilinear_of(spaces, problem.kappa) if depends_on_u(problem.kappa) else None
+    of_u = quasilinear_of(spaces, problem.kappa, problem.form) if depends_on_u(problem.kappa) else None
+    b = b_of(spaces, problem, known)
     problem = problem if of_u is None else replace(problem, kappa=exactly(1.0))
     kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
     f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem, known))
@@ -297,6 +309,7 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
         trees=_trees(problem),
         given=values_in(problem),
         quasilinear=of_u,
+        b=b,
         **boundary,
     )
     if of_u is None:

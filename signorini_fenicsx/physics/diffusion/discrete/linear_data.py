@@ -17,6 +17,7 @@ from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_valu
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
+from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
@@ -63,8 +64,23 @@ class LinearData(Data):
         basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
         return cells.product_in_points(inverse, basis, points.weights)
 
+    def of_b(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:
+        """(κ⁻¹b, τ) for the basis, shape (cells, basis), as the products have κ; None without b (collective)."""
+        if self.b is None:
+            return None
+        points = data_points(spaces, numbers, self.degree_of(self.b))
+        basis = reference(spaces.dim).permuted(points.points)[order_number(spaces.order[numbers])]
+        values = self.b.over_kappa(points, self.kappa)
+        return np.asarray(np.einsum("q,nqi,nij,nqjb->nb", points.weights, values, cells.derivative, basis))
+
+    def degree_of(self, b: AddedFlux) -> int:
+        """Degree for `data_points` of κ⁻¹b."""
+        return max(b.degree, 0 if self.kappa.polynomial == 0 else quadrature_degree(self.kappa))
+
     def by_kappa(self, spaces: LinearSpaces, sigma: Array) -> Array:
         """(φ_v κ⁻²σ, τ) for the hats of the vertices of cells and the basis, shape (cells, basis, d + 1) (collective).
+
+        With a given flux b it is σ − b in the place of σ, unless b is a multiple of κ.
 
         Args:
             spaces: The spaces.
@@ -80,6 +96,11 @@ class LinearData(Data):
                 matrices = weight[:, :, vertex].T[:, :, None, None] * np.eye(spaces.dim)
                 products = cells.product_in_points(matrices, basis, points.weights)
                 found[numbers, :, vertex] = np.einsum("nbc,nc->nb", products, of_sigma)
+            if self.b is not None and not self.b.by_kappa:
+                values = self.b.at(points, self.kappa)
+                found[numbers] -= np.einsum(
+                    "q,qnv,nqi,nij,nqjb->nbv", points.weights, weight, values, cells.derivative, basis, optimize=True
+                )
         return found
 
     def reactions(self, spaces: LinearSpaces, numbers: npt.NDArray[np.int32], cells: Cells) -> Array | None:

@@ -26,7 +26,7 @@ from signorini_fenicsx.base.small_matrices import inverses, inverted, scaled, sq
 from signorini_fenicsx.discrete.bernstein import basis, jet
 from signorini_fenicsx.discrete.cell_shapes import mean_moments, squared_arms
 from signorini_fenicsx.discrete.points import Points, in_cells
-from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 
 DEGREE = 3
@@ -49,7 +49,11 @@ class Potential:
 
     @classmethod
     def of(cls, data: Data, flux: CellFlux, u: fem.Function) -> Self:
-        """The potential of a flux and of means in P0; of RT1 a `CubicPotential` (collective)."""
+        """The potential of a flux and of means in P0; of RT1 a `CubicPotential` (collective).
+
+        With a given flux b in σ_h it is that of σ_h − b, and a `CubicPotential` too.
+        """
+        flux = data.driving(flux)
         if isinstance(flux, LinearFlux):
             return cast(Self, CubicPotential.of(data, flux, u))
         inverse = np.broadcast_to(inverses(data.matrices(flux.spaces)), (len(flux.slope), *flux.centroid.shape[1:] * 2))
@@ -90,7 +94,7 @@ class CubicPotential(Potential):
     @classmethod
     def of(cls, data: Data, flux: CellFlux, u: fem.Function) -> Self:
         """The potential of a flux of RT1 and of a linear u_h (collective)."""
-        mesh, means = flux.spaces.mesh, cell_values(u).mean(axis=1)
+        mesh, means = flux.spaces.mesh, means_in_cells(u)
         cell, dim = mesh.basix_cell(), mesh.topology.dim
         kappa_h = np.broadcast_to(data.matrices(flux.spaces), (len(means), dim, dim))
         points, weights = positive_quadrature(cell, 2 * DEGREE - 2)

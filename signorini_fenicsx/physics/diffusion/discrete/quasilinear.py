@@ -24,7 +24,7 @@ from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions import TREES, Tree, depends_on, values_and_gradient
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
-from signorini_fenicsx.physics.diffusion.soils import FLOOR, Soil
+from signorini_fenicsx.physics.diffusion.soils import FLOOR, FORMS, Soil
 
 type Curve = Callable[[Array, Array], tuple[Array, Array]]
 """κ and its derivative by u in points, whose coordinates are the last axis, for u there."""
@@ -75,6 +75,7 @@ class Quasilinear:
         ends: The smallest and the largest given u, with which it begins.
         constant: What is taken from u, see `Data.less`.
         power: s of κ^s κ_0^(1 − s), with κ_0 that of the beginning; 1 is κ.
+        form: What u is in soils, see `soils.FORMS`.
     """
 
     spaces: Spaces
@@ -82,6 +83,7 @@ class Quasilinear:
     ends: tuple[float, float] = (0.0, 0.0)
     constant: float = 0.0
     power: float = 1.0
+    form: str = FORMS[0]
 
     @cached_property
     def _places(self) -> tuple[Array, Array]:
@@ -113,12 +115,16 @@ class Quasilinear:
     def of_soils(self, u: Array) -> dict[str, Array]:
         """The pressure head and the saturation of the owned cells with these means of u; nothing without soils."""
         x = corners(self.spaces.mesh).mean(axis=1)
-        saturation = np.ones(len(u))
+        saturation, head = np.ones(len(u)), self.head(x, u)
         for inside, curve in self.parts:
             if isinstance(curve, Soil):
-                saturation[inside] = curve.saturation(x[inside], u[inside])
+                saturation[inside] = curve.saturation(x[inside], head[inside])
         soils = any(isinstance(curve, Soil) for _, curve in self.parts)
-        return {"pressure": u - x[:, -1], "saturation": saturation} if soils else {}
+        return {"pressure": head - x[:, -1], "saturation": saturation} if soils else {}
+
+    def head(self, x: Array, u: Array) -> Array:
+        """The head in points with these u, where there are soils."""
+        return u if self.form == FORMS[0] else u + x[..., -1]
 
     def along(self, traces: Array, step: Array) -> Array:
         """Slopes in the place of the derivatives: what κ changes along a step of û, divided by that."""
@@ -140,7 +146,8 @@ class Quasilinear:
         x, _ = self._places
         value, slope = np.ones(x.shape[:2]), np.zeros(x.shape[:2])
         for inside, curve in self.parts:
-            value[inside], slope[inside] = curve(x[inside], u[inside])
+            known = self.head(x[inside], u[inside]) if isinstance(curve, Soil) else u[inside]
+            value[inside], slope[inside] = curve(x[inside], known)
         return value, slope
 
     @cached_property
@@ -167,9 +174,10 @@ def depends_on_u(kappa: Any) -> bool:
     return _takes_u(kappa) or (isinstance(kappa, TREES) and depends_on(kappa, "u"))
 
 
-def has_soils(kappa: Any) -> bool:
-    """Whether κ is that of a soil somewhere."""
-    return any(isinstance(each, Soil) for each in (kappa.values() if isinstance(kappa, Mapping) else [kappa]))
+def has_soils(kappa: Any, *, everywhere: bool = False) -> bool:
+    """Whether κ is that of a soil somewhere, or everywhere."""
+    are_soils = [isinstance(each, Soil) for each in (kappa.values() if isinstance(kappa, Mapping) else [kappa])]
+    return all(are_soils) if everywhere else any(are_soils)
 
 
 def _takes_u(given: object) -> bool:
@@ -181,7 +189,7 @@ def _takes_u(given: object) -> bool:
     return len(inspect.signature(given).parameters) == 2
 
 
-def quasilinear_of(spaces: Spaces, kappa: Any) -> Quasilinear:
+def quasilinear_of(spaces: Spaces, kappa: Any, form: str = FORMS[0]) -> Quasilinear:
     """κ(x, u) of a problem (collective).
 
     Raises:
@@ -197,7 +205,7 @@ def quasilinear_of(spaces: Spaces, kappa: Any) -> Quasilinear:
         inside = np.zeros(len(spaces.cell_measures), dtype=bool)
         inside[spaces.domain.regions[name] if name else slice(None)] = True
         parts.append((inside, _curve(each, spaces.mesh.geometry.dim)))
-    return Quasilinear(spaces, parts)
+    return Quasilinear(spaces, parts, form=form)
 
 
 def _curve(given: Any, dim: int) -> Curve:

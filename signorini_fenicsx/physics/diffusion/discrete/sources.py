@@ -24,11 +24,13 @@ class Sources:
         s: s_T ≥ 0 in P0; None if it is 0 everywhere.
         b: b_T in P0.
         moments: m_T.
+        jumps: What is added to ū_T for a given flux b, the mean of `Data.jumps`.
     """
 
     s: fem.Function | None
     b: fem.Function
     moments: Array
+    jumps: Array | float = 0.0
 
     def renewed(self, data: Data) -> Sources:
         """The sources for another f_h, with the same κ_h and c_h."""
@@ -47,7 +49,7 @@ class Sources:
 
     def values(self, u_cr: fem.Function) -> tuple[Array, Array]:
         """u_T = ū_T + m_T y_T and y_T per owned cell, for a function with up-to-date ghost values."""
-        means, y = _means(u_cr), owned_values(self.b)
+        means, y = _means(u_cr) + self.jumps, owned_values(self.b)
         if self.s is not None:
             y = y - owned_values(self.s) * means
         return means + self.moments * y, y
@@ -55,18 +57,19 @@ class Sources:
 
 def sources(spaces: Spaces, data: Data, conditions: SiteConditions | None = None) -> Sources:
     """The sources of −∇·σ + c_h u + s = f_h, with the laws in Ω under conditions on the cells; without these s = 0."""
-    moments = mean_moments(spaces, data)
+    moments, z = mean_moments(spaces, data), data.jumps(spaces)
+    jumps = 0.0 if z is None else z.mean(axis=1)
     if data.c_h is None and data.inside is None:
-        return Sources(None, data.f_h, moments)
+        return Sources(None, data.f_h, moments, jumps)
     if data.inside is not None and conditions is not None:
         beta, load = data.inside.as_linear(conditions)
         held = np.isinf(beta)
         c = np.where(held, 0.0, beta) + (0.0 if data.c_h is None else owned_values(data.c_h))
         s = function_of(spaces.Q, np.where(held, 1 / moments, c / (1 + c * moments)))
         b = np.where(held, load / moments, (owned_values(data.f_h) + load) / (1 + c * moments))
-        return Sources(s, function_of(spaces.Q, b), moments)
+        return Sources(s, function_of(spaces.Q, b), moments, jumps)
     c = np.zeros(1) if data.c_h is None else owned_values(data.c_h)
-    return Sources(function_of(spaces.Q, c / (1 + c * moments)), data.f_h, moments).renewed(data)
+    return Sources(function_of(spaces.Q, c / (1 + c * moments)), data.f_h, moments, jumps).renewed(data)
 
 
 def mean_moments(spaces: Spaces, data: Data) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import basix
 import numpy as np
@@ -40,6 +41,7 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values, 
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.quantities.shifts import with_flux, with_trace
 from signorini_fenicsx.physics.diffusion.show.water import share_above_table
+from signorini_fenicsx.physics.diffusion.soils import FORMS
 from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import SHARE, Beside, in_regions
@@ -66,6 +68,8 @@ def check(domain: Domain, problem: Problem, kind: Kind) -> None:
         InputError: If a name is unknown, or the quantity is given by the data.
     """
     if isinstance(kind, Energy):
+        if problem.b is not None:
+            raise InputError("Energy: there is none with a given flux b")
         return
     if not isinstance(kind, Flux | Integral):
         raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
@@ -113,7 +117,8 @@ class _Beside(Beside[Admissible]):
         super().__init__(solution, kind)
         self._given: Problem = solution.problem.parsed(self.spaces.mesh.geometry.dim)
         if solution.data.quasilinear is not None:
-            self._given = replace(self._given, kappa=solution.data.kappa)
+            fixed: dict[str, Any] = {"kappa": solution.data.kappa, "b": solution.data.b, "form": FORMS[0]}
+            self._given = replace(self._given, **fixed)
         self.kappa: float = solution.data.conductance * self.spaces.length
 
     def posed(self, tau: float) -> Problem:

@@ -40,6 +40,8 @@ def exact_errors(solution: Solution, exact: Datum) -> dict[str, float]:
         jet, kappa = exact.jet(points, gradient=True), data.kappa.values(points)
         slope = jet[:, :, 1:, None]
         exact_flux = kappa[..., None] * slope[..., 0] if kappa.ndim == 2 else (kappa @ slope)[..., 0]
+        if data.b is not None:
+            exact_flux = exact_flux + data.b.at(points, data.kappa)
         off = exact_flux - flux.at(points)
         inverse = off / kappa[..., None] if kappa.ndim == 2 else np.linalg.solve(kappa, off[..., None])[..., 0]
         balance = data.f.values(points) - data.c.values(points) * jet[:, :, 0] + flux.divergence_at(points)

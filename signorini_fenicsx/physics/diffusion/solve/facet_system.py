@@ -127,7 +127,7 @@ class FacetSystem:
 
     def _take(self, data: Data) -> None:
         """Assemble the right side (collective)."""
-        self._data = data
+        self._data, self._jumps = data, data.jumps(self.spaces)
         self._assemble_load()
 
     def _assemble_load(self) -> None:
@@ -137,7 +137,11 @@ class FacetSystem:
         """
         data, spaces = self._data, self.spaces
         y, dofs = owned_values(self.sources.b), cell_dofs(self.space)
+        if self.sources.s is not None:
+            y = y - owned_values(self.sources.s) * self.sources.jumps
         per_facet = (y * spaces.cell_measures / dofs.shape[1])[:, None]
+        if self._jumps is not None:
+            per_facet = per_facet - self._flow(self._jumps)
         owned = self.sides.forces(sums_at(self.space.dofmap.index_map, dofs, per_facet)[: self.b.getLocalSize()])
         owned[self.trace_dofs] += data.q_Sh * spaces.facet_measure
         owned[self._neumann_dofs] += data.sigma_lift.x.array[spaces.neumann_dofs] * spaces.neumann_basis_flux
@@ -160,7 +164,7 @@ class FacetSystem:
             Whether κ and c, and so the matrix, stay.
         """
         same = data.same_operator(self._data, self.spaces)
-        kept = same and data.inside is None
+        kept = same and data.inside is None and data.b is self._data.b
         self.sources = self.sources.renewed(data) if kept else sources(self.spaces, data)
         if not kept:
             self._assemble_again(data)
@@ -177,10 +181,13 @@ class FacetSystem:
 
         That of m_T, with which u_T depends on sources, is left out.
         """
-        none = fem.Function(self.spaces.Q)
-        through = assembled(self.spaces.kept(_outflow, self._data.kappa_h, none, self._with_lift(x)))
-        of_cells = through[cell_dofs(self.spaces.broken_crouzeix_raviart)] / self._data.kappa_values
-        return np.asarray(of_cells[:, :, None])
+        b, u_cr = self._data.b, self._with_lift(x)
+        if b is not None and b.by_kappa:
+            of_cells = self._flow(u_cr.x.array[cell_dofs(self.space)] + self._jumps)
+        else:
+            through = assembled(self.spaces.kept(_outflow, self._data.kappa_h, fem.Function(self.spaces.Q), u_cr))
+            of_cells = through[cell_dofs(self.spaces.broken_crouzeix_raviart)]
+        return np.asarray((of_cells / self._data.kappa_values)[:, :, None])
 
     def of_cells(self, matrices: Array) -> PETSc.Mat:
         """The sum of matrices of the owned cells, between û on their facets (collective)."""
@@ -254,8 +261,12 @@ class FacetSystem:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
         spaces = self.spaces
         sigma, u_cr = fem.Function(spaces.V, name="sigma"), self._with_lift(self.x)
-        through = assembled(spaces.kept(_outflow, self._data.kappa_h, self.sources.at(u_cr), u_cr))
-        sigma.x.array[cell_dofs(spaces.V)] = through[cell_dofs(spaces.broken_crouzeix_raviart)] / spaces.outflow
+        if self._jumps is None:
+            through = assembled(spaces.kept(_outflow, self._data.kappa_h, self.sources.at(u_cr), u_cr))
+            of_cells = through[cell_dofs(spaces.broken_crouzeix_raviart)]
+        else:
+            of_cells = self._flow(u_cr.x.array[cell_dofs(self.space)] + self._jumps, self.sources.at(u_cr))
+        sigma.x.array[cell_dofs(spaces.V)] = of_cells / spaces.outflow
         sigma.x.scatter_forward()
         of_cells = self.sources.values(u_cr)[0]
         flux = spaces.normal_flux(sigma) - self._data.q_Sh
@@ -313,11 +324,14 @@ class FacetSystem:
         s = np.zeros(len(values)) if self.sources.s is None else owned_values(self.sources.s)
         moments, means = self.sources.moments, np.einsum("cf->c", values) / values.shape[1]
         source = (1 - s * moments) * loads.source + s * (loads.held - means)
-        y, broken = function_of(self.spaces.Q, source), fem.Function(self.spaces.broken_crouzeix_raviart)
+        return self._flow(values, function_of(self.spaces.Q, source)), means + moments * source
+
+    def _flow(self, values: Array, source: fem.Function | None = None) -> Array:
+        """∫σ·n out of each owned cell through each facet, from u on its facets and −∇·σ (collective)."""
+        y, broken = source or fem.Function(self.spaces.Q), fem.Function(self.spaces.broken_crouzeix_raviart)
         dofs = cell_dofs(broken.function_space)
         broken.x.array[dofs] = values
-        through = assembled(self.spaces.kept(_outflow, self._data.kappa_h, y, broken))
-        return through[dofs], means + moments * source
+        return np.asarray(assembled(self.spaces.kept(_outflow, self._data.kappa_h, y, broken))[dofs])
 
     def traces(self, x: PETSc.Vec, conditions: SiteConditions) -> tuple[Array, Array]:
         """Trace and flux per site as `recover` gives them, for an x that need not be a solution (collective).

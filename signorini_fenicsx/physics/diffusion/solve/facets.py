@@ -102,6 +102,8 @@ class FacetBackend(PlainBackend, ABC):
         root, of_facets = roots[spaces.cells], self.facets.of(iterate.p)
         through = np.abs(iterate.sigma.x.array[spaces.V.dofmap.list[spaces.cells]]).max(axis=1, initial=0.0)
         flux = through * np.abs(spaces.basis_flux) / spaces.facet_measure
+        if self.data.b is not None:
+            flux = flux + self.data.b.sizes(self.data.matrices(spaces))[spaces.cells]
         u, p = np.abs(owned_values(iterate.u)), np.abs(of_facets)
         terms = (np.append(u, p), np.append(roots * u, root * p), flux, flux / root)
         largest = np.array([values.max(initial=0.0) for values in terms])

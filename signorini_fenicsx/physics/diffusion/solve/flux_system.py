@@ -70,15 +70,16 @@ class FluxSystem(HybridSystem):
             cells = Cells(spaces.vertices[numbers])
             product, reaction = data.products(spaces, numbers, cells), data.reactions(spaces, numbers, cells)
             of_f = data.moments_of_f(spaces, numbers, cells) if moments is None else moments[numbers]
+            of_b = data.of_b(spaces, numbers, cells) if functional is None else None
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             tractions = np.broadcast_to(element.tractions, (len(numbers), *element.tractions.shape)).copy()
             spaces.to_unknowns(tractions, numbers)
+            of_sigma = functional[numbers] if functional is not None else 0.0 if of_b is None else of_b
             if self._in_cells is None:
-                of_sigma = 0.0 if functional is None else functional[numbers]
                 yield eliminate(numbers, cells, tractions, product, -of_f, of_sigma, reaction)
             else:
-                yield self._with_laws(numbers, cells, tractions, product, of_f, reaction, self._in_cells)
+                yield self._with_laws(numbers, cells, tractions, product, of_f, of_sigma, reaction, self._in_cells)
 
     def _with_laws(
         self,
@@ -87,6 +88,7 @@ class FluxSystem(HybridSystem):
         tractions: Array,
         product: Array,
         of_f: Array,
+        of_sigma: Array | float,
         reaction: Array | None,
         laws: InCells,
     ) -> Eliminated:
@@ -107,6 +109,7 @@ class FluxSystem(HybridSystem):
             tractions @ to_dual,
             to_dual @ product @ to_dual,
             -of_f @ values - share[:, None] * laws.load[numbers],
+            of_sigma @ to_dual if isinstance(of_sigma, np.ndarray) else of_sigma,
             reaction=springs,
             held=(laws.held[numbers], laws.values[numbers]),
         )

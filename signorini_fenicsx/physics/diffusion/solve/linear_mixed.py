@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import basix.ufl
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +24,14 @@ from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.matrices import identity_with
-from signorini_fenicsx.discrete.points import cell_quadrature
+from signorini_fenicsx.discrete.mesh_spaces import assembled
+from signorini_fenicsx.discrete.points import Points, cell_quadrature
 from signorini_fenicsx.discrete.seen_on_facets import dofs_on_boundary
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.forms.mixed import flux_product, mass_balance, trace_term
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells
@@ -74,6 +79,9 @@ class LinearMixedBackend(VertexBackend):
         for numbers in blocks_of_cells(spaces.mesh):
             moments.x.array[dofs[numbers]] = data.moments_of_f(spaces, numbers, Cells(spaces.vertices[numbers]))
         self._load.array_w[self._ends[0] : self._ends[1]] = -moments.x.array[: sizes[1]]
+        if data.b is not None:
+            of_b = assembled(spaces.kept(_of_b, _b_in_points(spaces, data, data.b)))
+            self._load.array_w[: sizes[0]] += of_b[: sizes[0]]
         self._system.natural.mult(self._lift, self._b)
         self._load.axpy(-1.0, self._b)
         self._solver = direct_solver(self._system.matrix, "lu", "mixed_")
@@ -138,13 +146,30 @@ class LinearMixedBackend(VertexBackend):
 
 def _in_points(spaces: LinearSpaces, datum: Datum) -> fem.Function:
     """A datum by its values in points of the cells, those in which the hybrid system has it (collective)."""
-    degree = min(quadrature_degree(datum) + 2, DEGREES[1])
-    element = basix.ufl.quadrature_element(spaces.mesh.basix_cell(), datum.shape, degree=degree)
+    return _of_points(spaces, min(quadrature_degree(datum) + 2, DEGREES[1]), datum.shape, datum.values)
+
+
+def _of_points(
+    spaces: LinearSpaces, degree: int, shape: tuple[int, ...], values: Callable[[Points], Array]
+) -> fem.Function:
+    """A function by its values in points of a quadrature (collective)."""
+    element = basix.ufl.quadrature_element(spaces.mesh.basix_cell(), shape, degree=degree)
     function = fem.Function(fenicsx.function_space(spaces.mesh, element))
-    by_point = function.x.array.reshape(-1, *datum.shape)
+    by_point = function.x.array.reshape(-1, *shape)
     for points in cell_quadrature(spaces.mesh, owned_cells(spaces.mesh), degree):
-        by_point[function.function_space.dofmap.list[points.cells]] = datum.values(points)
+        by_point[function.function_space.dofmap.list[points.cells]] = values(points)
     return function
+
+
+def _b_in_points(spaces: LinearSpaces, data: LinearData, b: AddedFlux) -> fem.Function:
+    """κ⁻¹b by its values in points of the cells, see `_in_points` (collective)."""
+    degree = min(data.degree_of(b) + 2, DEGREES[1])
+    return _of_points(spaces, degree, (spaces.dim,), partial(b.over_kappa, kappa=data.kappa))
+
+
+def _of_b(spaces: LinearSpaces, over_kappa: Expr) -> Form:
+    """(κ⁻¹b, τ)."""
+    return ufl.inner(over_kappa, ufl.TestFunction(spaces.flux_space)) * ufl.dx
 
 
 def _saddle_point(spaces: LinearSpaces, kappa: Expr, c: Expr) -> list[list[Form | None]]:

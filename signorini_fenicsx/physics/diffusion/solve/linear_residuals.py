@@ -93,6 +93,8 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
         of_sigma = cells.coefficients(sigma[numbers])
         residual = np.einsum("nbc,nc->nb", product, of_sigma)
         residual[:, free:] += u[numbers]  # the moments of ∇· of the basis are 1
+        if (of_b := data.of_b(spaces, numbers, cells)) is not None:
+            residual -= of_b
         residual = residual @ element.nodal
         trace[numbers] = residual[:, :traces]
         M, W = (((each @ element.nodal) * element.nodal).sum(axis=1) for each in (cells.product(identity), product))

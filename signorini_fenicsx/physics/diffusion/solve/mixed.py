@@ -17,6 +17,7 @@ from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import joined
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.jumps import with_one_flux
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -190,6 +191,8 @@ class MixedBackend(FacetBackend):
         self._system.natural.mult(lift, right)
         right.scale(-1.0)
         right.array_w[:size] += assembled(spaces.kept(_traces, data.u_lift))[:size]
+        if (jumps := data.jumps(spaces)) is not None:  # (κ_h⁻¹b, τ)
+            right.array_w[:size] += joined(spaces, spaces.outflow * jumps)[:size]
         right.array_w[size:] -= assembled(spaces.kept(_load, data.f_h))[: len(self._cells)]
         return right.array_r.copy()
 

@@ -156,7 +156,16 @@ def _pairs_of_cells(
 
 
 def sizes_of_solution(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
-    """The sizes G and S of gradient and flux, from σ_h and u in P0 (collective)."""
+    """The sizes G and S of gradient and flux, from σ_h and u in P0 (collective).
+
+    With a given flux b they are those of κ∇u if these are larger.
+    """
+    sizes = _sizes(spaces, sigma, u, data)
+    return sizes if data.b is None else np.maximum(sizes, _sizes(spaces, data.driving(sigma), u, data))
+
+
+def _sizes(spaces: Spaces, sigma: CellFlux, u: fem.Function, data: Data) -> Array:
+    """See `sizes_of_solution`, from σ_h or κ∇u (collective)."""
     comm = spaces.mesh.comm
     if data.kappa.number is not None:
         flux = np.sqrt(comm.allreduce(sigma.squares(1.0).sum()))
@@ -234,6 +243,8 @@ def _stationarity(spaces: Spaces, sigma: CellFlux, u: fem.Function, p: fem.Funct
     trace = data.u_lift.copy()  # p on Γ_S, u_D on Γ_D, 0 on all other facets
     trace.x.array[cells_and_dofs(trace.function_space, spaces.facets)[1]] = p.x.array[: len(spaces.facets)]
     jump = owned_values(u)[:, None] - trace.x.array[cell_dofs(trace.function_space)]
+    if (of_b := data.jumps(spaces)) is not None:
+        jump = jump - of_b
     residual = joined(spaces, spaces.outflow * (sigma.tested(inverse) + jump))
     residual[spaces.neumann_dofs] = 0.0  # where σ·n is given there is no equation
     spaces.join_across(residual)
