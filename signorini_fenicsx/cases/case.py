@@ -109,6 +109,8 @@ class CaseFile(Section):
     """The lines of `[problem]` of a first case, what they are, and the word of a part that needs them, if one does."""
     first_laws: ClassVar[Mapping[str, tuple[str, list[str]]]] = {}
     """What laws in a first case say, and the lines of their data, for those that are no `Law`."""
+    first_pairs: ClassVar[Sequence[str]] = ()
+    """The kinds of pairs of bodies with meshes of their own."""
 
     @property
     def states(self) -> tuple[str, str]:

@@ -15,9 +15,11 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.base.text import did_you_mean
+from signorini_fenicsx.cases.first_pairs import Facing, facing
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.contact.law import names_of_data
 from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.meshes.bodies import Bodies, Body
 from signorini_fenicsx.meshes.checks import faces, rows_of
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.shapes import full_name, shape_of
@@ -28,7 +30,7 @@ VALUES: Mapping[str, Any] = {
     "corners": [[-1, 1], [1, -1]],
 }
 """Data of laws; for others their defaults are written, or 0."""
-HELD, GIVEN, SYMMETRIC = "dirichlet", "neumann", "symmetry"
+HELD, GIVEN, SYMMETRIC, CONTACT = "dirichlet", "neumann", "symmetry", "contact"
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,14 @@ class Place:
         parts: The parts of the boundary, and those inside.
         inside: Those that are inside.
         dim: The dimension.
+        pairs: Parts of several bodies that are near one another.
     """
 
     geometry: str
     parts: Sequence[str]
     inside: Sequence[str]
     dim: int
+    pairs: Sequence[Facing] = ()
 
     @classmethod
     def of(cls, name: str, folder: Path) -> "Place":
@@ -61,8 +65,33 @@ class Place:
         rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
         rows_of_parts = {part: rows_of(facets, rows) for part, facets in mesh.parts.items()}
         inside = [part for part, own in rows_of_parts.items() if np.any(times[own[own >= 0]] > 1)]
-        path = Path(os.path.relpath(name, folder)).as_posix()
-        return cls(f"file = {json.dumps(path)}", list(rows_of_parts), inside, mesh.dim)
+        return cls(f"file = {_path(name, folder)}", list(rows_of_parts), inside, mesh.dim)
+
+    @classmethod
+    def of_bodies(cls, files: Mapping[str, str], folder: Path) -> "Place":
+        """Bodies by the paths of their meshes, for a case in this folder (rank 0).
+
+        Raises:
+            InputError: If a mesh cannot be used.
+        """
+        mesh, _ = Bodies({name: Body(file=file) for name, file in files.items()}).read(None)
+        entries = ", ".join(f"{name} = {_path(file, folder)}" for name, file in files.items())
+        return cls(f"bodies = {{{entries}}}", list(mesh.parts), [], mesh.dim, facing(mesh))
+
+    def of_pairs(self, conditions: Mapping[str, str]) -> dict[Facing, str]:
+        """The pairs whose parts have no condition of their own, with their kinds: contact, if no other is given.
+
+        Args:
+            conditions: Words for parts; that of a pair is given for one of its sides.
+        """
+        given = {pair: {conditions.get(pair.slave), conditions.get(pair.master)} - {None} for pair in self.pairs}
+        kinds = {pair: words.pop() if words else CONTACT for pair, words in given.items() if len(words) < 2}
+        return {pair: str(kind) for pair, kind in kinds.items() if kind not in (HELD, GIVEN, SYMMETRIC)}
+
+
+def _path(name: str, folder: Path) -> str:
+    """A path as seen from a folder, quoted."""
+    return json.dumps(Path(os.path.relpath(name, folder)).as_posix())
 
 
 def words(physics: str) -> tuple[str, ...]:
@@ -102,11 +131,16 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
         raise InputError(
             f"unknown physics '{physics}'; use one of {', '.join(PHYSICS)}{did_you_mean(physics, PHYSICS)}"
         )
+    pairs, kinds = place.of_pairs(conditions), PHYSICS[physics].case.first_pairs
+    if pairs and not kinds:
+        raise InputError(f"init: bodies with meshes of their own have no pairs in {physics}")
+    paired = {part: kind for pair, kind in pairs.items() for part in (pair.slave, pair.master)}
     for part, word in conditions.items():
         if part not in place.parts:
             raise InputError(f"unknown part '{part}'; the parts are {', '.join(place.parts)}")
-        check_word(word, physics)
-    outer = {part: conditions.get(part, HELD) for part in place.parts if part not in place.inside}
+        if part not in paired or word not in kinds:
+            check_word(word, physics)
+    outer = {part: conditions.get(part, HELD) for part in place.parts if part not in [*place.inside, *paired]}
     inner = {part: word for part, word in conditions.items() if part in place.inside}
     for part, word in inner.items():
         if word in (HELD, GIVEN, SYMMETRIC):
@@ -119,6 +153,7 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
         f"[geometry]\n{place.geometry}",
         *_sections(PHYSICS[physics].case, outer, inner, place.dim),
     ]
+    sections[-1:-1] = [_pair_section(pair, kind, PHYSICS[physics].case.first_laws) for pair, kind in pairs.items()]
     if place.geometry.startswith("shape") and place.dim == 3:
         sections.append('[solve]\nh = "1/8"')
     return "\n\n".join(sections) + "\n"
@@ -142,6 +177,16 @@ def _sections(case: Any, outer: Mapping[str, str], inner: Mapping[str, str], dim
     width = max(len(line) for line, _ in data)
     problem = [f"{line:<{width}}  # {about}" if about else line for line, about in data]
     return ["\n".join(["[boundary]", *lines]), *law_sections(laws, case.first_laws), "\n".join(["[problem]", *problem])]
+
+
+def _pair_section(pair: Facing, kind: str, special: Mapping[str, tuple[str, list[str]]]) -> str:
+    """A [[pair]], with how its parts are opposite to each other."""
+    _, data = special.get(kind, ("", [])) if kind in special or kind not in LAWS else _about(kind)
+    about = (
+        f"# {100 * pair.share:.3g} % of the slave is opposite to the master, at {pair.least:.3g} to {pair.most:.3g}."
+    )
+    lines = [about, "[[pair]]", f"slave = {_json(pair.slave)}", f"master = {_json(pair.master)}", f'kind = "{kind}"']
+    return "\n".join([*lines, *data])
 
 
 def _json(names: object) -> str:

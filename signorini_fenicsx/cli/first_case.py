@@ -21,6 +21,10 @@ def init(
     case: Annotated[Path, typer.Argument(help="The file to write.")] = Path("my-case.toml"),
     shape: Annotated[str | None, typer.Option("--shape", help="A named shape, or '[-2, 2] x [0, 1]'.")] = None,
     mesh: Annotated[str | None, typer.Option("--mesh", help="A mesh file instead: .msh, .geo, …")] = None,
+    body: Annotated[
+        list[str] | None,
+        typer.Option("--body", metavar="NAME=FILE", help="One of several bodies, with its mesh."),
+    ] = None,
     physics: Annotated[str | None, typer.Option("--physics", help="diffusion (the default) or elasticity.")] = None,
     on: Annotated[
         list[str] | None,
@@ -31,17 +35,20 @@ def init(
     """Write a first case file, from options or, on a terminal, from a few answers; check it as `check` does.
 
     On parts without a condition u is given. Conditions: dirichlet, neumann, and the laws of case files; with
-    elasticity also contact and symmetry.
+    elasticity also contact and symmetry. Parts of different bodies that are near one another become pairs in contact;
+    a condition on one of them is the kind of the pair, such as tied.
 
     Examples:
       signorini init
       signorini init my-dam.toml --mesh dam.msh --on face=seepage --on base=neumann
       signorini init block.toml --physics elasticity --on bottom=friction --on left,right=neumann
+      signorini init press.toml --body punch=punch.msh --body die=die.msh --on punch.sides,die.sides=neumann
     """
     comm, report = MPI.COMM_WORLD, Report()
-    if shape is not None and mesh is not None:
-        raise InputError("init: give --shape or --mesh, not both")
-    conditions = _conditions(on or [])
+    if sum(map(bool, (shape, mesh, body))) > 1:
+        raise InputError("init: give one of --shape, --mesh and --body")
+    conditions, bodies = _conditions(on or []), _bodies(body or [])
+    physics = physics or ("elasticity" if bodies else None)
 
     def text() -> str:
         from signorini_fenicsx.cases.first_case import Place, case_text
@@ -52,12 +59,12 @@ def init(
         if case.exists():
             raise InputError(f"init: {case} exists already; choose another name")
         if conditions or not sys.stdin.isatty():
-            place = Place.of(mesh or shape or "square", case.parent)
-            if not conditions:
+            place = Place.of_bodies(bodies, case.parent) if bodies else Place.of(mesh or shape or "square", case.parent)
+            if not conditions and not place.pairs:
                 example = f"--on {place.parts[0] if place.parts else 'PART'}=signorini"
                 raise InputError(f"init: give a condition, such as {example}; the parts are {', '.join(place.parts)}")
             return case_text(title, place, physics or DIFFUSION, conditions)
-        return _asked(case, mesh or shape, physics, title)
+        return _asked(case, bodies or mesh or shape, physics, title)
 
     _write(case, on_root(comm, text), comm)
     report.line(f"{case} is written and can be solved: signorini solve {case} --plot")
@@ -81,7 +88,27 @@ def _conditions(on: list[str]) -> dict[str, str]:
     return conditions
 
 
-def _asked(case: Path, where: str | None, physics: str | None, title: str) -> str:
+def _bodies(given: list[str]) -> dict[str, str]:
+    """The mesh file of each body that `--body` gives.
+
+    Raises:
+        InputError: If one is not NAME=FILE, or there is but one.
+    """
+    from signorini_fenicsx.meshes.bodies import check_name
+
+    bodies = dict[str, str]()
+    for entry in given:
+        name, _, file = entry.partition("=")
+        if not name or not file or name in bodies:
+            raise InputError(f"--body {entry}: must be NAME=FILE with a name of its own, such as punch=punch.msh")
+        check_name(name)
+        bodies[name] = file
+    if len(bodies) == 1:
+        raise InputError("init: one body is a --mesh; give --body for each of several")
+    return bodies
+
+
+def _asked(case: Path, where: str | dict[str, str] | None, physics: str | None, title: str) -> str:
     """The text of a case from answers (rank 0).
 
     Raises:
@@ -93,11 +120,15 @@ def _asked(case: Path, where: str | None, physics: str | None, title: str) -> st
 
     try:
         where = where or typer.prompt(f"Shape ({', '.join(SHAPES)}, '[-2, 2] x [0, 1]') or mesh file", "square")
-        place = Place.of(where, case.parent)
+        place = Place.of(where, case.parent) if isinstance(where, str) else Place.of_bodies(where, case.parent)
         physics = physics or _choice("Physics", tuple(PHYSICS), DIFFUSION)
         typer.echo(f"Conditions: {', '.join(words(physics))}")
-        conditions: dict[str, str] = {}
-        for left, part in enumerate(place.parts, start=1 - len(place.parts)):  # one part has a law, at last the last
+        conditions, kinds = dict[str, str](), PHYSICS[physics].case.first_pairs
+        for pair in place.pairs:
+            conditions[pair.slave] = _choice(f"  between {pair.slave} and {pair.master}", kinds, kinds[0])
+        paired = [part for pair in place.pairs for part in (pair.slave, pair.master)]
+        others = [part for part in place.parts if part not in paired]
+        for left, part in enumerate(others, start=1 - len(others)):  # one part has a law, at last the last
             has_law = not {HELD, GIVEN, SYMMETRIC}.issuperset(conditions.values())
             default = HELD if left or has_law else first_law(physics)
             conditions[part] = _choice(f"  on {part}", words(physics), default)

@@ -93,10 +93,10 @@ class FacetTable(Facets):
         return self.condition == contact
 
 
-def along_parts(spaces: MeshSpaces, part: Indices, x: Array) -> Array:
-    """The coordinate along the part of Γ_S for points on it, shape (points, 3)."""
+def along_parts(spaces: MeshSpaces, part: Indices, x: Array, names: Sequence[str] | None = None) -> Array:
+    """The coordinate along the part for points on it, shape (points, 3), by the names of parts, or those of Γ_S."""
     along = np.empty(len(x))
-    for index, name in enumerate(spaces.part_names):
+    for index, name in enumerate(spaces.part_names if names is None else names):
         mine = part == index
         along[mine] = spaces.domain.parts[name].along(x[mine].T)
     return along

@@ -81,14 +81,18 @@ class Plane:
         scene, wide, panels = self.scene, self.wide, list(panels)
         maps = [each for each in panels if each.where in MAPS and not (wide and each.where is Where.SURFACE)]
         shown = [each for each in panels if each.where is Where.GAMMA]
-        parts = list(scene.labels)[: OVERVIEW_PARTS if maps else None] if shown else []
-        of_parts = [(panel, part) for part in parts for panel in shown + [None] * (len(shown) % 2)]
+        of_parts = [
+            (panel, part)
+            for of in dict.fromkeys(each.scene for each in shown)
+            for part in list((of or scene).labels)[: OVERVIEW_PARTS if maps else None]
+            for panel in _in_pairs([each for each in shown if each.scene is of])
+        ]
         steps = [each for each in panels if each.where is Where.STEPS and moves(scene.history)]
         alone = not shown and not steps
         columns, width = (2, 4.4 if maps else 3.6) if wide or not maps else (3, 2.45)
         if alone:
             columns, width = len(maps), 7.0 if wide else min(5.4 if maps[0].scene else 4.4, 6.0 * self.aspect)
-        if steps and not maps and not parts:
+        if steps and not maps and not of_parts:
             columns, width = 1, 3.8
         beside = bool(steps and wide and maps)
         rows = -(-(len(maps) + beside) // columns) if maps else 0
@@ -110,11 +114,11 @@ class Plane:
         for number, (each, part) in enumerate(of_parts):
             if each is not None:
                 axes = sheet.panel(rows + number // 2, number % 2)
-                traces.draw_trace(scene, axes, parts.index(part), each, named)
-        entries = [*handles.values(), *traces.handles(scene, shown if parts else [], shades=not maps)]
+                traces.draw_trace(each.scene or scene, axes, part, each, named)
+        entries = [*handles.values(), *traces.handles(scene, shown if of_parts else [], shades=not maps)]
         if steps:
-            place = divmod(len(maps), columns) if beside else (rows, 2 if parts else 0)
-            across = {} if beside else {"rows": len(below)} if parts else {"columns": columns}
+            place = divmod(len(maps), columns) if beside else (rows, 2 if of_parts else 0)
+            across = {} if beside else {"rows": len(below)} if of_parts else {"columns": columns}
             axes = sheet.panel(*place, **across)
             draw_steps(axes, scene.history, named(steps[0].title))
             entries += axes.get_legend_handles_labels()[0]
@@ -197,6 +201,11 @@ class Plane:
                 ended = [np.vstack([line, [[np.nan, np.nan]]]) for line in each.points]
                 axes.plot(*np.concatenate(ended).T, **each.look)
         style.shape_axes(axes, title, self.frame)
+
+
+def _in_pairs(panels: list[Panel]) -> list[Panel | None]:
+    """Panels of one part, for rows of two."""
+    return [*panels, *[None] * (len(panels) % 2)]
 
 
 def log_norm(indicator: Array) -> LogNorm:

@@ -51,7 +51,7 @@ class Group:
     facets: Mask
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A solution for pictures (rank 0).
 
@@ -68,6 +68,8 @@ class Scene:
         lines: Lines of maps by their names.
         given: What is drawn over maps, if not the boundary and what the physics has.
         frame: Smallest and largest coordinates of maps, shape (2, 2), if not those of the domain.
+        parts: The parts of `facets` and `sites`, if these are not those of Γ_S.
+        opposite: The scene with what is opposite to Γ_S in its place, if that has values too.
     """
 
     solution: Solved
@@ -82,6 +84,8 @@ class Scene:
     lines: Mapping[str, Array] = field(default_factory=dict)
     given: Sequence[Overlay] | None = None
     frame: Array | None = None
+    parts: Sequence[str] | None = None
+    opposite: Scene | None = None
 
     @property
     def pictures(self) -> Pictures:
@@ -105,9 +109,10 @@ class Scene:
 
     @property
     def labels(self) -> dict[str, str]:
-        """For each part of Γ_S the name of the coordinate along it."""
+        """For each part of Γ_S, or of what stands in its place, the name of the coordinate along it."""
         spaces = self.solution.spaces
-        return {name: spaces.domain.parts[name].label for name in spaces.part_names}
+        names = spaces.part_names if self.parts is None else self.parts
+        return {name: spaces.domain.parts[name].label for name in names}
 
     @property
     def history(self) -> list[Step]:
@@ -121,8 +126,8 @@ class Scene:
 
     @property
     def gamma(self) -> str:
-        """What Γ_S is called, in mathematical type."""
-        return rf"$\Gamma_{self.solution.gamma[-1]}$"
+        """What Γ_S is called, in mathematical type; the parts that stand in its place."""
+        return ", ".join(self.parts) if self.parts is not None else rf"$\Gamma_{self.solution.gamma[-1]}$"
 
     @cached_property
     def rows(self) -> Indices:
@@ -270,9 +275,11 @@ def gathered_scene(
         cells["regions"] = membership(spaces.domain)
     fields, boundary = fields_of(sample, drawn.corners, cells), boundary_of(spaces.mesh, drawn.boundary, sample)
     facets, sites = drawn.facets.gathered(spaces.mesh.comm), solution.table().gathered(spaces.mesh.comm)
+    surfaces, comm = drawn.opposite, spaces.mesh.comm
+    others = None if surfaces is None else (surfaces.facets.gathered(comm), surfaces.table.gathered(comm))
     if fields is None or facets is None or boundary is None:
         return None
-    return Scene(
+    scene = Scene(
         solution=solution,
         caption=caption(solution, [fields.count, *drawn.words], certificate),
         fields=fields,
@@ -283,6 +290,12 @@ def gathered_scene(
         edges=drawn.edges,
         inside=drawn.inside,
         lines=drawn.lines,
+    )
+    if surfaces is None or others is None or others[0] is None:
+        return scene
+    there = replace(others[0], vertices=sample.rows_of(others[0].vertices))
+    return replace(
+        scene, opposite=replace(scene, facets=there, sites=others[1], parts=surfaces.names, segments=(), inside=())
     )
 
 

@@ -163,7 +163,8 @@ class Space:
                 handles += axes.get_legend_handles_labels()[0]
             else:
                 space = self.of(panel.scene) if panel.scene else self
-                space.draw(panel, sheet, sheet.view(*place), name, views[side])
+                of = space.views if panel.scene and panel.where is Where.GAMMA else views
+                space.draw(panel, sheet, sheet.view(*place), name, of[min(side, len(of) - 1)])
         sheet.legend_below(handles)
         return sheet
 

@@ -18,8 +18,19 @@ STILL = 1e-3
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
-def streamlines(fields: Fields, sign: int = 1) -> tuple[list[Array], Array]:
-    """Streamlines of σ_h, or of −σ_h, and arrow heads in their middle.
+def of_means(fields: Fields) -> Array:
+    """σ_h of RT0 at the corners of the cells, from its means and its divergence, shape (cells, 3, 2)."""
+    corners = fields.points[fields.cells]
+    offsets = corners - corners.mean(axis=1, keepdims=True)
+    return np.asarray(fields.in_cells["sigma"][:, None] + fields.in_cells["divergence"][:, None, None] / 2 * offsets)
+
+
+def streamlines(fields: Fields, at_corners: Array) -> tuple[list[Array], Array]:
+    """Streamlines of a field that is linear on cells, and arrow heads in their middle.
+
+    Args:
+        fields: The mesh.
+        at_corners: The field at the corners of each cell, shape (cells, 3, 2).
 
     Returns:
         The points of each line, shape (n, 2), and the corners of the heads, shape (lines, 3, 2).
@@ -27,7 +38,7 @@ def streamlines(fields: Fields, sign: int = 1) -> tuple[list[Array], Array]:
     low, high = fields.points.min(axis=0), fields.points.max(axis=0)
     size = float((high - low).max())
     x, y = (np.linspace(a, b, max(round(GRID * (b - a) / size), 8)) for a, b in zip(low, high, strict=True))
-    sigma = sign * _spread(on_grid(fields, x, y))
+    sigma = _spread(on_grid(fields, at_corners, x, y))
     norm = np.linalg.norm(sigma, axis=0)
     if not np.nanmax(norm, initial=0.0) > 0:
         return [], np.empty((0, 3, 2))
@@ -37,8 +48,8 @@ def streamlines(fields: Fields, sign: int = 1) -> tuple[list[Array], Array]:
     return lines, heads(lines, size)
 
 
-def on_grid(fields: Fields, x: Array, y: Array) -> Array:
-    """σ_h at the points of a regular grid, shape (2, len(y), len(x)); NaN outside the domain."""
+def on_grid(fields: Fields, at_corners: Array, x: Array, y: Array) -> Array:
+    """A field, linear on cells, at the points of a regular grid, shape (2, len(y), len(x)); NaN outside the domain."""
     origin, spacing = np.array([x[0], y[0]]), np.array([x[1] - x[0], y[1] - y[0]])
     corners = (fields.points[fields.cells] - origin) / spacing  # in units of the grid
     first = np.ceil(corners.min(axis=1) - 1e-9).astype(np.int64)
@@ -52,10 +63,9 @@ def on_grid(fields: Fields, x: Array, y: Array) -> Array:
     share = np.einsum("kij,kj->ki", inverse[cell], node - corners[cell, 0])
     inside = (share.min(axis=1) > -1e-6) & (share.sum(axis=1) < 1 + 1e-6)
     cell, (i, j) = cell[inside], node[inside].T
-    centroids = fields.points[fields.cells[cell]].mean(axis=1)
-    offset = origin + spacing * node[inside] - centroids
+    shares = np.column_stack([1 - share.sum(axis=1), share])[inside]
     sigma = np.full((2, len(y), len(x)), np.nan)
-    sigma[:, j, i] = (fields.in_cells["sigma"][cell] + fields.in_cells["divergence"][cell, None] / 2 * offset).T
+    sigma[:, j, i] = np.einsum("na,nai->in", shares, at_corners[cell])
     return sigma
 
 

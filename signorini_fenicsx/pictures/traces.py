@@ -66,12 +66,12 @@ def _ends(along: Array, measure: Array) -> Array:
     return np.concatenate([[2 * along[0] - middle[0]], middle, [2 * along[-1] - middle[-1]]])
 
 
-def draw_trace(scene: Scene, axes: Axes, part: int, panel: Panel, named: Callable[[str], str]) -> None:
+def draw_trace(scene: Scene, axes: Axes, name: str, panel: Panel, named: Callable[[str], str]) -> None:
     """The curves of a panel along a part, constant on each facet, or linear if its vertices are sites.
 
     They are, too, if the table has values `…_at` the vertices `x_at` of each facet, and x or y is along the part.
     """
-    name, table, rows = list(scene.labels)[part], scene.sites, scene.rows
+    part, table, rows = list(scene.labels).index(name), scene.sites, scene.rows
     lines, label = pieces(scene, part)
     title = f"{panel.of_jump if panel.of_jump and name in scene.inside else panel.title} on {name}"
     for line in lines:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,21 @@ PARTLY_FIXED = 4
 
 type Kind = tuple[npt.NDArray[np.int32], Array]
 """Some facets, and the values of u that are known there; NaN where none is."""
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Facets that are not in Γ_S and have a table, on each rank its own.
+
+    Attributes:
+        names: Their parts.
+        facets: The facets, `part` an index into these.
+        table: Their values, a `SiteTable`.
+    """
+
+    names: Sequence[str]
+    facets: Facets
+    table: Any
 
 
 @dataclass(frozen=True)
@@ -34,6 +50,7 @@ class Drawn:
         inside: The parts of Γ_S inside the domain.
         lines: Lines of maps by their names, on all ranks, each of shape (points, 2).
         words: What captions add.
+        opposite: What is opposite to Γ_S and has a table, if there is such.
     """
 
     corners: Mapping[str, Array]
@@ -45,6 +62,7 @@ class Drawn:
     inside: Sequence[str] = ()
     lines: Mapping[str, Array] = field(default_factory=dict)
     words: Sequence[str] = ()
+    opposite: Surfaces | None = None
 
 
 def whole_boundary(spaces: MeshSpaces, **values: Array) -> dict[int, Kind]:

@@ -39,6 +39,41 @@ def test_a_first_case_can_be_solved(tmp_path: Path, options: tuple[str, ...]):
     assert solve_case(case if case.geometry.file else case.with_values({"solve.h": 0.5}), MPI.COMM_SELF).converged
 
 
+def box_file(path: Path, low: list[float], high: list[float]) -> None:
+    """A mesh file of a rectangle with four cells."""
+    (x, y), (z, w) = low, high
+    points = [(x, y), (z, y), (z, w), (x, w), ((x + z) / 2, (y + w) / 2)]
+    names = ["bottom", "right", "top", "left"]
+    sides = [f"{i + 1} 1 2 {i + 1} {i + 1} {i + 1} {(i + 1) % 4 + 1}" for i in range(4)]
+    cells = [f"{i + 5} 2 2 9 9 {i + 1} {(i + 1) % 4 + 1} 5" for i in range(4)]
+    path.write_text(
+        "\n".join(
+            [
+                *("$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", "4"),
+                *(f'1 {i + 1} "{name}"' for i, name in enumerate(names)),
+                *("$EndPhysicalNames", "$Nodes", "5", *(f"{i + 1} {a} {b} 0" for i, (a, b) in enumerate(points))),
+                *("$EndNodes", "$Elements", "8", *sides, *cells, "$EndElements", ""),
+            ]
+        )
+    )
+
+
+@pytest.mark.parametrize("kind", ["contact", "tied"])
+def test_parts_of_bodies_that_face_each_other_are_pairs(tmp_path: Path, kind: str):
+    """The part that is covered is the slave; a condition on a part that is in no pair takes it out of one."""
+    for name, low, high in (("low", [0, 0], [1, 1]), ("up", [0.2, 1.01], [0.8, 1.5]), ("side", [1.02, 0], [2, 1])):
+        box_file(tmp_path / f"{name}.msh", low, high)
+    bodies = [word for name in ("low", "up", "side") for word in ("--body", f"{name}={name}.msh")]
+    done = signorini(tmp_path, "init", "all.toml", *bodies)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(load_case(tmp_path / "all.toml").pair) == 2
+    options = ["--on", f"low.top={kind}", "--on", "side.left=dirichlet", "--on", "up.left,up.right=neumann"]
+    assert signorini(tmp_path, "init", "mine.toml", *bodies, *options).returncode == 0
+    (pair,) = load_case(tmp_path / "mine.toml").pair
+    assert (pair.slave, pair.master, pair.kind) == (["up.bottom"], ["low.top"], kind)
+    assert "100 % of the slave is opposite to the master, at 0.01 to 0.01" in (tmp_path / "mine.toml").read_text()
+
+
 def test_every_condition_is_written_above():
     for physics in ("diffusion", "elasticity"):
         tried = [options for options in FIRST if ("elasticity" in options) == (physics == "elasticity")]
@@ -59,7 +94,7 @@ def test_every_condition_is_written_above():
         (["--physics", "elastic", "--on", "bottom=contact"], "did you mean 'elasticity'"),
         (["--shape", "sqare", "--on", "bottom=signorini"], "did you mean 'square'"),
         (["--mesh", "none.msh", "--on", "bottom=signorini"], "no such file"),
-        (["--mesh", "none.msh", "--shape", "square"], "not both"),
+        (["--mesh", "none.msh", "--shape", "square"], "one of --shape, --mesh and --body"),
         (["--shape", "slit", "--on", "slit=neumann"], "is inside the domain"),
         (["--on", "left,right,bottom,top=neumann"], "no part of the boundary is left for u = u_D"),
         (["--physics", "elasticity", "--on", "bottom=contact", "--on", "left,right,top=neumann"], "can move"),

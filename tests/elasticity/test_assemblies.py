@@ -1,5 +1,6 @@
 """Assemblies of bodies with meshes of their own by case files: exact and published numbers, `check`, wrong files."""
 
+import csv
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx import load_case, solve_case
 from signorini_fenicsx.cases.solving import evolve_case
+from signorini_fenicsx.output.writing import write_solution
+from signorini_fenicsx.pictures.scene import gathered_scene
 
 COMM = MPI.COMM_WORLD
 BLOCKS = """
@@ -66,6 +69,41 @@ def test_a_lap_joint_slides() -> None:
     assert 0.99 * 0.005 < forces["upper.right"][0] < 0.005 * (1 + 1e-9)
     assert abs(on(solution, "upper.top")["pressure_force"] - 0.025) < 1e-10
     assert np.abs(forces["washer.bottom"][:2]).max() < 1e-10
+
+
+@pytest.mark.parametrize("kind", ["contact", "friction", "tied"])
+def test_tables_and_pictures_have_the_other_side(tmp_path: Path, kind: str) -> None:
+    """The tractions on masters and tied slaves add up to the forces, and each has its panels."""
+    mu = "mu = 0.2\n" if kind == "friction" else ""
+    text = BLOCKS.replace("[0, -0.05]", "[0.02, -0.05]") + PAIR.replace("contact", kind) + mu
+    (tmp_path / "case.toml").write_text(text)
+    solution = solve_case(load_case(tmp_path / "case.toml"))
+    write_solution(solution, tmp_path / "out", fields=False)
+    with (tmp_path / "out" / "pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["part"] for row in rows} == ({"low.top", "up.bottom"} if kind == "tied" else {"low.top"})
+    for part, sign in (("low.top", -1), ("up.bottom", 1)):
+        here = [row for row in rows if row["part"] == part]
+        force = [sum(float(row["measure"]) * float(row[name]) / 2 for row in here) for name in ("shear", "pressure")]
+        expected = sign * np.array(solution.resultants()[part][:2])
+        assert not here or np.allclose(force, expected, atol=1e-14)
+    scene = gathered_scene(solution)
+    assert scene is not None
+    assert scene.opposite is not None
+    _, panels = scene.files["pressure"]
+    shown = {(panel.what, *(panel.scene or scene).labels) for panel in panels}
+    assert ("pressure", *scene.opposite.labels) in shown
+    assert (("shear_vector", *scene.opposite.labels) in shown) == (kind != "contact")
+    assert (("sliding_vector", "up.bottom") in shown) == (kind != "tied")
+
+
+def test_curved_bodies_are_not_drawn_in_one_another() -> None:
+    """A cylinder on a block is drawn apart from it; a shaft in its hub cannot be, so nothing is enlarged."""
+    for name, enlarged in (("roller", True), ("press_fit", False)):
+        scene = gathered_scene(solve_case(load_case(name)))
+        assert scene is not None
+        title, _ = scene.files["deformed"]
+        assert ("bodies drawn apart" in title) == enlarged
 
 
 WRONG = [

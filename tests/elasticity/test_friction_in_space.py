@@ -24,7 +24,7 @@ from signorini_fenicsx.physics.elasticity.discrete import friction
 from signorini_fenicsx.physics.elasticity.discrete.friction import Slipping
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, Elasticity, ElasticProblem, InputError
 from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES
-from signorini_fenicsx.physics.elasticity.show.shown import STATES, ContactTable
+from signorini_fenicsx.physics.elasticity.show.tables import STATES, ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.pictures import space
 from signorini_fenicsx.pictures.panels import Panel, Steps, Where

@@ -29,7 +29,7 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.show.shown import ContactTable
+from signorini_fenicsx.physics.elasticity.show.tables import ContactTable
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem
 from signorini_fenicsx.solving.solver import Solver, solve

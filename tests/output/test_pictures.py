@@ -40,7 +40,7 @@ from signorini_fenicsx.pictures.plane import Plane, levels_between, on_levels
 from signorini_fenicsx.pictures.scene import Scene, caption, gathered_scene
 from signorini_fenicsx.pictures.sheet import Sheet, _wrapped
 from signorini_fenicsx.pictures.space import Space
-from signorini_fenicsx.pictures.streams import on_grid
+from signorini_fenicsx.pictures.streams import of_means, on_grid
 from signorini_fenicsx.pictures.traces import without_rounding
 
 COMM = MPI.COMM_WORLD
@@ -173,7 +173,7 @@ def test_field_of_the_plane():
     """Values on a grid are σ_h; u at the vertices is p_h and u_D on the boundary; closed parts use the arc length."""
     ring = scene("example6", h=0.25)
     x = y = np.linspace(-1.2, 1.2, 25)
-    sigma = on_grid(ring.fields, x, y)
+    sigma = on_grid(ring.fields, of_means(ring.fields), x, y)
     radius = np.hypot(*np.meshgrid(x, y))
     assert not np.isfinite(sigma[:, (radius < 0.45) | (radius > 1.01)]).any()
     assert np.isfinite(sigma[:, (radius > 0.52) & (radius < 0.95)]).all()

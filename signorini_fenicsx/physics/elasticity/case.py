@@ -224,7 +224,7 @@ class ElasticExact(DataSection):
 
 
 FIRST_DATA = (
-    ("young = 1", "Young's modulus", ""),
+    ("young = 1", "Young's modulus; also by region or body: {{up = 1, low = 2}}", ""),
     ("poisson = 0.3", "Poisson's ratio", ""),
     ("f = {down}", "the load", ""),
     ("u_D = {zero}", "the displacement on the rest", HELD),
@@ -254,6 +254,7 @@ class ElasticCase(CaseFile):
     first_listed = tuple(WITH_CONTACT)
     first_data = FIRST_DATA
     first_laws = IN_WORDS
+    first_pairs = tuple(PairTexts.of_kind)
     inner_needs = "contact: list it there as well, or in a [[law]]"
     held = "clamped, u = u_D"
     is_vector = True

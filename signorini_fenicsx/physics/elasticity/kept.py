@@ -16,7 +16,7 @@ from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, Slipping, law_of_sites
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.show.shown import STATES
+from signorini_fenicsx.physics.elasticity.show.tables import STATES
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.residuals import elastic_kkt
 from signorini_fenicsx.solving.kept import Arrays, Keeping, Layout, Stored

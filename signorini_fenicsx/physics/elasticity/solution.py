@@ -25,11 +25,11 @@ from signorini_fenicsx.physics.elasticity.discrete.material import regular
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
-from signorini_fenicsx.physics.elasticity.show import shown
+from signorini_fenicsx.physics.elasticity.show import shown, tables
 from signorini_fenicsx.physics.elasticity.show.differences import differences
 from signorini_fenicsx.physics.elasticity.show.notes import far_slides, large_deformation, notes_of
 from signorini_fenicsx.physics.elasticity.show.readings import quantities
-from signorini_fenicsx.physics.elasticity.show.shown import STATES
+from signorini_fenicsx.physics.elasticity.show.tables import STATES
 from signorini_fenicsx.physics.elasticity.solve.residuals import (
     ElasticKKT,
     balance,
@@ -76,7 +76,7 @@ class ElasticSolution(Solution):
     _own = ("friction_states", "gap", "pressure", "quantities", "resultants", "shear", "slip", "stresses")
     offers = (*Solution.offers, *_own)
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
-    table, columns = shown.table, shown.columns
+    table, columns, other_tables = tables.table, tables.columns, tables.other_tables
     differences = differences
 
     def of_problem(self, problem: ElasticProblem) -> Self:

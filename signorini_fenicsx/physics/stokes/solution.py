@@ -11,12 +11,13 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, opposite
+from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.solution import ERROR_DEGREE, ElasticSolution
 from signorini_fenicsx.physics.stokes.problem import StokesProblem
 from signorini_fenicsx.physics.stokes.show import shown
+from signorini_fenicsx.physics.stokes.show.readings import pressure_of, quantities, traces
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -45,24 +46,26 @@ class StokesSolution(ElasticSolution):
 
     @collector_off()
     def flows(self) -> dict[str, float]:
-        """∫ u·n over each part, outwards: under laws that of û, on other parts that of u_h (collective)."""
-        spaces, flows = self.spaces, {}
-        u, behind = spaces.displacement_values(self.u), opposite(spaces.dim)
-        normal, contact = spaces.site_kinds["normal"], spaces.contact
-        lift = normal.rows_of(self.data.lift[normal.unknown] + self.data.laws.p_h)
-        by_laws = contact.outward * (normal.rows_of(normal.measure) * (lift - self.gap)).sum(axis=1)
-        for name in spaces.domain.parts:
-            if name in spaces.part_names:
-                flow = float(by_laws[spaces.rows_on(name)].sum())
-            else:
-                part = spaces.part(name)
-                means = u[part.cells[:, None], behind[part.local]].mean(axis=1)
-                flow = float(part.measure @ np.einsum("ni,ni->n", means, part.normals))
-            flows[name] = spaces.mesh.comm.allreduce(flow)
-        return flows
+        """∫ û·n over each part, outwards (collective)."""
+        spaces, at_facets = self.spaces, traces(self)
+        parts = {name: spaces.part(name) for name in spaces.domain.parts}
+        means = {name: at_facets[part.cells, part.local].mean(axis=1) for name, part in parts.items()}
+        out = [float(part.measure @ np.einsum("ni,ni->n", means[name], part.normals)) for name, part in parts.items()]
+        return dict(zip(parts, spaces.mesh.comm.allreduce(np.array(out)).tolist(), strict=True))
+
+    @collector_off()
+    def quantities(self) -> dict[str, Any]:
+        """Largest speed, pressure, u_n and σ_nn along laws, and the balance, see `quantities` (collective)."""
+        return quantities(self)
+
+    @collector_off()
+    def norms(self) -> dict[str, float]:
+        """‖dev σ‖ in the energy norm, ‖σ‖ in L², and ‖u‖ (collective)."""
+        return {name: value for name, value in super().norms().items() if name != "contact_force"}
 
     def _particular(self) -> dict[str, Any]:
-        return super()._particular() | {"flows": self.flows()}
+        about = super()._particular() | {"flows": self.flows()}
+        return {name: value for name, value in about.items() if name != "least_gap"}
 
     @collector_off()
     def errors(self) -> dict[str, float] | None:
@@ -73,7 +76,7 @@ class StokesSolution(ElasticSolution):
         spaces, dim, square = self.spaces, self.spaces.dim, 0.0
         exact = datum_of(spaces, "exact.p", parsed(p, "xyz"[:dim], "[exact] p"))
         quadrature = SplitQuadrature.of_degree(dim, ERROR_DEGREE)
-        pressure = shown.pressure_of(self.stresses)
+        pressure = pressure_of(self.stresses)
         for cells in blocks_of_cells(spaces.mesh):
             points = CellPoints(spaces.mesh, cells, quadrature.points, quadrature.weights)
             mine = np.empty_like(pressure[cells])

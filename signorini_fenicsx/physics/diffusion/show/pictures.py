@@ -14,7 +14,7 @@ from signorini_fenicsx.pictures.evolution import animate, chosen_for_fronts, dra
 from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel
 from signorini_fenicsx.pictures.plane import levels_between
 from signorini_fenicsx.pictures.scene import Scene
-from signorini_fenicsx.pictures.streams import streamlines
+from signorini_fenicsx.pictures.streams import of_means, streamlines
 
 LINE: dict[str, Any] = {"linewidth": 1.6}
 DASHED = {"color": "black", "linewidth": 1.0, "linestyle": "--"}
@@ -43,7 +43,10 @@ def files(scene: Scene) -> dict[str, File]:
     title = f"streamlines of {plot.flux_name}"
     streams = Panel(strength, Where.STREAMS, title, label, style.STREAM_MAP, ends=ends)
     if scene.dim == 2:
-        lines, title = streamlines(scene.fields, plot.sign), title if plot.flux else f"{title} on {label}"
+        lines, title = (
+            streamlines(scene.fields, plot.sign * of_means(scene.fields)),
+            title if plot.flux else f"{title} on {label}",
+        )
         streams = replace(streams, lines=lines, title=title, colours=style.FLUX_MAP)
     if scene.lines:  # of Baiocchi's dam
         head, only = scene.fields.points[:, 1] - sigma[:, 1], wet(scene.fields)

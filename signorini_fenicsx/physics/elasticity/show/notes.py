@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_words
 from signorini_fenicsx.discrete.curved import curved_parts
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.paired import overviews
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.show.readings import largest_of
+from signorini_fenicsx.physics.elasticity.show.tables import jumps
 
 if TYPE_CHECKING:  # it has these
     from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -52,27 +51,14 @@ def direction_of_gap(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
 
 def far_slides(solution: ElasticSolution) -> list[str]:
     """Pairs whose surfaces slide in contact by more than a facet (collective)."""
-    spaces, comm = solution.spaces, solution.spaces.mesh.comm
-    u = spaces.displacement_values(solution.u)
-
-    def on(facets: BoundaryFacets) -> Array:
-        return u[facets.cells][np.arange(spaces.dim + 1) != facets.local[:, None]].reshape(-1, spaces.dim, spaces.dim)
-
-    notes = []
+    spaces, notes = solution.spaces, list[str]()
     for joint in spaces.joints if solution.converged else ():
-        pieces, normals = joint.pieces, joint.slave.normals
-        master = joint.of_masters(comm, on(spaces.boundary_facets(joint.masters)))[pieces.master]
-        moved = np.einsum("nab,nbi->nai", pieces.on_slave, on(spaces.boundary_facets(joint.slaves))[pieces.slave])
-        jump = moved - np.einsum("nab,nbi->nai", pieces.on_master, master)
-        across = normals[pieces.slave][:, None]
-        slides = np.linalg.norm(jump - across * (jump * across).sum(axis=2, keepdims=True), axis=2).max(
-            axis=1, initial=0
-        )
-        touching = solution.touching[spaces.rows_of(joint)].any(axis=1)
-        shares = slides / (2 * joint.slave.balls[1][pieces.slave])
-        shares = np.where(touching[pieces.slave], shares, 0.0) if len(touching) > 0 else 0 * shares
-        largest = largest_of(comm, shares[:, None], joint.slave.corners[pieces.slave, :1])
-        if largest["largest"] > 1:
+        touching = solution.touching[spaces.rows_of(joint)]
+        sizes = np.linalg.norm(jumps(solution, joint), axis=2)[: len(touching)]
+        shares = np.where(touching, sizes / (2 * joint.slave.balls[1][: len(touching), None]), 0.0)
+        corners = joint.slave.corners[: len(touching)].reshape(-1, spaces.dim)
+        largest = largest_of(spaces.mesh.comm, shares.ravel(), corners)
+        if largest.get("largest", 0.0) > 1:
             notes.append(
                 f"pair {joint.pair.words}: they slide on each other by {largest['largest']:.2g} facets of the slave at "
                 f"{place_in_words(largest['at'])}, and the law holds between points that were opposite before"

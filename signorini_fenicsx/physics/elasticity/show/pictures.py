@@ -25,6 +25,8 @@ SMALL = 0.25
 """Of the body's size: parts inside it that are smaller have a panel of their own."""
 AROUND = 0.75
 """Of the size of these parts: how far the panel reaches from their middle."""
+TOUCHES = 1e-3
+"""Of the body's size: bodies that are drawn this deep in one another touch."""
 NEAR = 0.12
 """Of the body's size: where the gap is drawn larger than this, the foundation is not drawn."""
 
@@ -39,9 +41,9 @@ def files(scene: Scene) -> dict[str, File]:
     """The pictures of a solution."""
     fields, u = scene.fields, scene.fields.at_points["u"]
     size, largest = float(np.ptp(fields.points, axis=0).max()), float(np.linalg.norm(u, axis=1).max(initial=0.0))
-    factor, apart = _enlarged(scene, SHARE * size, largest), _apart(scene, APART * size)
+    factor, apart = _placed(scene, size, largest)
     moved = fields.points + factor * u + apart
-    what = "displacement and gap" if scene.labels else "displacement"
+    what = "displacement and gap" if {*scene.labels} - {*scene.inside} else "displacement"
     told = f"{what} × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
     body = scene.at(moved, _beside(scene, moved, factor, NEAR * size))
     foundation = " on its foundation" if scene.dim == 3 and any(each.filled for each in body.over) else ""
@@ -67,29 +69,37 @@ def files(scene: Scene) -> dict[str, File]:
 
 
 def _on_gamma(scene: Scene) -> list[Panel]:
-    """Pressure, gap, the contact set and, where it rubs, shear and slip."""
-    if not scene.labels:
-        return []
-    line, in_space = {"linewidth": 1.6}, scene.dim == 3
-    panels = [
-        Panel(
-            "pressure",
-            Where.GAMMA,
-            "pressure",
-            curves={"pressure": (r"$-\sigma_{nn}$", line | {"color": "C3"})},
-            peak=True,
-        ),
-        Panel("gap", Where.GAMMA, "gap", curves={"gap": ("$g - u_n$", line | {"color": "C0"})}),
-        Panel("", Where.SETS, "contact set"),
-    ]
-    if (scene.sites.state >= 0).any():
-        look: dict[str, Any] = {"colours": style.U_MAP if in_space else style.SIGNED_MAP}
-        names = (r"shear $|\sigma_t|$", "slip $|u_t|$") if in_space else ("shear", "slip")
-        shear, slip = {"shear": (r"$\sigma_t$", line | {"color": "C2"})}, {"sliding": ("$u_t$", line | {"color": "C1"})}
-        panels += [
-            Panel("shear_vector", Where.GAMMA, names[0], curves=shear, **look),
-            Panel("sliding_vector", Where.GAMMA, names[1], curves=slip, **look),
+    """Pressure, gap, the contact set and, where it rubs, shear and slip; in pairs what acts on the other side."""
+    line, in_space, sites = {"linewidth": 1.6}, scene.dim == 3, scene.sites
+    pressed = Panel(
+        "pressure",
+        Where.GAMMA,
+        "pressure",
+        curves={"pressure": (r"$-\sigma_{nn}$", line | {"color": "C3"})},
+        peak=True,
+    )
+    look: dict[str, Any] = {"colours": style.U_MAP if in_space else style.SIGNED_MAP}
+    names = (r"shear $|\sigma_t|$", "slip $|u_t|$") if in_space else ("shear", "slip")
+    sheared = Panel(
+        "shear_vector", Where.GAMMA, names[0], curves={"shear": (r"$\sigma_t$", line | {"color": "C2"})}, **look
+    )
+    panels = []
+    if scene.labels:
+        panels = [
+            pressed,
+            Panel("gap", Where.GAMMA, "gap", curves={"gap": ("$g - u_n$", line | {"color": "C0"})}),
+            Panel("", Where.SETS, "contact set"),
         ]
+        slip = {"sliding": ("$u_t$", line | {"color": "C1"})}
+        panels += [sheared] if (sites.state >= 0).any() else []
+        panels += (
+            [Panel("sliding_vector", Where.GAMMA, names[1], curves=slip, **look)]
+            if np.isfinite(sites.slip).any()
+            else []
+        )
+    if (other := scene.opposite) is not None:
+        panels.append(replace(pressed, scene=other))
+        panels += [replace(sheared, scene=other)] if other.sites.shear.any() else []
     return panels
 
 
@@ -114,39 +124,57 @@ def _mesh(scene: Scene) -> tuple[list[Array], dict[str, Any]]:
     return list(np.concatenate([around, around[:, :1]], axis=1)), {"color": "0.85", "linewidth": 0.3, "zorder": 0.4}
 
 
-def _apart(scene: Scene, distance: float) -> Array:
-    """How far the points of each body are moved so that bodies with a gap between them are this far from each other.
+def _placed(scene: Scene, size: float, largest: float) -> tuple[float, Array]:
+    """How many times displacements are drawn, and how far bodies are moved apart.
 
-    Their meshes fit together, so that they would cover each other where they are pressed over the gap.
-    """
-    facets, points = scene.facets, scene.fields.points
-    assert isinstance(facets, BodyFacets)
-    inside = _inside(scene) & (facets.paired == 0)
-    if not facets.apart[inside].any():
-        return np.zeros_like(points)
-    size = len(points)
-    body = joined(size, scene.fields.cells)
-    _, place = np.unique(points, axis=0, return_inverse=True)
-    other = np.full(size, -1)
-    for point in np.setdiff1d(np.arange(size), facets.vertices[inside]):
-        other[place[point]] = body[point]
-    named_body, other_body = body[facets.vertices[inside, 0]], other[place[facets.vertices[inside]]].max(axis=1)
-    two = (named_body != other_body) & (other_body >= 0)
-    rows, each = np.zeros((int(two.sum()), int(body.max()) + 1)), np.arange(int(two.sum()))
-    rows[each, named_body[two]], rows[each, other_body[two]] = 1.0, -1.0
-    moved = np.linalg.lstsq(rows, -distance * facets.normals[inside][two], rcond=None)[0]
-    return np.asarray(moved[body])
-
-
-def _enlarged(scene: Scene, most: float, largest: float) -> float:
-    """How many times displacements are drawn: the largest is not much longer than the most.
-
-    Where surfaces that share no nodes have a distance, displacements are not enlarged, as that distance is not.
+    Where surfaces that share no nodes have a distance, which is not enlarged, bodies would be drawn into one another.
+    Where no motion of whole bodies prevents this, as of a shaft in a hub, displacements are not enlarged.
     """
     facets = scene.facets
     assert isinstance(facets, BodyFacets)
-    factor = _rounded(most / largest) if largest > 0 else 1.0
-    return min(factor, 1.0) if facets.apart[facets.paired > 0].any() else factor
+    body = joined(len(scene.fields.points), scene.fields.cells)
+    enlarged = _rounded(SHARE * size / largest) if largest > 0 else 1.0
+    for factor in (enlarged, min(enlarged, 1.0)):
+        moved = _apart(scene, body, APART * size, factor)
+        slaves = np.flatnonzero(facets.opposite >= 0)
+        there = np.searchsorted(scene.fields.ids, facets.opposite[slaves])
+        between = moved[body[facets.vertices[slaves, 0]]] - moved[body[there]]
+        gaps = _drawn_gaps(facets, factor)[slaves] - np.einsum("ni,ni->n", between, facets.normals[slaves])[:, None]
+        if gaps.min(initial=0.0) >= -TOUCHES * size:
+            break
+    return factor, moved[body]
+
+
+def _drawn_gaps(facets: BodyFacets, factor: float) -> Array:
+    """The gaps of pairs where displacements are drawn larger by this factor, and distances as they are."""
+    return factor * facets.gaps - (factor - 1) * facets.apart
+
+
+def _apart(scene: Scene, body: Indices, distance: float, factor: float) -> Array:
+    """How far each body is moved so that bodies that would cover each other are this far from each other.
+
+    These are bodies with a gap between them whose meshes fit together, and pairs, see `_placed`.
+    """
+    facets, points, number = scene.facets, scene.fields.points, int(body.max()) + 1
+    assert isinstance(facets, BodyFacets)
+    slave, gaps = facets.opposite >= 0, _drawn_gaps(facets, factor).min(axis=1)
+    inside, deep = _inside(scene) & ~slave, slave & (gaps < -TOUCHES * distance)
+    parted = facets.apart[inside].any()
+    if not (parted or deep.any()):
+        return np.zeros((number, points.shape[1]))
+    other = np.full(len(points), -1)
+    _, place = np.unique(points, axis=0, return_inverse=True)
+    for point in np.setdiff1d(np.arange(len(points)), facets.vertices[inside]):
+        other[place[point]] = body[point]
+    named_body, other_body = body[facets.vertices[:, 0]], other[place[facets.vertices]].max(axis=1)
+    other_body[slave] = body[np.searchsorted(scene.fields.ids, facets.opposite[slave])]
+    lengths = np.where(inside & parted, distance, 0.0)
+    lengths[deep] = distance - gaps[deep].min(initial=0.0)
+    held = inside | deep | (slave & ~np.isin(facets.part, facets.part[deep]))
+    two = held & (named_body != other_body) & (other_body >= 0)
+    rows, each = np.zeros((int(two.sum()), number)), np.arange(int(two.sum()))
+    rows[each, named_body[two]], rows[each, other_body[two]] = 1.0, -1.0
+    return np.asarray(np.linalg.lstsq(rows, -(lengths[:, None] * facets.normals)[two], rcond=None)[0])
 
 
 def _inside(scene: Scene) -> Mask:
@@ -197,7 +225,10 @@ def _near(scene: Scene) -> tuple[Scene, Mask, float] | None:
         return None
     moves = fields.at_points["u"] - fields.at_points["u"][of_parts].mean(axis=0)
     largest = float(np.linalg.norm(moves[of_parts], axis=1).max())
-    factor = _enlarged(scene, SHARE * size, largest)
+    facets = scene.facets
+    assert isinstance(facets, BodyFacets)
+    factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
+    factor = min(factor, 1.0) if facets.apart[facets.opposite >= 0].any() else factor  # distances are not enlarged
     frame = np.stack([(low + high) / 2 - AROUND * size, (low + high) / 2 + AROUND * size])
     moved = fields.points + factor * moves
     shown = [places[fields.cells] for places in (fields.points, moved)]
@@ -218,7 +249,8 @@ def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
     """Draw `forces.png` and, where there is Γ_C, `contact.png`."""
     _forces(scene, steps.rows).save(folder / "forces.png")
     if scene.labels:
-        panels = [each for each in _on_gamma(scene) if each.where is Where.GAMMA and each.what != "gap"]
+        shown = [each for each in _on_gamma(scene) if each.where is Where.GAMMA and each.scene is None]
+        panels = [each for each in shown if each.what != "gap"]
         draw_over_time(folder / "contact.png", scene, steps, panels)
 
 

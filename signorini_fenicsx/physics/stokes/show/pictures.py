@@ -21,8 +21,7 @@ def files(scene: Scene) -> dict[str, File]:
     flow = Panel(speed, Where.MAP, "speed", "$|u_h|$", style.FLUX_MAP, ends=ends)
     panels = [flow]
     if scene.dim == 2:
-        in_cells = {"sigma": fields.in_cells["u"], "divergence": np.zeros(len(fields.cells))}
-        lines = streamlines(replace(fields, in_cells={**fields.in_cells, **in_cells}))
+        lines = streamlines(fields, fields.in_cells["flow"].reshape(-1, 3, 2))  # of û, which end on the boundary only
         panels = [replace(flow, where=Where.STREAMS, title="streamlines on the speed", lines=lines)]
     p = fields.at_points["pressure"][:, 0]
     usual = style.limits(fields.in_cells["pressure"][:, 0], scene.measure)

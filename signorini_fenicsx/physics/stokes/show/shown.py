@@ -8,20 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.physics.elasticity.show import shown as of_bodies
-from signorini_fenicsx.physics.elasticity.show.shown import ContactTable
+from signorini_fenicsx.physics.elasticity.show import tables
+from signorini_fenicsx.physics.elasticity.show.shown import forces_in_words, segments_in_words, value_at
+from signorini_fenicsx.physics.elasticity.show.tables import ContactTable
+from signorini_fenicsx.physics.stokes.show.readings import pressure_of, traces, velocities
 from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
 
 NAMES = {"pressure": "sigma_nn", "gap": "u_n", "contact": "closed"}
 """What bodies have in contact, and what that is under laws of a flow, which are from the other side."""
-
-
-def pressure_of(stresses: Array) -> Array:
-    """P = −tr σ/d at the vertices of the subcells."""
-    return -np.einsum("nsaii->nsa", stresses) / stresses.shape[-1]
+VALUES = {"contact": "closed"}
+"""Of the conditions of bodies."""
 
 
 def fields(solution: Any) -> Fields:
@@ -32,13 +31,18 @@ def fields(solution: Any) -> Fields:
     found = dict(of_bodies.fields(solution))
     found[IN_CELLS] = [*found[IN_CELLS], Field("pressure", pressure_of(solution.stresses))]
     for place in [place for place in found if place != IN_CELLS]:
-        found[place] = [replace(each, name=NAMES.get(each.name, each.name)) for each in found[place]]
+        found[place] = [
+            replace(each, name=NAMES.get(each.name, each.name), names=[VALUES.get(word, word) for word in each.names])
+            for each in found[place]
+        ]
     return found
 
 
 def columns(solution: Any, table: ContactTable) -> Columns:
     """The columns of `contact.csv`, see `fields`."""
-    return {NAMES.get(name, name): values for name, values in of_bodies.columns(solution, table).items()}
+    found = dict(tables.columns(solution, table))
+    found["condition"] = np.where(table.touching, "closed", "open")
+    return {NAMES.get(name, name): values for name, values in found.items()}
 
 
 def drawn(solution: Any) -> Drawn:
@@ -53,17 +57,34 @@ def drawn(solution: Any) -> Drawn:
     at_corners = np.take_along_axis(of_vertex, by_geometry, axis=1)[:, :, None]
     mean = pressure.mean(axis=(1, 2))[:, None]
     u = found.corners["u"]
+    flow = np.take_along_axis(velocities(solution, traces(solution)), by_geometry[:, :, None], axis=1)
     return replace(
         found,
         corners={"u": u, "pressure": at_corners},
-        cells={"u": found.cells["u"], "pressure": mean},
+        cells={"u": found.cells["u"], "pressure": mean, "flow": flow.reshape(len(flow), -1)},
     )
 
 
 def lines(solution: Any, summary: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a report, see `Solved.lines`."""
-    texts = of_bodies.lines(solution, summary)
-    if "contact" in texts:
-        texts["closed"] = texts.pop("contact")
-    flows = ", ".join(f"{part} {flow:.5g}" for part, flow in summary["flows"].items())
-    return {name: text for name, text in texts.items() if name != "gap"} | {"flow": f"out of {flows}"}
+    about, flows = summary["quantities"], summary["flows"]
+    closed = f"{summary['touching_vertices']} facet vertices, measure {summary['contact_measure']:.6g}"
+    texts = {
+        **({"closed": closed} if solution.spaces.part_names else {}),
+        "forces": forces_in_words(summary["resultants"], solution.spaces.dim),
+        "speed": f"at most {value_at(about['speed'])}",
+        "pressure": _between(about["pressure"]),
+        "flow": f"out of {', '.join(f'{part} {flow:.5g}' for part, flow in flows.items())}",
+    }
+    for part, of_law in about["laws"].items():
+        texts[f"on {part}"] = f"u_n {_between(of_law['u_n'])}; σ_nn {_between(of_law['sigma_nn'])}"
+    for part, segments in summary.get("segments", {}).items():
+        texts[f"on {part}"] += f"; facet vertices on each segment: {segments_in_words(segments)}"
+    if "friction" in summary:
+        texts["slip"] = f"facet vertices: {segments_in_words(summary['friction'])}"
+    return texts
+
+
+def _between(ends: Mapping[str, Any]) -> str:
+    """The least and the largest value with their places."""
+    return f"{value_at({'largest': ends['least'], 'at': ends['least_at']})} to {value_at(ends)}"

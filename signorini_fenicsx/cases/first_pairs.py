@@ -1,0 +1,98 @@
+"""Which parts of bodies with meshes of their own are near one another and face each other, for a first case."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.rows import rows_of
+from signorini_fenicsx.discrete.overlay import WHOLE, Surface, overlay
+from signorini_fenicsx.meshes.checks import FileMesh, faces
+from signorini_fenicsx.meshes.seams import unit_normals
+
+NEAR = 0.1
+"""Of the diameter of the smaller body: what is farther away is not near."""
+FARTHER = 0.01
+"""Of it: by how much other parts of two bodies may be farther from each other than the nearest ones."""
+FACING = 0.02
+"""At least this share of the smaller part faces the other one."""
+
+
+@dataclass(frozen=True)
+class Facing:
+    """Two parts that may be a pair.
+
+    Attributes:
+        slave: The part with the larger facets, if enough of them are wholly opposite to the other one.
+        master: The other one.
+        least: The least distance along the normals of the slave, negative where the bodies overlap.
+        most: The largest one.
+        share: The share of the slave that is opposite to the master.
+    """
+
+    slave: str
+    master: str
+    least: float
+    most: float
+    share: float
+
+
+def facing(mesh: FileMesh) -> list[Facing]:
+    """Parts of different bodies that are near one another, the nearest first; each part is in one of them (rank 0).
+
+    Args:
+        mesh: That of the bodies, whose parts are called `body.part`.
+    """
+    surfaces = {part: _surface(mesh, facets) for part, facets in mesh.parts.items()}
+    sizes = dict[str, float]()
+    for part, surface in surfaces.items():
+        body, reach = part.partition(".")[0], _size(surface.corners)
+        sizes[body] = max(sizes.get(body, 0.0), reach)
+    found = []
+    for two in itertools.combinations(surfaces, 2):
+        bodies = frozenset(part.partition(".")[0] for part in two)
+        if len(bodies) == 2:
+            within = NEAR * min(sizes[body] for body in bodies)
+            found += _opposite(surfaces, sorted(two, key=lambda part: -surfaces[part].balls[1].mean()), within)
+    nearest, used, first = [], set[str](), dict[frozenset[str], float]()
+    for each in sorted(found, key=lambda each: (abs(each.least), -each.share)):
+        bodies = frozenset(part.partition(".")[0] for part in (each.slave, each.master))
+        farther = abs(each.least) - first.setdefault(bodies, abs(each.least))
+        if not {each.slave, each.master} & used and farther <= FARTHER * min(sizes[body] for body in bodies):
+            nearest.append(each)
+            used |= {each.slave, each.master}
+    return nearest
+
+
+def _opposite(surfaces: dict[str, Surface], two: list[str], within: float) -> list[Facing]:
+    """Two parts, the coarser one first, with how they are opposite to each other; nothing if they are not.
+
+    The coarser one is the slave, unless too few of its facets are wholly opposite to the other part.
+    """
+    found = list[tuple[float, Facing]]()
+    for slave, master in (two, two[::-1]):
+        facets = surfaces[slave]
+        pieces = overlay(facets, surfaces[master], facets.normals, within)
+        whole = np.abs(pieces.covered(len(facets.corners)) - 1) <= WHOLE
+        area, gap = float(facets.measure[whole].sum()), pieces.gap[whole[pieces.slave]]
+        if area > FACING * min(surfaces[part].measure.sum() for part in two):
+            share = area / float(facets.measure.sum())
+            found.append((area, Facing(slave, master, float(gap.min()), float(gap.max()), share)))
+    return [each for area, each in found if 2 * area >= max(found, key=lambda one: one[0])[0]][:1]
+
+
+def _size(corners: Array) -> float:
+    """The diagonal of the box around points."""
+    return float(np.linalg.norm(np.ptp(corners.reshape(-1, corners.shape[-1]), axis=0)))
+
+
+def _surface(mesh: FileMesh, facets: Indices) -> Surface:
+    """The facets of a part with their outer normals."""
+    everything = faces(mesh.cells)
+    rows, first = np.unique(everything, axis=0, return_index=True)
+    apex, cell = np.divmod(first[rows_of(facets, rows)], len(mesh.cells))
+    corners = mesh.points[facets]
+    normals = unit_normals(corners[:, 1:] - corners[:, :1])
+    inwards = np.einsum("ni,ni->n", mesh.points[mesh.cells[cell, apex]] - corners[:, 0], normals)
+    return Surface(corners, normals * -np.sign(inwards)[:, None])
