@@ -14,7 +14,7 @@ from signorini_fenicsx.discrete.data_values import in_problem
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, Entities, Points, facet_lattice, from_within
-from signorini_fenicsx.expressions import TREES, Tree, values
+from signorini_fenicsx.expressions import Tree, values
 
 SHARE = 0.01
 """A difference at a vertex is a jump from this share of the extent of the values on."""
@@ -86,9 +86,8 @@ def largest_jump(spaces: MeshSpaces, datum: Datum, entities: Entities, *, cells:
     extent = float(np.sum(np.max(ends, axis=0)))
     found = [(differences, space.tabulate_dof_coordinates()[:own, : mesh.geometry.dim])]
     for mask, part in [(np.ones(len(entities), dtype=bool), datum)] if cells else datum.by_facets(entities):
-        for tree, inside in part.pieces or ():
-            assert isinstance(tree, TREES)
-            rows = mask if inside is None else mask & inside[points.cells]
+        for tree, rows in part.trees_in(points.cells):
+            rows = rows[mask[rows]]
             sizes, places = jumps_inside(tree, points.vertices[rows])
             found.append((sizes.ravel(), places.reshape(-1, mesh.geometry.dim)))
     most: Jump = 0.0, ()

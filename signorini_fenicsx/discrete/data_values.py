@@ -59,9 +59,8 @@ def least_value(spaces: MeshSpaces, datum: Datum, wanted: Array) -> tuple[float,
         values = datum.values(points)
         values = values if values.ndim == 2 else np.linalg.eigvalsh(values)[:, :, 0]
         candidates += _least(values.ravel(), points.x.reshape(-1, mesh.geometry.dim))
-    for tree, inside in datum.pieces or []:
+    for tree, cells in datum.pieces_in(np.arange(len(vertices))):
         if isinstance(tree, TREES):
-            cells = np.arange(len(vertices)) if inside is None else np.flatnonzero(inside)
             cells = cells[~surely_above(tree, vertices[cells], spaces.frame, wanted[cells])]
             if mesh.comm.allreduce(len(cells)) > 0:
                 of_tree = ranges(tree, vertices[cells], None, spaces.frame, wanted[cells], np.inf)

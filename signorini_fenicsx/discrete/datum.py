@@ -6,7 +6,7 @@ which compiles it once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeGuard
@@ -23,7 +23,7 @@ from ufl.constantvalue import ComplexValue
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -72,6 +72,17 @@ class Datum:
     def pieces(self) -> list[tuple[Tree | Rows, Mask | None]] | None:
         """The trees that it was given as, each with a mask of the cells where it holds; None if in another way."""
         return None if self.number is None else [(exactly(self.number), None)]
+
+    def pieces_in(self, cells: AnyIndices) -> Iterator[tuple[Tree | Rows, Indices]]:
+        """The pieces, each with the rows of some owned cells where it holds; nothing if it was given in another way."""
+        for given, inside in self.pieces or ():
+            yield given, np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])
+
+    def trees_in(self, cells: AnyIndices) -> Iterator[tuple[Tree, Indices]]:
+        """The trees of a scalar, each with the rows of some owned cells where it holds, see `pieces_in`."""
+        for tree, rows in self.pieces_in(cells):
+            assert isinstance(tree, TREES)
+            yield tree, rows
 
     def values(self, points: Points) -> Array:
         """Values, shape (n, points, *shape); NaN or ±∞ where there are none (collective)."""

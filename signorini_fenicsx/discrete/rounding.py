@@ -45,10 +45,10 @@ def lost_digits(solution: Any) -> tuple[str, ...]:
     middle = vertices.mean(axis=1)
     x = np.stack([middle + share * (vertices[:, 0] - middle) for share in PLACES], axis=1)
     for name, datum in _texts(data, "", set()):
-        for given, inside in datum.pieces or ():
+        for given, rows in datum.pieces_in(np.arange(len(x))):
             trees = [given] if isinstance(given, TREES) else [entry for row in given for entry in row]
             for tree in trees:
-                of_rank = np.array(_of(tree, x if inside is None else x[inside]))
+                of_rank = np.array(_of(tree, x[rows]))
                 comm.Allreduce(MPI.IN_PLACE, of_rank, MPI.MAX)
                 lost, highest, lowest = of_rank.tolist()
                 is_level = name.startswith(LEVELS) and highest + lowest > 0

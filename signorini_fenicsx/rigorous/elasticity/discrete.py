@@ -127,8 +127,8 @@ class _Collected:
             column = np.full(cells, NONE)
             if datum.pieces is None:
                 self.unread.append(name)
-            for tree, inside in datum.pieces or ():
-                column[slice(None) if inside is None else inside[:cells]] = self.number(tree)
+            for tree, rows in datum.trees_in(np.arange(cells)):
+                column[rows] = self.number(tree)
             columns.append(column)
         return np.stack(columns, axis=1)
 
@@ -210,8 +210,7 @@ def _own(solution: ElasticSolution, collected: _Collected) -> Indices:
         if strain.datum.pieces is None or strain.beyond.pieces is None:
             collected.unread.append(strain.name)
             continue
-        for given, inside in strain.datum.pieces:
-            rows = slice(None) if inside is None else inside[:cells]
+        for given, rows in strain.datum.pieces_in(np.arange(cells)):
             for k, (i, j) in enumerate(entries):
                 if not isinstance(given, TREES):
                     found[rows, k] = collected.number(given[i][j])

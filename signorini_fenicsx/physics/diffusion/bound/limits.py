@@ -26,7 +26,7 @@ from signorini_fenicsx.discrete.continuity import jumps_inside
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.interpolants import in_nodes
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
-from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
+from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.expressions.enclosures import ranges, slopes, surely_above
 from signorini_fenicsx.expressions.tree import Negative
@@ -95,9 +95,7 @@ class Simplices:
         number, cell, degree = len(self.vertices), SIMPLEX[self.vertices.shape[1] - 1], degree_of(space)
         wanted, in_node = np.empty(self.nodes.shape), np.zeros(self.nodes.shape, dtype=bool)
         torn, pieces = np.zeros(number, dtype=bool), []
-        for tree, inside in datum.pieces or ():
-            assert isinstance(tree, TREES)
-            rows = np.arange(number) if inside is None else np.flatnonzero(inside[self.cells])
+        for tree, rows in datum.trees_in(self.cells):
             pieces.append((Negative(tree) if sign > 0 else tree, rows))
             x = self.vertices[rows]
             wanted[rows] = sign * coefficients_of(in_nodes(tree, x, degree), cell)

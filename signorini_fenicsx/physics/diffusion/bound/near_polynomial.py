@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -94,7 +93,7 @@ class NearPolynomial:
             seen = self.seen(lambda at, jet: datum.values(at) * jet[:, :, 0] ** power, cells, degree)
             return np.array([seen.sum(), 0.0])
         total, measure, found = np.zeros(2), self.own.solution.spaces.cell_measures, np.zeros((2, len(self.off)))
-        for tree, rows in _pieces(datum, cells):
+        for tree, rows in datum.trees_in(cells):
             some = cells[rows]
             of_tree = self._enclosed(tree, some, lambda jet: jet[:, :, 0] ** power, power * self.order, enough)
             total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
@@ -145,7 +144,7 @@ class NearPolynomial:
             return np.array([on.integrals(datum.values(on) * v).sum(), 0.0])
         found = np.zeros((2, len(facets)))
         for mask, part in datum.by_facets(facets):
-            for tree, rows in _pieces(part, on.cells[mask]):
+            for tree, rows in part.trees_in(on.cells[mask]):
                 some = np.flatnonzero(mask)[rows]
 
                 def w(own: Indices, x: Array, some: Indices = some) -> Array:
@@ -214,7 +213,7 @@ def _beside(own: Admissible, p: Array, tolerance: float) -> tuple[Array, Array, 
 
     def with_trees(datum: Datum, chi: fem.Function) -> Iterator[tuple[Tree, Indices]]:
         touched = chi.x.array[cell_dofs(chi.function_space)][cells].any(axis=1)
-        return ((tree, rows[touched[rows]]) for tree, rows in _pieces(datum, cells))
+        return ((tree, rows[touched[rows]]) for tree, rows in datum.trees_in(cells))
 
     for datum, chi in ((parts.u_D[0], parts.near_dirichlet), *((level, near) for level, _, near in parts.levels)):
         for tree, rows in with_trees(datum, chi):
@@ -251,9 +250,3 @@ def _with_rest(seen: Array, squares: Array, delta: Array, of_datum: Array, measu
     radius = np.where(delta > 0, delta * (norm + 2 * np.where(delta > 0, rho, 0.0) * root), 0.0)
     radius += np.where(r > 0, np.where(r > 0, rho, 0.0) * r, 0.0)
     return np.array([seen.sum(), 2 * (root * radius).sum()])
-
-
-def _pieces(datum: Datum, cells: AnyIndices) -> Iterator[tuple[Any, Indices]]:
-    """What a datum was given as, each with the positions of its cells among some; nothing if it is Python."""
-    for given, inside in datum.pieces or ():
-        yield given, np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])

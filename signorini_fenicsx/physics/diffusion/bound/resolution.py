@@ -110,11 +110,9 @@ class Resolution:
 
     def pieces(self, name: str, datum: Datum) -> list[tuple[Tree | Rows, Indices]]:
         """The trees of a datum and the owned cells of each; none for data given in Python, which are recorded."""
-        pieces, everywhere = datum.pieces, np.arange(len(self.coarse))
-        if pieces is None:
+        if datum.pieces is None:
             self.by_quadrature.add(name)
-            return []
-        return [(tree, everywhere if inside is None else np.flatnonzero(inside)) for tree, inside in pieces]
+        return list(datum.pieces_in(np.arange(len(self.coarse))))
 
     def encloses(self, name: str, datum: Datum) -> bool:
         """Whether enclosures are needed and possible: not for polynomials, and not for data given in Python."""

@@ -15,7 +15,6 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.points import facet_lattice
 from signorini_fenicsx.discrete.simplices import opposite
-from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.enclosures import surely_above
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
     contact_coefficients,
@@ -64,9 +63,8 @@ def floors(spaces: ElasticSpaces, data: ElasticData, pressure: Array, displaceme
     raised = gap.values(corners)
     for mask, part in gap.by_facets(contact.facets):
         raises = (raised - part.values(corners)).min(axis=1)  # of tools, linear on each facet
-        for tree, inside in part.pieces or ():
-            assert isinstance(tree, TREES)
-            rows = np.flatnonzero(is_open & mask & (True if inside is None else inside[contact.cells]))
+        for tree, rows in part.trees_in(contact.cells):
+            rows = rows[(is_open & mask)[rows]]
             low = wanted[rows] - raises[rows]
             sure = surely_above(tree, contact.vertices[rows], spaces.frame, low)
             found[rows[sure]] = wanted[rows[sure]]

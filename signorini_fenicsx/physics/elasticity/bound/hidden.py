@@ -43,7 +43,7 @@ from signorini_fenicsx.discrete.lattices import lagrange, lattice
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
-from signorini_fenicsx.expressions import TREES, Tree, is_polynomial
+from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
 from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
@@ -112,12 +112,11 @@ class _Enclosures:
     squares: list[Array] = field(default_factory=list)
     rough: dict[tuple[int, int], list[tuple[Indices, Array, Array]]] = field(default_factory=dict)
 
-    def trees(self, scalar: int) -> Iterator[tuple[int, Tree, Mask | None]]:
-        """The pieces of a scalar that quadrature does not integrate exactly, with masks of the cells where they are."""
-        for number, (tree, inside) in enumerate(self.datum.scalars[scalar].pieces or ()):
-            assert isinstance(tree, TREES)
+    def trees(self, scalar: int, cells: AnyIndices) -> Iterator[tuple[int, Tree, Indices]]:
+        """The trees of a scalar that quadrature does not integrate exactly, each with its rows of some cells."""
+        for number, (tree, rows) in enumerate(self.datum.scalars[scalar].trees_in(cells)):
             if not is_polynomial(tree, OF_SERIES):
-                yield number, tree, inside
+                yield number, tree, rows
 
     def add(self, cells: AnyIndices, vertices: Array, near: Array, seen: Array, acting: Mask | None = None) -> None:
         """Look at simplices, and keep those that have to be cut.
@@ -135,8 +134,8 @@ class _Enclosures:
         begin = sum(map(len, self.squares))
         bounds = np.stack([seen.sum(axis=1), seen.sum(axis=1), np.zeros(len(cells))], axis=1)
         for scalar in range(seen.shape[1]):
-            for number, tree, inside in self.trees(scalar):
-                rows = np.flatnonzero(acting[:, scalar] if inside is None else acting[:, scalar] & inside[cells])
+            for number, tree, rows in self.trees(scalar, cells):
+                rows = rows[acting[rows, scalar]]
                 rho = 2 * distances(tree, vertices[rows], self.spaces.frame, np.full(len(rows), limit / 2))
                 fine = rho <= limit
                 root, rho, there = np.sqrt(seen[rows[fine], scalar]), rho[fine], rows[fine]
@@ -153,7 +152,7 @@ class _Enclosures:
         bounds, comm = np.concatenate(self.squares), self.spaces.mesh.comm
         basis = partial(lagrange, degree=self.degree)
         for scalar in range(len(self.datum.scalars)):
-            for number, tree, _ in self.trees(scalar):
+            for number, tree, _ in self.trees(scalar, np.arange(0)):
                 rows, vertices, near = map(np.concatenate, zip(*self.rough[scalar, number], strict=True))
                 limit = self.enough / math.sqrt(len(self.datum.scalars))
                 weight = np.full(len(rows), 1 / (limit**2 * max(comm.allreduce(len(rows)), 1)))
@@ -394,9 +393,7 @@ def _above(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets, bound: A
         middle = bound.mean(axis=1)[parts.own] + np.einsum("ni,ni->n", gradient[parts.own], arms)
         linear = Quadratic(middle, gradient[parts.own], np.zeros((len(middle), spaces.dim, spaces.dim)))
         excess, cells = np.zeros(len(middle)), facets.cells[parts.own]
-        for tree, inside in datum.pieces or ():
-            assert isinstance(tree, TREES)
-            rows = np.arange(len(middle)) if inside is None else np.flatnonzero(inside[cells])
+        for tree, rows in datum.trees_in(cells):
             some = parts.own[rows]
             least = ranges(tree, parts.vertices[rows], linear.of(rows), spaces.frame, -enough[some], np.inf).lo
             excess[rows] = np.maximum(-least, 0.0)
@@ -410,9 +407,7 @@ def _maybe_negative(spaces: ElasticSpaces, datum: Datum, facets: BoundaryFacets,
     """The owned cells on whose facets a text is not proved to be ≥ 0, but for rounding (collective)."""
     found = np.zeros(len(spaces.order), dtype=bool)
     low = -_rounding(spaces, bound)
-    for tree, inside in datum.pieces or ():
-        assert isinstance(tree, TREES)
-        rows = np.arange(len(bound)) if inside is None else np.flatnonzero(inside[facets.cells])
+    for tree, rows in datum.trees_in(facets.cells):
         least = ranges(tree, facets.vertices[rows], None, spaces.frame, low, np.inf).lo
         found[facets.cells[rows[~(least >= low)]]] = True
     return found

@@ -35,7 +35,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import beside
-from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
+from signorini_fenicsx.expressions import Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import slopes
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
@@ -159,10 +159,9 @@ def _of_tree(spaces: ElasticSpaces, tree: Tree, ends: Array, degree: int) -> Arr
 def _pieces(datum: Datum, facets: BoundaryFacets) -> Iterator[tuple[Tree, Indices]]:
     """The trees of a datum that are not quadratic, each with the numbers of its facets."""
     for mask, part in datum.by_facets(facets.facets):
-        for tree, inside in part.pieces or ():
-            assert isinstance(tree, TREES)
+        for tree, rows in part.trees_in(facets.cells):
             if not is_polynomial(tree, QUADRATIC):
-                yield tree, np.flatnonzero(mask if inside is None else mask & inside[facets.cells])
+                yield tree, rows[mask[rows]]
 
 
 def _slopes_of_interpolant(tree: Tree, ends: Array, degree: int, step: float) -> Array:

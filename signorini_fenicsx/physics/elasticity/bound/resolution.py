@@ -278,8 +278,7 @@ def _of_strain(spaces: ElasticSpaces, strain: Strain) -> tuple[Array, Array]:
     middle = vertices.mean(axis=1)
     squares, largest = np.zeros((2, len(cells)))
     for datum, times in ((strain.datum, dim), (strain.beyond, 3 - dim)):
-        for given, inside in datum.pieces or ():
-            rows = np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])
+        for given, rows in datum.pieces_in(cells):
             entries = [(given, times)] if isinstance(given, TREES) else [(each, 1) for row in given for each in row]
             for tree, count in entries:
                 value = np.abs(np.broadcast_to(values(tree, middle), len(cells)))[rows]

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certificate import reservation
 from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import corners
-from signorini_fenicsx.expressions import TREES, Tree
+from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.forms.elasticity import square, strain, vector
@@ -154,6 +154,5 @@ def _pieces(datum: VectorDatum | PressureDatum, cells: AnyIndices) -> Iterator[t
     for k, scalar in enumerate(datum.scalars):
         if scalar.pieces is None:
             raise InputError("the energy of a body needs loads that are numbers or texts")
-        for tree, inside in scalar.pieces if scalar.number != 0 else ():
-            assert isinstance(tree, TREES)
-            yield k, tree, np.arange(len(cells)) if inside is None else np.flatnonzero(inside[cells])
+        for tree, rows in scalar.trees_in(cells) if scalar.number != 0 else ():
+            yield k, tree, rows
