@@ -146,6 +146,18 @@ class Stokes(Physics):
         return StokesCase
 
     @cached_property
+    def bound(self) -> Any:
+        from signorini_fenicsx.physics.elasticity.bound.bounds import BOUNDS
+
+        return BOUNDS
+
+    @cached_property
+    def quantities(self) -> Any:
+        from signorini_fenicsx.physics.stokes.quantities import QUANTITIES
+
+        return QUANTITIES
+
+    @cached_property
     def pictures(self) -> Any:
         from signorini_fenicsx.physics.stokes.show.pictures import PICTURES
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from signorini_fenicsx.cases.data_section import READERS, KindSection, data_section
 from signorini_fenicsx.cases.values import choice
-from signorini_fenicsx.quantities import Energy, Flux, Force, Integral, Kind, Mean, Moment
+from signorini_fenicsx.quantities import Dissipation, Energy, Flow, Flux, Force, Integral, Kind, Mean, Moment
 
 KINDS: Mapping[str, type[Kind]] = {
     "integral": Integral,
@@ -16,6 +16,8 @@ KINDS: Mapping[str, type[Kind]] = {
     "energy": Energy,
     "force": Force,
     "moment": Moment,
+    "flow": Flow,
+    "dissipation": Dissipation,
 }
 """The quantities by the names that case files have for them."""
 OF_QUANTITIES = READERS | {str | Sequence[str]: str | list[str], Sequence[float]: list[float]}

@@ -84,6 +84,16 @@ class Flux(OnParts):
 
 
 @dataclass(frozen=True)
+class Flow(OnParts):
+    """∫u·n over parts of the boundary of a fluid: what flows out through them."""
+
+
+@dataclass(frozen=True)
+class Dissipation(Kind):
+    """∫2μ|ε(u)|²: the power that friction inside a fluid takes."""
+
+
+@dataclass(frozen=True)
 class Force(OnParts):
     """∫ σn·direction over parts of the boundary where an elastic body is held, or in contact: the force on it there.
 

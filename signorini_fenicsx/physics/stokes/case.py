@@ -146,8 +146,6 @@ class StokesCase(CaseFile):
             raise ValueError("[time]: a viscous flow has no steps in time")
         if self.inner:
             raise ValueError("[boundary] inner: a fluid has no parts inside")
-        if self.quantity:
-            raise ValueError("[[quantity]]: there are none of viscous flow")
         return self
 
     def posed(self, dim: int, step: int | None = None) -> StokesProblem:

@@ -25,7 +25,8 @@ positive definite, as it is if K_θ with μρ_e for θl is. So
 
     Σ ⟨r, w⟩_e ≤ (Σ ‖r‖_e²/μρ_e)^½ |w|.
 
-Where 𝔸 varies in a cell it is replaced by one matrix that is at least 𝔸 in all points, with which ‖τ_h‖ is larger.
+Where 𝔸 varies in a cell, or leaves the volume as it is, it is replaced by one matrix that is at least 𝔸 in all points,
+with which ‖τ_h‖ is larger.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, LinearSolver, set_direct
 from signorini_fenicsx.physics.elasticity.bound.korn import MOMENTS, korn_constants
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, compliance_product, reference
+from signorini_fenicsx.physics.elasticity.discrete.material import regular
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports
 from signorini_fenicsx.physics.elasticity.solve.rigid_motions import Bodies
@@ -80,7 +82,7 @@ def constant_of_body(spaces: ElasticSpaces, compliance: Array, loaded: Mask, len
         loaded: Mask of the facets with r, opposite to the vertices of each cell, shape (cells, d + 1).
         length: l.
     """
-    return _kept(spaces, _by_factorisations, compliance, loaded, length)
+    return _kept(spaces, _by_factorisations, regular(compliance), loaded, length)
 
 
 def _kept(spaces: ElasticSpaces, find: Callable[..., float], *given: Array | Mask | float) -> float:
@@ -114,7 +116,7 @@ def constant_of_facets(spaces: ElasticSpaces, compliance: Array, weights: Array)
         compliance: As in `constant_of_body`.
         weights: ρ of the facets, opposite to the vertices of each cell, 0 where r = 0, shape (cells, d + 1).
     """
-    return _kept(spaces, _of_facets, compliance, weights)
+    return _kept(spaces, _of_facets, regular(compliance), weights)
 
 
 def _of_facets(spaces: ElasticSpaces, compliance: Array, weights: Array) -> float:

@@ -48,13 +48,12 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleSt
 from signorini_fenicsx.physics.elasticity.bound.lifted import lifted, lifts, of_degree
 from signorini_fenicsx.physics.elasticity.bound.oscillation import compliances_above, load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import (
-    NAME,
     Resolution,
     is_enclosed,
     is_own_enclosed,
     unresolved_by_quadrature,
 )
-from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE
+from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
@@ -64,8 +63,8 @@ LACKING = "not in the discrete spaces"
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
 SURFACE = "with tools as far as their surfaces are at the vertices of the mesh"
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
-DEGREE = 2
-"""Degree of v,"""
+DEGREE, OF_FLUIDS = 2, 3
+"""Degree of v; of a fluid it has to be so high that ∇·v can be 0,"""
 MOST = {2: 0.95, 3: 0.8}
 """and a higher one on the cells with the largest parts of the gap that have this share of it, by dimension,"""
 HALVINGS, MANY = 4, {2: 20_000, 3: 200}
@@ -90,12 +89,13 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
         return no_bound(solution, why)
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
-    v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, DEGREE)
+    v, of_cells, slips, past = _displacement(solution, y, resolution, spaces.split, degree_of(data))
     lacking, lifted_data = lifted(resolution, of_cells, y.floors)
     of_cells = _with(of_cells, lacking)
     with_most = _with_most(spaces, of_cells)
-    if number := comm.allreduce(len(with_most)):
-        degree = HIGHEST[spaces.dim] if number <= FEW else 3
+    number = comm.allreduce(len(with_most))
+    degree = HIGHEST[spaces.dim] if number <= FEW else 3
+    if number > 0 and degree > degree_of(data):
         part = spaces.split.part(with_most)
         _, better, slips_there, past_there = _displacement(solution, y, resolution, part, degree, v)
         better = _with(better, of_degree(resolution, lifted_data, degree, y.floors))
@@ -122,6 +122,11 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     certificate = replace(gap.certificate(spaces), lacking=_lacking(resolution, gap.by_quadrature), of=of)
     about = {"guaranteed": False, "of_last_bound": True} if of_last_bound else {}
     return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.proved else {}))
+
+
+def degree_of(data: ElasticData) -> int:
+    """The degree of v."""
+    return OF_FLUIDS if data.material.incompressible else DEGREE
 
 
 def pairs_without_bound(spaces: ElasticSpaces) -> str:
@@ -276,11 +281,12 @@ def not_in_the_spaces(resolution: Resolution, *, material: bool = True, also: Se
     by_constant = not resolution.no_constant
     loads = [each for each in _loads(resolution) if not (by_constant and hidden.is_enclosed(each))]
     degrees = [(each.name, each.polynomial, LARGEST_DEGREE // 2) for each in loads]
-    degrees += [(name, getattr(data, name).polynomial, 2) for name in ("u_D", "gap") if name not in also]
+    of_v = degree_of(data)
+    degrees += [(name, getattr(data, name).polynomial, of_v) for name in ("u_D", "gap") if name not in also]
     names = [name for name, degree, most in degrees if degree is None or degree > most]
     names += sorted({name for name, *_ in data.friction.texts if name not in also})
     names += [law.key(name) for law in data.laws.of_parts if not law.moves_only() for name in law.varying()]
     if not (material and is_own_enclosed(data.material)):
         names += [each.name for each in data.material.own if unresolved_by_quadrature(each)]
     is_known = data.material.uniform or (material and is_enclosed(data.material))
-    return tuple(names) if is_known else (*names, NAME)
+    return tuple(names) if is_known else (*names, " and ".join(data.material.words))

@@ -3,12 +3,19 @@
 What a displacement is inside a cell follows from what it is on the facets of the cell, as its energy is least there. So
 the nodes inside are eliminated cell by cell, as the stresses are in `physics.elasticity.solve.system`. Of the unknowns
 of quadratic displacements a third is left in the plane, a fifth in space.
+
+*Incompressible bodies.* Cubics on a split simplex that are 0 around it have for divergences all discontinuous
+quadratics with mean 0 (Scott and Vogelius). So ∇·v is made constant in each cell, by a large bulk modulus whose
+pressures are then taken as given, as in `solve.mean_pressure`. The constant is the flow out of the cell, which the
+nodes around it have. A moderate bulk modulus is against this flow, and the same method takes it away.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from math import factorial
 from typing import Any
 
 import basix
@@ -21,18 +28,23 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.discrete.bernstein import exponents
-from signorini_fenicsx.discrete.simplices import BLOCK, opposite
+from signorini_fenicsx.discrete.simplices import BLOCK, facet_normals, opposite
 from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, TraceCoarse
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity.discrete.data import OnSplit
+from signorini_fenicsx.physics.elasticity.discrete.material import STIFF_VOLUME
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BULK, ENOUGH, MeanPressure
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import MOST as MOST_SOLVES
 
 TOLERANCE = 1e-5
 """Relative residual of a solve by CG, which may stop before; the next solve also removes what the last one left."""
 MOST = 200
 """If CG needs more iterations, it gives way to a factorisation."""
+INSIDE = 3
+"""So often pressures inside cells are taken as given."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +89,8 @@ class Condensed:
         inside: Those inside it, as nodes of the space, shape (cells, inner).
         share: The coefficients inside for each of those around, negative, shape (cells, d inner, d outer).
         own: Those inside where the others are 0, shape (cells, d inner).
+        flows: ∫ v·n over the boundary of each cell for unit coefficients around it, shape (cells, d outer).
+        stiffness: Of the cells against these flows; 0 where they may be compressed.
     """
 
     nodes: Nodes
@@ -88,6 +102,35 @@ class Condensed:
     inside: Indices
     share: Array
     own: Array
+    flows: Array
+    stiffness: Array
+
+    def without_flows(
+        self, x: Array, lift: Array, solve: Callable[[Array], Array], pushed: Callable[[Array], Array]
+    ) -> tuple[Array, float]:
+        """The x near this one with which nothing flows out of cells, and what still does as a share (collective).
+
+        See `solve.mean_pressure`.
+
+        Args:
+            x: Of the owned unknowns.
+            lift: What is given besides.
+            solve: What forces change.
+            pushed: Gives an x near another one that is admissible.
+        """
+        numbers, dim, before = self.nodes.numbers, self.nodes.dim, np.inf
+        mean = MeanPressure(numbers.comm, self.flows, self.stiffness)
+        for _ in range(MOST_SOLVES):
+            everywhere = la.vector(numbers, dim)
+            everywhere.array[: len(x)] = x + lift
+            everywhere.scatter_forward()
+            values = everywhere.array.reshape(-1, dim)[self.around]
+            means, share = mean.of(values.reshape(self.flows.shape))
+            if share <= ENOUGH or share > before / 2:
+                break
+            pulls = sums_at(numbers, self.around, mean.pulls(means).reshape(values.shape))
+            x, before = pushed(x + solve(-pulls[: numbers.size_local].ravel())), share
+        return x, share
 
     def coefficients(self, x: Array) -> Array:
         """The coefficients at the nodes inside, shape (cells, inner, d), from those of the others, ghosts too."""
@@ -116,29 +159,101 @@ def condensed(
     for block in np.array_split(cells, -(-len(cells) // BLOCK[dim])) if len(cells) > 0 else []:
         which, places, number = _layout(space.dofmap.list[block[0]], nodes)
         of_cells, first = space.dofmap.list[block].reshape(len(block), -1)[:, places], dim * number
-        stiffness = _stiffness(split, space, material, block, which, frames[of_cells])
         outer, inside = np.split(of_cells, [number], axis=1)
-        pull = forces[inside].reshape(len(block), -1, 1)
-        eliminated = np.linalg.solve(
-            stiffness[:, first:, first:], np.concatenate([stiffness[:, first:, :first], pull], axis=2)
-        )
-        share, own = eliminated[:, :, :-1], eliminated[:, :, -1]
-        coupling, around = stiffness[:, :first, first:], nodes.number_of[outer]
-        left = stiffness[:, :first, :first] - coupling @ share
+        around, pull = nodes.number_of[outer], forces[inside].reshape(len(block), -1, 1)
+        flows, bulk = np.zeros((len(block), first)), np.zeros(len(block))
+        law, degree = material.in_points(block.ravel(), 2 * space.element.basix_element.degree - 2)
+        of_law = partial(_stiffness, split, space, block, which, frames[of_cells])
+        if material.incompressible:
+            law, volume, modulus = _apart(law, block.shape)
+            stiffness = of_law(law, degree)
+            share, own, left, of_load = _incompressible(stiffness, of_law(volume, degree), first, pull)
+            flows, bulk = _flows(split, space, block, which, frames[outer], modulus)
+            left = left + bulk[:, None, None] * flows[:, :, None] * flows[:, None]
+        else:
+            stiffness = of_law(law, degree)
+            share, own, left, of_load = _eliminated(stiffness, first, pull)
         for sums, values in (
-            (load, -np.einsum("noi,ni->no", coupling, own)),
-            (softened, np.einsum("noi,nio->no", coupling, share)),
+            (load, of_load),
+            (softened, np.einsum("nii->ni", stiffness[:, :first, :first] - left)),
         ):
             np.add.at(sums.array.reshape(-1, dim), around, values.reshape(*around.shape, dim))
         energy -= float((pull[:, :, 0] * own).sum()) / 2
-        parts.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, own))
+        parts.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, own, flows, bulk))
     for sums in (load, softened):
         sums.scatter_reverse(la.InsertMode.add)
     none = np.empty((0, 0), dtype=np.int32)
-    without_cells = [(np.empty((0, 0, 0)), none, none, np.empty((0, 0, 0)), np.empty((0, 0)))]
+    matrices, numbers = np.empty((0, 0, 0)), np.empty((0, 0))
+    without_cells = [(matrices, none, none, matrices, numbers, numbers, np.empty(0))]
     matrices, *others = (np.concatenate(each) for each in zip(*(parts or without_cells), strict=True))
     of_nodes = (each.array[: dim * size].copy() for each in (load, softened))
     return Condensed(nodes, matrices, next(of_nodes), energy, next(of_nodes), *others)
+
+
+def _eliminated(stiffness: Array, first: int, pull: Array) -> tuple[Array, ...]:
+    """`share`, `own`, the stiffness that is left and the load, without the unknowns from the first of those inside."""
+    coupling = stiffness[:, :first, first:]
+    right = np.concatenate([stiffness[:, first:, :first], pull], axis=2)
+    both = np.linalg.solve(stiffness[:, first:, first:], right)
+    share, own = both[:, :, :-1], both[:, :, -1]
+    return share, own, stiffness[:, :first, :first] - coupling @ share, -np.einsum("noi,ni->no", coupling, own)
+
+
+def _incompressible(stiffness: Array, volume: Array, first: int, pull: Array) -> tuple[Array, ...]:
+    """The same where `volume` is the stiffness of a bulk modulus that stands for none that is finite inside cells."""
+    inner, coupled = slice(first, None), (stiffness + volume)[:, first:, :first]
+    inverse = np.linalg.inv((stiffness + volume)[:, inner, inner])
+    both = inverse @ np.concatenate([coupled, pull], axis=2)
+    given = np.concatenate([volume[:, inner, :first], 0 * pull], axis=2)
+    for _ in range(INSIDE):
+        both += inverse @ (given - volume[:, inner, inner] @ both)
+    share, own = both[:, :, :-1], both[:, :, -1]
+    moved, of_own = stiffness[:, :, inner] @ share, stiffness[:, :, inner] @ own[:, :, None]
+    across = share.swapaxes(1, 2)
+    left = stiffness[:, :first, :first] - moved[:, :first] - moved[:, :first].swapaxes(1, 2) + across @ moved[:, inner]
+    return share, own, left, (across @ (of_own[:, inner] - pull) - of_own[:, :first])[:, :, 0]
+
+
+def _apart(law: Array, cells: tuple[int, ...]) -> tuple[Array, Array, Array]:
+    """ℂ without what changes of volume meet, this by its mean on each cell, and the bulk modulus of that.
+
+    Args:
+        law: ℂ in points of subcells, shape (subcells, points, entries, entries).
+        cells: The shape of the subcells by their cells.
+    """
+    dim = cells[1] - 1
+    modulus, alone, of_volume = law[..., :dim, :dim].mean(axis=(2, 3)), law.copy(), np.zeros_like(law[:, :1])
+    alone[..., :dim, :dim] -= modulus[..., None, None]
+    means = modulus.reshape(cells[0], -1).mean(axis=1)
+    of_volume[..., :dim, :dim] = np.repeat(means, dim + 1)[:, None, None, None]
+    return alone, of_volume, means
+
+
+def _flows(
+    split: SplitMesh, space: fem.FunctionSpace, block: Indices, which: Indices, frames: Array, modulus: Array
+) -> tuple[Array, Array]:
+    """∫ v·n over the boundary of cells for unit coefficients around them, and what stands against it, over |T|.
+
+    Args:
+        split: The split mesh.
+        space: The displacements on it.
+        block: Its subcells by their cells.
+        which: Which node of a cell each node of its subcells is.
+        frames: Directions of the coefficients around cells.
+        modulus: The bulk modulus inside of them.
+    """
+    dim, around = (
+        block.shape[1] - 1,
+        space.element.basix_element.entity_closure_dofs[-2][-1],
+    )  # the last vertex is inside
+    vertices = split.mesh.geometry.x[cell_nodes(split.mesh)[block.ravel()], :dim]
+    normals = facet_normals(vertices)[:, -1].reshape(*block.shape, dim)
+    flows = np.zeros((*frames.shape[:2], dim))
+    for subcell, places in enumerate(which):
+        flows[:, places[around]] += normals[:, subcell, None] / len(around)
+    measure = np.abs(np.linalg.det(vertices[:, 1:] - vertices[:, :1])).reshape(block.shape).sum(axis=1)
+    flows = np.einsum("nai,naij->naj", flows, frames).reshape(len(block), -1)
+    return flows, BULK / STIFF_VOLUME * modulus * factorial(dim) / measure
 
 
 def _layout(of_subcells: Indices, nodes: Nodes) -> tuple[Indices, Indices, int]:
@@ -153,19 +268,20 @@ def _layout(of_subcells: Indices, nodes: Nodes) -> tuple[Indices, Indices, int]:
 
 
 def _stiffness(
-    split: SplitMesh, space: fem.FunctionSpace, material: OnSplit, block: Indices, which: Indices, frames: Array
+    split: SplitMesh, space: fem.FunctionSpace, block: Indices, which: Indices, frames: Array, law: Array, degree: int
 ) -> Array:
     """The stiffness of cells whose nodes have these frames, shape (cells, unknowns, unknowns).
+
+    The law is ℂ in points of a quadrature of this degree, or one matrix for each subcell.
 
     ∫ ∂_kφ ∂_lφ' over the subcells of the reference cell, for all pairs of nodes, is the same for all cells.
     """
     dim, mesh, numbers, pairs = split.mesh.geometry.dim, split.mesh, block.ravel(), entries(split.mesh.geometry.dim)
     element = space.element.basix_element
-    stiffness, degree = material.in_points(numbers, 2 * element.degree - 2)
     points, weights = basix.make_quadrature(element.cell_type, degree)
     gradients = element.tabulate(1, points)[1:, :, :, 0]
     products = np.einsum("q,kqa,lqb->qklab", weights, gradients, gradients)
-    if stiffness.shape[1] == 1:
+    if law.shape[1] == 1:
         products = products.sum(axis=0, keepdims=True)
     of_reference = np.zeros((len(which), *products.shape[:3], which.max() + 1, which.max() + 1))
     for each, places in zip(of_reference, which, strict=True):
@@ -177,7 +293,7 @@ def _stiffness(
         for component, along in {(i, j), (j, i)}:
             strains[:, 0, component, :, entry] = inverse[:, along] * (1 if i == j else np.sqrt(0.5))
     strains = strains.reshape(len(numbers), 1, dim * dim, -1)
-    on_subcells = strains @ (np.abs(np.linalg.det(edges))[:, None, None, None] * stiffness) @ strains.swapaxes(2, 3)
+    on_subcells = strains @ (np.abs(np.linalg.det(edges))[:, None, None, None] * law) @ strains.swapaxes(2, 3)
     on_subcells = on_subcells.reshape(*block.shape, len(products), dim, dim, dim, dim)
     by_components = on_subcells.transpose(0, 3, 5, 1, 2, 4, 6).reshape(len(block), dim, dim, -1)
     matrices = np.tensordot(by_components, of_reference.reshape(-1, *of_reference.shape[4:]), 1)

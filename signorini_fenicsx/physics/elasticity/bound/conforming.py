@@ -49,6 +49,8 @@ SHIFT = 1e-13
 """Share of the diagonal that is added in factorisations: no motion is free, and nothing else is changed."""
 MANY = {2: 300_000, 3: 20_000}
 """For each dimension, with more unknowns the solves are by CG."""
+OUT = 1e-11
+"""What v lets out of a cell of a fluid is rounding if it is at most this share of what flows through one."""
 PUSHES = 20
 """Rounds in which nodes are pushed off foundations by what rounding leaves."""
 
@@ -248,7 +250,7 @@ class BestDisplacement:
         stiffness.array[: size * dim] = diagonal.array_r + inside.softened
         stiffness.scatter_forward()
         self.unit = stiffness.array.reshape(-1, dim)[self._nodes].max(axis=(1, 2), initial=0.0)
-        self.locks = 1 + self.data.stiffness_of_volume(self.spaces) / 2
+        self.locks = 1.0 if material.incompressible else 1 + self.data.stiffness_of_volume(self.spaces) / 2
         self._share()
         self._shift = (1 + SHIFT) * self._natural.getDiagonal()
         self._essential = essential
@@ -317,6 +319,7 @@ class BestDisplacement:
         x, b = self._matrix.createVecs()
         x.set(0.0)
         b.array_w[:] = load
+        b.array_w[self._essential] = 0.0
         self._solver.solve(b, x)
         return np.array(x.array_r)
 
@@ -351,6 +354,9 @@ class BestDisplacement:
         self._collect_terms()
         self._assemble()
         x = nearly_minimal(self, self._forces, self._beginning())
+        out = 0.0
+        if self.material.incompressible:
+            x, out = self._condensed.without_flows(x, self._lift, self.solve, self.pushed)
         turned = la.vector(self._numbers, self.spaces.dim)
         turned.array[: len(x)] = x + self._lift
         turned.scatter_forward()
@@ -359,7 +365,7 @@ class BestDisplacement:
         coefficients[self._left.of_space] = turned.array.reshape(-1, self.spaces.dim)
         coefficients[self._condensed.inside] = self._condensed.coefficients(turned.array)
         coefficients[:] = np.einsum("nij,nj->ni", self._given.frames, coefficients)
-        return v, self._not_admissible(v)
+        return v, self._not_admissible(v) or ("v lets fluid out of cells" if out > OUT else "")
 
     def _not_admissible(self, v: fem.Function) -> str:
         """The place where v is not u_D, or passes the foundation farthest; empty up to rounding (collective)."""

@@ -17,13 +17,21 @@ from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.bound.clear import floors
 from signorini_fenicsx.physics.elasticity.discrete.friction import shortened
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
-from signorini_fenicsx.physics.elasticity.solve.residuals import ElasticKKT, elastic_kkt, energy_squares
+from signorini_fenicsx.physics.elasticity.solve.residuals import (
+    ElasticKKT,
+    elastic_kkt,
+    energy_squares,
+    subcell_squares,
+)
 
 ROUNDING = 1e-9
 """What is left is rounding if it is at most this share of ‖σ_h‖ in the energy norm. The bound then contains this share
 in its place, which does not depend on the order of sums: the bound is the same on any number of ranks."""
+OF_STRESS = 1e-13
+"""Rounding as a share of the whole stress, of which a high pressure may be nearly all."""
 OTHERS = 1e-6
 """Tractions on Γ_C that differ from those of the sets by more than this share of the largest stress are others."""
 
@@ -56,7 +64,8 @@ def admissible_stress(solution: ElasticSolution) -> AdmissibleStress:
     """The stress y and its distance from σ_h (collective)."""
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
     energy = solution.norms()["energy"]
-    rounding, unit = ROUNDING * energy, _energy_of_residuals(solution)
+    unit, whole = _as_energies(solution)
+    rounding = max(ROUNDING * energy, OF_STRESS * whole)
     if _left(solution.kkt) * unit <= rounding:
         return _of(solution, solution.stresses, solution.outcome.iterate.p, rounding)
     try:
@@ -81,15 +90,20 @@ def _energy(solution: ElasticSolution, stresses: Array) -> float:
     return float(np.sqrt(solution.spaces.mesh.comm.allreduce(float(squares.sum()))))
 
 
-def _energy_of_residuals(solution: ElasticSolution) -> float:
-    """‖σ_h‖ in L² times the root of the largest eigenvalue of 𝔸: the residuals times this are energies (collective)."""
+def _as_energies(solution: ElasticSolution) -> tuple[float, float]:
+    """Two norms of σ_h in L², times the root of the largest eigenvalue of 𝔸 (collective).
+
+    The first one is without pressures that have no energy: the residuals times this are energies, see `ElasticKKT`.
+    """
     spaces, data = solution.spaces, solution.data
-    softest = 0.0
+    softest = square = 0.0
     for cells in blocks_of_cells(spaces.mesh):
         compliance = data.compliances(spaces, cells)
         softest = max(softest, float(np.linalg.eigvalsh(compliance).max(initial=0.0)))
-    softest = spaces.mesh.comm.allreduce(softest, MPI.MAX)
-    return float(np.sqrt(softest) * solution.norms()["sigma_L2"])
+        means = subcell_squares(data.material.seen(solution.stresses[cells])).mean(axis=1)
+        square += float(means @ Cells(spaces.vertices[cells]).measure)
+    softest, square = spaces.mesh.comm.allreduce(softest, MPI.MAX), spaces.mesh.comm.allreduce(square)
+    return float(np.sqrt(softest * square)), float(np.sqrt(softest) * solution.norms()["sigma_L2"])
 
 
 def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -> AdmissibleStress:

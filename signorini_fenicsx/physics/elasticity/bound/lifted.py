@@ -69,7 +69,8 @@ def lifts(spaces: ElasticSpaces, data: ElasticData) -> tuple[str, ...]:
             for _, part in scalar.by_facets(facets.facets)
             if each == name
         )
-        if spaces.dim == 2 and is_text and (datum.polynomial is None or datum.polynomial > QUADRATIC):
+        some_lift = spaces.dim == 2 and not data.material.incompressible  # d changes volumes
+        if some_lift and is_text and (datum.polynomial is None or datum.polynomial > QUADRATIC):
             names.append(name)
     return tuple(names)
 

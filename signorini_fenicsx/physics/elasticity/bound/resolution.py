@@ -53,12 +53,12 @@ RESOLVED = 0.05
 """A coefficient is not resolved if ρ is more than this share of it, or if it varies by more than half of itself."""
 OWN = 4
 """Degree of the polynomials for strain and stress of the body's own: then their differences to ε(v) have this, too."""
-NAME = "young and poisson"
 
 
 def is_enclosed(material: Material) -> bool:
-    """Whether a material is isotropic, with texts or numbers for E and ν, and has no strain or stress of its own."""
-    if len(material.young) != 1 or len(material.poisson) != 1 or material.shear or material.axes or material.own:
+    """Whether a material is isotropic, with texts or numbers for E and ν, or μ, and without strain of its own."""
+    one = len(material.young) == 1 and (material.incompressible or len(material.poisson) == 1)
+    if not one or material.shear or material.axes or material.own:
         return False
     return all(datum.pieces is not None for datum in (*material.young, *material.poisson))
 
@@ -75,9 +75,12 @@ def unresolved_by_quadrature(strain: Strain) -> bool:
     return degree is None or degree > LARGEST_DEGREE // 2
 
 
-def _coefficients(material: Material, young: Tree, poisson: Tree) -> tuple[Tree, ...]:
-    """2μ, κ, 1/2μ and 1/κ."""
+def _coefficients(material: Material, young: Tree, poisson: Tree | None) -> tuple[Tree, ...]:
+    """2μ, κ, 1/2μ and 1/κ; of a fluid, whose law has no κ, 2μ and 0 in the place of κ and 1/κ."""
     one = exactly(1)
+    if poisson is None:
+        twice = Binary("*", exactly(2), young)
+        return twice, twice, _inverse(twice), exactly(0)
     more, less = Binary("+", one, poisson), Binary("-", one, Binary("*", exactly(2), poisson))
     if material.dim == 2:
         less = Binary("*", more, less) if material.in_strain else Binary("-", one, poisson)
@@ -115,12 +118,13 @@ def _distances(
     """
     rho, sizes = np.zeros((2, 4, len(cells)))
     middle = vertices.mean(axis=1)
+    of_volume = ((None, None),) if material.incompressible else material.poisson[0].pieces or ()
     for young, with_young in material.young[0].pieces or ():
-        for poisson, with_poisson in material.poisson[0].pieces or ():
+        for poisson, with_poisson in of_volume:
             masks = [mask[cells] for mask in (with_young, with_poisson) if mask is not None]
             chosen = np.flatnonzero(np.all(masks, axis=0)) if masks else np.arange(len(cells))
             assert isinstance(young, TREES)
-            assert isinstance(poisson, TREES)
+            assert poisson is None or isinstance(poisson, TREES)
             for k, tree in enumerate(_coefficients(material, young, poisson)):
                 sizes[k, chosen] = np.abs(np.broadcast_to(values(tree, middle), len(cells)))[chosen]
                 rho[k, chosen] = distances(tree, vertices[chosen], spaces.frame, share * sizes[k, chosen], degree)
@@ -188,7 +192,7 @@ class Resolution:
         if self._stiffness is not None:
             varies = np.zeros(len(self.coarse), dtype=bool)
             varies[np.flatnonzero(~self._stiffness.resolved) // (self.spaces.dim + 1)] = True
-            self.note("young or poisson", varies)
+            self.note(" or ".join(self.data.material.words), varies)
 
     @cached_property
     def _stiffness(self) -> _Stiffness | None:

@@ -145,6 +145,16 @@ class FacetCoefficients:
         """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""
         return np.asarray(self.hats @ self.facets.vertices)
 
+    def with_means(self, vectors: Array, directions: Array, means: Array) -> Array:
+        """Coefficients of vectors, shape (facets, coefficients, d), with other means along a direction of each facet.
+
+        Those inside facets are changed, if there are any: a fluid flows through a facet by the mean.
+        """
+        inside = (self.hats > 0).all(axis=1)
+        share = inside / max(inside.mean(), 1 / len(inside))
+        more = means - np.einsum("nki,ni->nk", vectors, directions).mean(axis=1)
+        return np.asarray(vectors + np.einsum("n,k,ni->nki", more, share, directions))
+
     def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum | NormalLaw) -> Array:
         """Coefficients of the polynomials that interpolate at equidistant points (collective).
 
@@ -317,12 +327,16 @@ def given_nodes(
     dim, index_map = spaces.dim, space.dofmap.index_map
     products, pulls = la.vector(index_map, dim**2), la.vector(index_map, dim)  # sums of d dᵀ and of (d·u_D)d
     on_facets = []
-    for facets, _, axes, _ in spaces.fixed:
+    for facets, k, axes, _ in spaces.fixed:
         coefficients = facet_coefficients(split, space, facets)
         directions = axes[coefficients.rows][:, None]
-        displacement = (
-            coefficients.of(spaces.mesh, data.u_D) if v is None else v.x.array.reshape(-1, dim)[coefficients.nodes]
-        )
+        if v is None:
+            displacement = coefficients.of(spaces.mesh, data.u_D)
+            if data.material.incompressible:
+                means = data.lift[spaces.unknowns(facets, k)].mean(axis=1)[coefficients.rows]
+                displacement = coefficients.with_means(displacement, directions[:, 0], means)
+        else:
+            displacement = v.x.array.reshape(-1, dim)[coefficients.nodes]
         along = np.einsum("nai,nbi->na", displacement, directions)
         on_facets.append((coefficients, directions[:, 0], displacement))
         add_at(products, coefficients.nodes, np.einsum("nbi,nbj->nbij", directions, directions))

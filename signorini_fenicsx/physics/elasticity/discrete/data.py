@@ -295,12 +295,14 @@ class OnSplit:
         stiffness: ℂ.
         eigenstrain: The entries of ε₀.
         degree: For which the points in which they are are exact.
+        incompressible: Whether ℂ has a large bulk modulus in the place of none that is finite.
     """
 
     compliance: fem.Function
     stiffness: fem.Function
     eigenstrain: Expr
     degree: int
+    incompressible: bool
 
     @property
     def dx(self) -> ufl.Measure:
@@ -349,6 +351,7 @@ def material_on_split(spaces: ElasticSpaces, data: ElasticData, split: SplitMesh
         if material.own
         else ufl.zero(number),
         degree=rule.degree,
+        incompressible=material.incompressible,
     )
 
 

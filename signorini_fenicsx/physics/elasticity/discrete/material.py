@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from ufl.core.expr import Expr
@@ -102,6 +102,7 @@ class Material:
     own: tuple[Strain, ...]
 
     incompressible = False
+    words: ClassVar[tuple[str, ...]] = ("young", "poisson")
 
     def seen(self, stresses: Array) -> Array:
         """What of stresses, the last two axes, has an energy: all of them, or their deviators."""

@@ -17,6 +17,7 @@ class Viscous(Material):
     """The law on a mesh; the viscosity μ is in the place of E."""
 
     incompressible = True
+    words = ("viscosity",)
 
     def seen(self, stresses: Array) -> Array:
         """The deviators, see `Material.seen`."""

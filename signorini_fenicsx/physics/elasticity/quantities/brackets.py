@@ -38,7 +38,7 @@ from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillat
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.quantities.energy import OF_V, Along, energy
+from signorini_fenicsx.physics.elasticity.quantities.energy import Along, degree_of_v, energy
 from signorini_fenicsx.physics.elasticity.quantities.motions import (
     OPPOSITE,
     check_parts,
@@ -149,7 +149,7 @@ class _Side:
         """The admissible fields of a solution (collective)."""
         y = admissible_stress(solution)
         spaces = solution.spaces
-        v, past = BestDisplacement(spaces, solution.data, y, spaces.split, OF_V[spaces.dim]).minimum()
+        v, past = BestDisplacement(spaces, solution.data, y, spaces.split, degree_of_v(solution.data)).minimum()
         return cls(solution, y, v, past)
 
 
@@ -180,7 +180,7 @@ class _Beside(Beside[_Side]):
         if of_v.past or not math.isfinite(y.distance):
             return Half(math.inf, of_v.past or UNBALANCED, np.zeros(len(self.spaces.order)))
         data = replace(solution.data, tractions=of_y.solution.data.tractions)
-        problem = BestDisplacement(solution.spaces, data, y, solution.spaces.split, OF_V[self.spaces.dim])
+        problem = BestDisplacement(solution.spaces, data, y, solution.spaces.split, degree_of_v(data))
         resolution = Resolution(self.spaces, of_y.solution.data)
         mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, resolution, half=True)
         oscillation, missed = load_oscillation(resolution, y.stresses, mismatch)
@@ -302,7 +302,7 @@ class Integrals(beside.Integrals[_Side], _Beside):
         Where two bodies touch it is that of the jump of v.
         """
         dim, spaces, total = self.spaces.dim, self.spaces, np.zeros(2)
-        direction = self.kind.direction
+        direction, degree = self.kind.direction, degree_of_v(self.solution.data)
         along = None if direction is None else np.array(direction_of(direction, dim))
         tree = parsed(self.kind.weight, "xyz"[:dim], "weight")
         if not self.kind.parts:
@@ -312,13 +312,13 @@ class Integrals(beside.Integrals[_Side], _Beside):
                 Along.of(of.v, subcells, along),
                 np.repeat(spaces.cell_measures[self.cells] / (dim + 1), dim + 1),
             )
-            return products(tree, v.vertices, measure, v.at, OF_V[dim], spaces.frame, enough).total
+            return products(tree, v.vertices, measure, v.at, degree, spaces.frame, enough).total
         inner = [other_side(part) for part in self.kind.parts if part in self.solution.boundary.inner]
         for part in (*self.kind.parts, *inner):
             facets, sign = spaces.part(part), -1.0 if part in inner else 1.0
             ways = facets.normals if along is None else sign * along  # n has the sign of its side by itself
             v = Along.of(of.v, spaces.split.cells[facets.cells, facets.local], ways)
-            total += products(tree, facets.vertices, facets.measure, v.at, OF_V[dim], spaces.frame, enough).total
+            total += products(tree, facets.vertices, facets.measure, v.at, degree, spaces.frame, enough).total
         return total
 
 

@@ -22,6 +22,7 @@ from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.certify import (
     LACKING,
     UNBALANCED,
+    degree_of,
     gap_of_cells,
     not_in_the_spaces,
     pairs_without_bound,
@@ -31,6 +32,7 @@ from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_s
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of, without_given
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
+from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
@@ -38,7 +40,12 @@ from signorini_fenicsx.quantities.beside import SHARE
 from signorini_fenicsx.quantities.bracket import Quantity
 
 OF_V = {2: 3, 3: 2}
-"""Degree of v, by dimension."""
+"""Degree of v, by dimension; of a fluid it is at least that of the certificate."""
+
+
+def degree_of_v(data: ElasticData) -> int:
+    """The degree of v for these data."""
+    return max(OF_V[data.material.dim], degree_of(data))
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,7 @@ def energy(solution: ElasticSolution) -> Quantity:
     if spaces.joints and data.laws.of_parts:
         raise InputError("Energy: of pairs there is none with other laws than contact and friction")
     y = admissible_stress(solution)
-    problem = BestDisplacement(spaces, data, y, spaces.split, OF_V[spaces.dim])
+    problem = BestDisplacement(spaces, data, y, spaces.split, degree_of_v(data))
     v, past = problem.minimum()
     resolution = Resolution(spaces, data)
     mismatch, contact = gap_of_cells(solution, y, problem, v, resolution)
@@ -133,7 +140,9 @@ def _work(solution: ElasticSolution, v: fem.Function, enough: float) -> Array:
     for k, tree, cells in _pieces(solution.data.f, np.arange(len(subcells))):
         along = Along.of(v, subcells[cells].ravel(), np.eye(dim)[k])
         measure = volume.reshape(subcells.shape)[cells].ravel()
-        total += products(tree, along.vertices, measure, along.at, OF_V[dim], spaces.frame, enough).total
+        total += products(
+            tree, along.vertices, measure, along.at, degree_of_v(solution.data), spaces.frame, enough
+        ).total
     for facets, datum in loads_of(spaces, solution.data):
         sign = -1.0 if isinstance(datum, PressureDatum) else 1.0
         directions = np.broadcast_to(datum.directions, (len(facets.facets), len(datum.scalars), dim))
@@ -141,7 +150,7 @@ def _work(solution: ElasticSolution, v: fem.Function, enough: float) -> Array:
         for k, tree, rows in _pieces(datum, facets.cells):
             along = Along.of(v, subcells[facets.cells[rows], facets.local[rows]], ways[rows, k])
             some = facets.vertices[rows], facets.measure[rows]
-            total += products(tree, *some, along.at, OF_V[dim], spaces.frame, enough).total
+            total += products(tree, *some, along.at, degree_of_v(solution.data), spaces.frame, enough).total
     return total
 
 

@@ -12,10 +12,12 @@ flow ∫_∂T û·n falls by about K each time. That is the method of Hestenes a
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.simplices import facet_normals
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
@@ -34,33 +36,42 @@ class MeanPressure:
         values: m_T of each owned cell, that part of it which û does not give.
     """
 
-    def __init__(self, spaces: ElasticSpaces, softness: Array, measure: Array):
+    def __init__(self, comm: MPI.Comm, out: Array, stiffness: Array):
         """Begin with none.
+
+        Args:
+            comm: Communicator.
+            out: ∫_∂T q·n for the unknowns q of each owned cell, shape (cells, n).
+            stiffness: 2μK/|T| of each.
+        """
+        self._comm, self._out, self._stiffness = comm, out, stiffness
+        self.values = np.zeros(len(out))
+
+    @classmethod
+    def of_traces(cls, spaces: ElasticSpaces, softness: Array, measure: Array) -> Self:
+        """Those for traces that are linear on facets.
 
         Args:
             spaces: The spaces.
             softness: 1/2μ of each owned cell.
             measure: Their |T|.
         """
-        self._comm, dim = spaces.mesh.comm, spaces.dim
-        out = np.repeat(facet_normals(spaces.vertices)[:, :, None] / dim, dim, axis=2)
-        self._out = out.reshape(len(measure), -1, 1)
-        spaces.to_unknowns(self._out, np.arange(len(measure), dtype=np.int32))
-        self._stiffness = BULK / (softness * measure)
-        self.values = np.zeros(len(measure))
+        dim = spaces.dim
+        out = np.repeat(facet_normals(spaces.vertices)[:, :, None] / dim, dim, axis=2).reshape(len(measure), -1, 1)
+        spaces.to_unknowns(out, np.arange(len(measure), dtype=np.int32))
+        return cls(spaces.mesh.comm, out[:, :, 0], BULK / (softness * measure))
 
-    def of(self, x: Array, unknowns: Indices) -> tuple[Array, float]:
+    def of(self, values: Array) -> tuple[Array, float]:
         """What û adds to the means, and the flow out of cells as a share of that through them (collective).
 
         Args:
-            x: û in all unknowns of this rank, on both sides of parts inside the domain.
-            unknowns: Those of each cell, shape (cells, n).
+            values: û in the unknowns of each cell, shape (cells, n).
         """
-        flows = self._out[:, :, 0] * x[unknowns]
+        flows = self._out * values
         out = flows.sum(axis=1)
         left, most = (self._comm.allreduce(float(np.abs(each).max(initial=0.0)), MPI.MAX) for each in (out, flows))
         return self._stiffness * out, left / most if most > 0 else 0.0
 
     def pulls(self, means: Array) -> Array:
         """∫ m q·n over the boundary of each cell for its unknowns q, shape (cells, n)."""
-        return np.asarray(means[:, None] * self._out[:, :, 0])
+        return np.asarray(means[:, None] * self._out)

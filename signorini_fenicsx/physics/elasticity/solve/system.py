@@ -49,7 +49,7 @@ class ElasticSystem(HybridSystem):
         super().__init__(spaces.traces, spaces.dofs, spaces.sides)
         if data.material.incompressible:
             softness = np.concatenate([self._softness(cells) for cells in blocks_of_cells(spaces.mesh)])
-            self.mean = MeanPressure(spaces, softness, Cells(spaces.vertices).measure)
+            self.mean = MeanPressure.of_traces(spaces, softness, Cells(spaces.vertices).measure)
         self._take_loads()
 
     def _take(self, data: ElasticData) -> None:
@@ -109,7 +109,7 @@ class ElasticSystem(HybridSystem):
         """What all unknowns of this rank add to the mean pressures, see `MeanPressure.of` (collective)."""
         assert self.mean is not None
         cells = np.arange(len(self.spaces.order), dtype=np.int32)
-        return self.mean.of(self._sides.values(x), self._unknowns(cells))
+        return self.mean.of(self._sides.values(x)[self._unknowns(cells)])
 
     def take_means(self, means: Array) -> Array:
         """Take means of pressures as given besides; what they take from the right side (collective)."""

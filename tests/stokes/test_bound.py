@@ -1,0 +1,97 @@
+"""The bound of viscous flow against exact flows: smooth ones, under any pressure, and where laws change."""
+
+import dolfinx.fem
+import pytest
+import ufl
+from elastic import box, half_plane_contact
+from mpi4py import MPI
+
+from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.physics.elasticity.problem import Pressure
+from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
+from signorini_fenicsx.physics.stokes.solution import StokesSolution
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+MU = 0.7
+POTENTIAL = ["4*x^3 - 12*x*y^2", "4*y^3 - 12*x^2*y"]
+"""u = ∇φ with φ harmonic, which needs no force and no pressure: σn = 2μ∇∇φ n."""
+ON_THE_RIGHT = [f"{2 * MU}*(12*x^2 - 12*y^2)", f"{-48 * MU}*x*y"]
+WAVES = ["exp(x)*cos(y)", "-exp(x)*sin(y)"]
+
+
+def bounded(low: list[float], high: list[float], n: int, problem: Stokes) -> tuple[StokesSolution, Certificate]:
+    """A solution on a box with its certificate."""
+    found = solve(box(COMM, n, low, high), problem)
+    assert found.converged
+    return found, certify(found)
+
+
+def divergence(v: dolfinx.fem.Function) -> float:
+    """‖∇·v‖/‖∇v‖ (collective)."""
+    forms = (ufl.inner(each, each) * ufl.dx for each in (ufl.div(v), ufl.grad(v)))
+    squares = [COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form))) for form in forms]
+    return (squares[0] / squares[1]) ** 0.5
+
+
+@pytest.mark.parallel([1, 3])
+def test_the_bound_of_a_smooth_flow_is_the_error():
+    """It is guaranteed, as u_D is a cubic; what tractions do besides is in it, and a pressure of 1e6 is rounding."""
+    for level in (0.0, 1e6):
+        right = Neumann("x1", [f"{ON_THE_RIGHT[0]} - {level}", ON_THE_RIGHT[1]])
+        problem = Stokes(MU, u_D=POTENTIAL, exact=POTENTIAL, conditions=[right])
+        found, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, problem)
+        assert certificate.guaranteed
+        assert divergence(certificate.v) < 1e-13
+        assert 0.999 < (certificate.bound - certificate.oscillation) / found.errors()["energy"] < 1.001
+        assert certificate.oscillation < 0.1 * certificate.bound
+        assert certificate.bound == pytest.approx(0.3214773585, rel=1e-6 if level else 1e-9)
+
+
+def test_in_space():
+    """Cubics on split tetrahedra are as good, and where u_D is no cubic the word goes."""
+    u = [*WAVES, "0"]
+    found, certificate = bounded([0.0] * 3, [1.0] * 3, 2, Stokes(MU, u_D=u, exact=u))
+    assert certificate.reservation == "u_D not in the discrete spaces"
+    assert not certificate.guaranteed
+    assert divergence(certificate.v) < 1e-13
+    assert 1 <= certificate.bound / found.errors()["energy"] < 1.01
+
+
+def leaking(g: float, x0: float, c: float) -> list[str]:
+    """The u in y > 0 that leaks through y = 0 where x < x0, under −σ_nn = g, see `filter` of the shipped cases."""
+    r = f"sqrt((x - {x0})^2 + y^2)"
+    real, imaginary = f"sqrt(max(({r} + x - {x0})/2, 0))", f"sqrt(max(({r} - x + {x0})/2, 0))"  # of z^(1/2)
+    return [f"{-1.5 * c}*y*{imaginary}", f"{c}*((x - {x0})*{imaginary} - y/2*{real})"]
+
+
+TURNED = [f"-({each})" for each in half_plane_contact(0.5)]
+
+
+@pytest.mark.parametrize(
+    ("mu", "law", "u", "most"),
+    [(1 / 3, Outflow("y0"), TURNED, (1.3, 1.1)), (1.0, Leak("y0", g=3), leaking(3, 0.07, 0.5), (1.35, 1.1))],
+)
+def test_where_a_law_changes_its_segment(mu: float, law: Outflow | Leak, u: list[str], most: tuple[float, float]):
+    """The flow is like r^(3/2) at the end of what is open; the order is nearly 1.5, that of the bound as well."""
+    errors, bounds = [], []
+    for n, ratio in zip((8, 16), most, strict=True):
+        found, certificate = bounded([-1.0, 0.0], [1.0, 1.0], n, Stokes(mu, u_D=u, exact=u, conditions=[law]))
+        errors.append(found.errors()["energy"])
+        bounds.append(certificate.bound)
+        assert 1 <= bounds[-1] / errors[-1] < ratio
+    assert errors[0] / errors[1] > 2**1.4
+    assert bounds[0] / bounds[1] > 2**1.4
+
+
+def test_a_wall_on_which_the_fluid_slips():
+    """With a threshold the flow is exact, and the bound rounding; where the viscosity varies it is guaranteed, too."""
+    ends = [Pressure("x0", 2 * MU), *(Dirichlet(part, 0, components="t") for part in ("x0", "x1"))]
+    _, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, Stokes(MU, conditions=[*ends, Slip("y1", g=0.3)]))
+    assert certificate.guaranteed
+    assert certificate.relative < 1e-7
+    _, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, Stokes("1 + x*y", conditions=[*ends, Slip("y1", g=0.3)]))
+    assert certificate.guaranteed
+    assert certificate.relative < 0.2
