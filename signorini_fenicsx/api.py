@@ -87,13 +87,14 @@ from signorini_fenicsx.contact.laws import (
     TwoSided,
     Wall,
 )
+from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.diffusion.problem import Diffusion
 from signorini_fenicsx.physics.diffusion.soils import BrooksCorey, Gardner, VanGenuchten
-from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Pair, Tied, Tresca
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure, Support
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
 from signorini_fenicsx.solution import Solution

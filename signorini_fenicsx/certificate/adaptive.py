@@ -162,6 +162,9 @@ def adapt[S: Solved](
         with _after(solution):
             certificate = certify(solution)
             interval = None if measure is None else measure(solution)
+        largest = comm.allreduce(float(owned_values(certificate.indicator).max(initial=0.0)), MPI.MAX)
+        if theta < 1 and interval is None and certificate.if_none and largest == 0:
+            raise InputError(f"adapt: there is no error bound by which to refine the mesh: {certificate.if_none}")
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         row = _row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds)
         on_row(row if interval is None else MeasuredRow(**vars(row), lower=interval.lower, upper=interval.upper))

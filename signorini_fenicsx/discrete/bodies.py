@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.base.owned import cell_dofs, cells_behind
 from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs, extreme_around
+
+if TYPE_CHECKING:  # it needs the bodies
+    from signorini_fenicsx.discrete.pairing import Joint
 
 
 def bodies(space: fem.FunctionSpace) -> Indices:
@@ -51,10 +56,12 @@ def without(
 ) -> tuple[Indices, int]:
     """The bodies that have none of some facets of the boundary and none of some owned cells (collective).
 
+    Bodies that are tied to one another are one.
+
     Returns:
         For each owned cell the number of its body among these, from 1, or 0 for all others; and their number.
     """
-    body = spaces.bodies
+    body = _tied_together(spaces)
     number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
     has_some = np.zeros(number, dtype=bool)
     has_some[body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]] = True
@@ -63,3 +70,26 @@ def without(
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, has_some, MPI.LOR)
     among = np.where(has_some, 0, np.cumsum(~has_some))
     return among[body], int((~has_some).sum())
+
+
+def opposite_bodies(spaces: MeshSpaces, joint: Joint, of_cell: Indices) -> Indices:
+    """The number of what most of each slave facet is opposite to, from a number for each owned cell (collective)."""
+    masters, pieces = cells_behind(spaces.mesh, joint.masters), joint.pieces
+    number = joint.of_masters(spaces.mesh.comm, of_cell[masters])[pieces.master]
+    shares = np.zeros((len(joint.slaves), int(number.max(initial=-1)) + 1))
+    np.add.at(shares, (pieces.slave, number), pieces.share)
+    return shares.argmax(axis=1) if shares.size else np.zeros(len(joint.slaves), dtype=np.int64)
+
+
+def _tied_together(spaces: MeshSpaces) -> Indices:
+    """The number of its body for each owned cell, where bodies that are tied to one another are one (collective)."""
+    body, comm = spaces.bodies, spaces.mesh.comm
+    links = [np.empty((0, 2), dtype=np.int64)]
+    for joint in spaces.joints:
+        if joint.pair.tied:
+            masters = joint.of_masters(comm, body[cells_behind(spaces.mesh, joint.masters)])
+            of_pieces = body[cells_behind(spaces.mesh, joint.slaves)][joint.pieces.slave], masters[joint.pieces.master]
+            links.append(np.unique(np.column_stack(of_pieces), axis=0))
+    several = np.concatenate(comm.allgather(np.concatenate(links)))
+    number = comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
+    return np.unique(joined(number, several), return_inverse=True)[1][body]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import dolfinx.mesh
 import numpy as np
@@ -18,8 +18,11 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.discrete.hybrid_system import Sides, copies
-from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces, cells_and_dofs
+from signorini_fenicsx.discrete.mesh_spaces import Facets, MeshSpaces, cells_and_dofs
 from signorini_fenicsx.discrete.simplices import facet_normals, opposite
+
+if TYPE_CHECKING:  # it needs the ranks of nodes
+    from signorini_fenicsx.discrete.pairing import Joint
 
 
 @dataclass(frozen=True)
@@ -200,7 +203,31 @@ class LinearTraces(MeshSpaces):
     @cached_property
     def sides(self) -> Sides:
         """The facets whose unknowns are jumps (collective when first used)."""
-        return Sides(self.traces, self.jumps, present=self.inner.present)
+        entries = [self.jumps, *map(self._means_opposite, self.joints)]
+        rows, columns, values = (np.concatenate(each) for each in zip(*entries, strict=True))
+        return Sides(self.traces, (rows, columns, values), present=self.several)
+
+    @cached_property
+    def tied(self) -> Facets:
+        """The slave facets that are tied; they have the dual basis in all components."""
+        return np.concatenate([np.empty(0, dtype=np.int32), *(each.slaves for each in self.joints if each.pair.tied)])
+
+    def frames_of(self, joint: Joint) -> Array:
+        """The directions of the jumps on the slave facets, 0 where there is none, shape (slaves, k, component)."""
+        return np.ones((len(joint.slaves), 1, 1))
+
+    def _means_opposite(self, joint: Joint) -> tuple[Indices, Indices, Array]:
+        """The entries of P of a pair, see `Sides` (collective)."""
+        dim, numbers, pieces, frames = self.dim, self.traces.dofmap.index_map, joint.pieces, self.frames_of(joint)
+        masters = numbers.local_to_global(self.boundary_facets(joint.masters).blocks).astype(np.int64)
+        columns = joint.of_masters(self.mesh.comm, masters)[pieces.master]
+        blocks, parts = self.boundary_facets(joint.slaves).blocks.astype(np.int64), frames.shape[1]
+        a, k, b, i = np.meshgrid(*map(np.arange, (dim, parts, dim, parts)), indexing="ij")
+        rows = blocks[pieces.slave, None] * dim * parts + (a * parts + k).ravel()
+        values = np.einsum("nab,nki->nakbi", pieces.weights, frames[pieces.slave]).reshape(rows.shape)
+        places = columns[:, None] * dim * parts + (b * parts + i).ravel()
+        used = values != 0
+        return rows[used], places[used], values[used]
 
     @property
     def jumps(self) -> tuple[Indices, Indices, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import dolfinx.mesh
 import numpy as np
@@ -31,6 +31,9 @@ from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
 from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.meshes.domain import Domain, facet_pairs
+
+if TYPE_CHECKING:  # it needs these facets
+    from signorini_fenicsx.discrete.pairing import Joint
 
 type Names = Sequence[str]
 type Facets = npt.NDArray[np.int32]
@@ -61,6 +64,7 @@ class MeshSpaces:
         has_dirichlet: Whether any rank has facets of Γ_D.
         neumann_facets: Mesh facets of Γ_N on this rank.
         inner: The facets of Γ_S inside the domain, with those of their other sides.
+        joints: Pairs of surfaces. A slave with a law is in Γ_S: there p is a jump.
         n: Outer unit normal.
         ds: Measure of Γ_S on the mesh.
         ds_dirichlet: Measure of Γ_D on the mesh.
@@ -82,6 +86,7 @@ class MeshSpaces:
     has_dirichlet: bool
     neumann_facets: npt.NDArray[np.int32]
     inner: InnerFacets
+    joints: tuple[Joint, ...] = ()
     n: ufl.FacetNormal
     ds: ufl.Measure
     ds_dirichlet: ufl.Measure
@@ -99,7 +104,12 @@ class MeshSpaces:
         """Whether each component of the domain has facets of Γ_D (collective when first used)."""
         from signorini_fenicsx.discrete.bodies import without  # which needs these spaces
 
-        return self.has_dirichlet and (not self.inner.present or without(self, self.dirichlet_facets)[1] == 0)
+        return self.has_dirichlet and (not self.several or without(self, self.dirichlet_facets)[1] == 0)
+
+    @property
+    def several(self) -> bool:
+        """Whether the domain may have several components, between which there are laws."""
+        return self.inner.present or len(self.joints) > 0
 
     @cached_property
     def bodies(self) -> npt.NDArray[np.int64]:
@@ -115,8 +125,16 @@ class MeshSpaces:
 
     @cached_property
     def outer_rows(self) -> npt.NDArray[np.intp]:
-        """The rows of `facets` that are on the boundary of the domain, not inside it."""
-        return np.setdiff1d(np.arange(len(self.facets)), self.inner.rows)
+        """The rows of `facets` that are on the boundary of the domain, neither inside it nor opposite to a master."""
+        between = np.concatenate([self.inner.rows, *map(self.rows_of, self.joints)])
+        return np.setdiff1d(np.arange(len(self.facets)), between)
+
+    def rows_of(self, joint: Joint) -> npt.NDArray[np.intp]:
+        """The rows of `facets` of the slaves of a pair; none if they are tied."""
+        if joint.pair.tied:
+            return np.empty(0, dtype=np.intp)
+        order = np.argsort(self.facets)
+        return order[np.searchsorted(self.facets[order], joint.slaves)]
 
     @cached_property
     def site_kinds(self) -> Sites:
@@ -245,15 +263,22 @@ class MeshSpaces:
 
 
 def build_mesh_spaces(
-    domain: Domain, signorini: Names, neumann: Names = (), inner: Names = (), free: Sequence[Facets] = ()
+    domain: Domain,
+    signorini: Names,
+    neumann: Names = (),
+    inner: Names = (),
+    joints: Sequence[Joint] = (),
+    free: Sequence[Facets] = (),
 ) -> MeshSpaces:
     """Create P0 and the facets for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective).
 
-    The parts of Γ_S in `inner` are inside the domain. Facets of `free` are in Γ_N, whatever part they are in.
+    The parts of Γ_S in `inner` are inside the domain. Slave facets that no master covers are not in Γ_S. They are
+    free, and masters and slaves that are tied have what passes: neither is in Γ_D. Facets of `free` are in Γ_N.
     """
     mesh = domain.mesh
     dim = mesh.topology.dim
-    gamma, entity_map = fenicsx.submesh(mesh, dim - 1, np.setdiff1d(_facets_of(domain, signorini), _all(free)))
+    left_out = _all([each.left_out for each in joints])
+    gamma, entity_map = fenicsx.submesh(mesh, dim - 1, np.setdiff1d(_facets_of(domain, signorini), left_out))
     Lambda = fenicsx.function_space(gamma, ("DG", 0))
     submesh_cells = np.arange(gamma.topology.index_map(dim - 1).size_local, dtype=np.int32)
     facets = np.empty_like(submesh_cells)
@@ -261,7 +286,8 @@ def build_mesh_spaces(
     neumann_facets = _all([_facets_of(domain, neumann), *free])
     across = inner_facets(domain, facets, inner)
     dirichlet_facets = np.setdiff1d(
-        dolfinx.mesh.exterior_facet_indices(mesh.topology), np.concatenate([facets, neumann_facets, across.facets])
+        dolfinx.mesh.exterior_facet_indices(mesh.topology),
+        np.concatenate([facets, neumann_facets, across.facets, left_out, *(each.without_law for each in joints)]),
     )
     boundary = [
         (marker, fem.compute_integration_domains(fem.IntegralType.exterior_facet, mesh.topology, np.sort(part)))
@@ -286,6 +312,7 @@ def build_mesh_spaces(
         has_dirichlet=mesh.comm.allreduce(len(dirichlet_facets) > 0, MPI.LOR),
         neumann_facets=neumann_facets,
         inner=across,
+        joints=tuple(joints),
         n=ufl.FacetNormal(mesh),
         ds=ds(SIGNORINI),
         ds_dirichlet=ds(DIRICHLET),

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arguments import check_names
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_nodes, cells_of_facets, number_of_cells
@@ -20,52 +19,8 @@ from signorini_fenicsx.discrete.linear_traces import node_ranks
 from signorini_fenicsx.discrete.mesh_spaces import Facets
 from signorini_fenicsx.discrete.overlay import WHOLE, Pieces, Surface, overlay
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.paired_parts import PairedParts
 from signorini_fenicsx.meshes.seams import unit_normals
-
-
-@dataclass(frozen=True)
-class PairedParts:
-    """Two surfaces that share no nodes, as a boundary has them.
-
-    Attributes:
-        slave: Names of the parts that carry the pressure.
-        master: Names of those opposite to them.
-        direction: Along which points are paired: "normal" for the normal of each slave facet, or a vector.
-        within: The largest distance; None for half the diameter of the smaller body.
-        tied: Whether nothing may move.
-        distance: Whether the gap is the distance, and what else is given more.
-    """
-
-    slave: Sequence[str]
-    master: Sequence[str]
-    direction: str | Sequence[float] = "normal"
-    within: float | None = None
-    tied: bool = False
-    distance: bool = True
-
-    def __post_init__(self) -> None:
-        """Make lists, as they are read from files; refuse what is no direction.
-
-        Raises:
-            InputError: If it is none, or a part is on both sides.
-        """
-        for key in ("slave", "master"):
-            check_names(key, getattr(self, key))
-            object.__setattr__(self, key, list(getattr(self, key)))
-        if both := sorted({*self.slave} & {*self.master}):
-            raise InputError(f"pair: part '{both[0]}' is slave and master")
-        if self.direction != "normal":
-            vector = np.asarray(self.direction)
-            if vector.ndim != 1 or vector.dtype.kind not in "if" or not np.isfinite(vector).all() or not vector.any():
-                raise InputError(f"pair: direction is {self.direction!r}; use normal or a vector such as [0, -1]")
-            object.__setattr__(self, "direction", [float(each) for each in vector])
-        if self.within is not None and not (isinstance(self.within, int | float) and 0 < self.within < np.inf):
-            raise InputError(f"pair: within is {self.within!r}; it must be a length above 0")
-
-    @property
-    def words(self) -> str:
-        """Both sides in words."""
-        return f"{', '.join(self.slave)} on {', '.join(self.master)}"
 
 
 @dataclass(frozen=True)
@@ -101,9 +56,26 @@ class Joint:
         """The facets of both sides of this rank."""
         return np.append(self.slaves, self.masters)
 
+    @property
+    def without_law(self) -> Facets:
+        """Those of this rank with no law on them: the masters, and slaves that are tied."""
+        return self.slaves_and_masters if self.pair.tied else self.masters
+
     def of_masters(self, comm: MPI.Intracomm, rows: npt.NDArray) -> npt.NDArray:
         """Rows of this rank's master facets as those of all ranks (collective)."""
         return np.concatenate(comm.allgather(rows))
+
+    def opposite(self, comm: MPI.Intracomm, values: Array) -> Array:
+        """Means by the hats of the slave facets of what is opposite to them, shape (slaves, d, …) (collective).
+
+        Args:
+            comm: Communicator.
+            values: At the vertices of this rank's master facets, between which they are linear, shape (masters, d, …).
+        """
+        pieces, means = self.pieces, np.zeros((len(self.slaves), *values.shape[1:]))
+        opposite = self.of_masters(comm, values)[pieces.master]
+        np.add.at(means, pieces.slave, np.einsum("nab,nb...->na...", pieces.weights, opposite))
+        return means
 
     def onto_masters(self, comm: MPI.Intracomm, values: Array) -> Array:
         """∫ χ_*(t) Φ_b on this rank's master facets, shape (masters, d, components) (collective).

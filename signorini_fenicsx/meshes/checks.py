@@ -245,8 +245,10 @@ def check_boundary(mesh: FileMesh, conditions: Mapping[str, Sequence[str]]) -> N
     if given is not None and np.any(left):
         where = _places(mesh.points[rows[np.flatnonzero(left)[:1]]].mean(axis=1))
         raise InputError(f"[boundary]: {_count(int(left.sum()), 'facet')} in no part, the first around {where}")
-    if "contact" not in conditions and not conditions.get("inner"):  # otherwise laws may hold a component
-        fixed = left if given is None else np.isin(owner, [used.index(name) for name in given])
+    between = conditions.get("inner") or any(key.startswith("pair.") for key in conditions)
+    if "contact" not in conditions and not between:  # otherwise laws may hold a component
+        held = [used.index(name) for name in given or conditions.get("problem.u_D", ())]
+        fixed = np.isin(owner, held) | (left & (given is None))
         _check_components(mesh, everything, first[fixed])
 
 

@@ -20,6 +20,7 @@ from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_c
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.base.small_matrices import inverses
+from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts
 
 AXES = "xyz"
 FAR = 4.0
@@ -148,23 +149,27 @@ class Boundary:
         neumann: Names of the parts of Γ_N.
         inner: Names of the parts inside the domain, across which u may jump. They are part of Γ_S: the law of such a
             part is one between the jump of u and σ·n, with n outward from the named side.
+        pairs: Pairs of surfaces that share no nodes. Slaves with a law are part of Γ_S.
     """
 
     signorini: Sequence[str] = ()
     neumann: Sequence[str] = ()
     inner: Sequence[str] = ()
+    pairs: Sequence[PairedParts] = ()
     physics: ClassVar[str] = "diffusion"
 
     def __post_init__(self) -> None:
         """Refuse a string instead of a list."""
-        for key, parts in self.named.items():
-            check_names(key, parts)
-            object.__setattr__(self, key, list(parts))  # as they are read from files
+        for key in ("signorini", "neumann", "inner"):
+            check_names(key, getattr(self, key))
+            object.__setattr__(self, key, list(getattr(self, key)))  # as they are read from files
+        object.__setattr__(self, "pairs", paired_parts(self.pairs))
 
     @property
     def named(self) -> dict[str, Sequence[str]]:
         """The parts of each kind."""
-        return {"signorini": self.signorini, "neumann": self.neumann, "inner": self.inner}
+        paired = [part for pair in self.pairs for part in pair.without_law]
+        return {"signorini": self.signorini, "neumann": self.neumann, "inner": self.inner, "paired": paired}
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from signorini_fenicsx.cases.case import CaseFile, Cost, Times
+from signorini_fenicsx.cases.case import Cost, Times
 from signorini_fenicsx.cases.data_section import DataSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD
 from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.pairs import BETWEEN, PairTexts, WithPairs
 from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.values import ByRegion, ExpressionByRegion, ExpressionOrByPart, choice
@@ -23,7 +24,7 @@ from signorini_fenicsx.meshes.memory import BYTES_PER_FACET
 from signorini_fenicsx.physics.diffusion.dam import Dam, with_dam, without_sections
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import depends_on_u
 from signorini_fenicsx.physics.diffusion.evolution import problem_of_step
-from signorini_fenicsx.physics.diffusion.problem import Problem, of_u
+from signorini_fenicsx.physics.diffusion.problem import Problem, laws_of, of_u
 from signorini_fenicsx.physics.diffusion.soil_section import SoilTexts, kappa_of
 from signorini_fenicsx.physics.diffusion.soils import FORMS
 from signorini_fenicsx.solving.evolution import SCHEMES
@@ -147,7 +148,13 @@ FIRST_DATA = (
 """See `CaseFile.first_data`."""
 
 
-class Case(CaseFile):
+class ScalarPair(PairTexts):
+    """`[[pair]]` of a scalar u: perfect contact, or a law between the jump of u and κ∇u·n of the slave."""
+
+    kind: Annotated[str, choice("kind of a pair", ("tied", *BETWEEN))]
+
+
+class Case(WithPairs):
     """One Signorini problem, its discretisation and its algorithm."""
 
     PHYSICS: ClassVar[str] = "diffusion"
@@ -156,6 +163,7 @@ class Case(CaseFile):
     boundary: Boundary = Boundary()
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts
+    pair: Annotated[list[ScalarPair], Field(default=[], exclude_if=lambda pairs: not pairs)]
     soil: Annotated[dict[str, SoilTexts], Field(default={}, exclude_if=lambda soils: not soils)]
     exact: Exact = Exact()
     time: Time | None = None
@@ -197,7 +205,7 @@ class Case(CaseFile):
     @property
     def costs(self) -> Mapping[int, Cost]:
         """What it costs to solve it with its element, by dimension."""
-        return COSTS[self.solve.element or ELEMENTS[0]]
+        return COSTS[self.solve.element or ELEMENTS[bool(self.pair)]]
 
     @property
     def _stores(self) -> bool:
@@ -218,6 +226,8 @@ class Case(CaseFile):
     @property
     def unproved(self) -> str:
         """Why `--rigorous` is not for the case; see `CaseFile.unproved`."""
+        if self.pair:
+            return "the proof is for one mesh, without pairs"
         if self.solve.element == "RT1":
             return "the proof is for RT0 alone; leave out the element"
         if self.soil or depends_on_u(parsed(self.problem.kappa, "xyztu", "[problem] kappa")):
@@ -247,10 +257,11 @@ class Case(CaseFile):
         names = "xyz"[:dim] + ("" if self.time is None else "t")
         exact = None if self.exact.u is None else parsed(self.exact.u, names, "[exact] u")
         problem = self.problem.read(names, self.boundary)
-        laws = [*(law.made() for law in self.law), *problem.laws]
+        pairs = [pair.made() for pair in self.pair]
+        laws = [*(law.made() for law in self.law), *problem.laws, *(law for pair in pairs for law in laws_of(pair))]
         with_laws = [part for law in laws for part in law.parts]
         neumann = [part for part in self.boundary.neumann if part not in with_laws]
-        boundary = Posed(self.boundary.signorini, neumann, self.inner)
+        boundary = Posed(self.boundary.signorini, neumann, self.inner, [pair.on_boundary for pair in pairs])
         problem = replace(problem, exact=exact, laws=laws, boundary=boundary)
         if self.soil:
             problem = replace(problem, kappa=kappa_of(self.soil))

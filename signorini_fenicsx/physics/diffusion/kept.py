@@ -4,6 +4,8 @@ RT1 is stored by values at vertices, in ascending order of their numbers; RT0 as
 cell, σ(x) = σ(x_T) + (∇·σ/d)(x − x_T).
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from signorini_fenicsx.base.errors import InputError
@@ -77,7 +79,7 @@ def _at_vertices(solution: LinearSolution) -> Arrays:
 
 
 def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSolution:
-    spaces, options = linear_spaces(on_mesh), stored.options
+    spaces, options = linear_spaces(on_mesh), replace(stored.options, element="RT1")
     in_time = stored.step is not None
     with_laws = {"segment_at"} if problem.has_laws_inside else set()
     needed = {*OF_LINEAR} - {"segment_at"} | with_laws | ({*OF_STEP} if in_time else set())
@@ -109,13 +111,13 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
         p=spaces.linear_multiplier(linear_from_means(p_means)),
         outcome=stored.outcome(iterate, law.conditions(segment)),
         kkt=linear_kkt(spaces, data, iterate, options.method.penalty, options.eps),
-        **stored.about,
+        **dict(stored.about) | {"options": options},
     )
 
 
 def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     options, mesh = stored.options, spaces.mesh
-    if options.element == "RT1":
+    if options.element == "RT1" or spaces.joints:
         return _read_linear(problem, spaces, stored)
     centroid, divergence, means = (stored.in_cells(spaces, key) for key in ("sigma", "divergence", "u"))
     u = function_of(spaces.Q, means, "u")

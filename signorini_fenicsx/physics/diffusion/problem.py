@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law
-from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, Signorini
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, River, Seepage, Signorini
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value
+from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import (
     Given,
     GivenByRegion,
@@ -63,17 +64,19 @@ class Diffusion(Scalar):
         b: A given flux, a vector or one for each region; None for none. With it κ∇u + b stands for κ∇u everywhere.
         form: What u is where κ is that of soils: "head", or "pressure" for the pressure head, with gravity as b.
         conditions: The conditions, each on its parts. That of a part inside the domain is one between the jump of u and
-            κ∇u·n, with n outward from the named side.
+            κ∇u·n, with n outward from the named side. A `Pair` is one between surfaces of two meshes, with RT1.
 
     Raises:
         InputError: If `conditions` is not a list of them, or a part has two.
     """
 
-    conditions: Sequence[Law] = ()
+    conditions: Sequence[Law | Pair] = ()
 
     def __post_init__(self) -> None:
         """Refuse other conditions, and parts with two."""
-        check_conditions(self.conditions, Law, example='[Signorini("bottom"), Neumann("left", 1)]')
+        check_conditions(self.conditions, Law, Pair, example='[Signorini("bottom"), Neumann("left", 1)]')
+        for pair in [each for each in self.conditions if isinstance(each, Pair)]:
+            laws_of(pair)
 
     @property
     def solution_type(self) -> "type[Solution]":
@@ -98,7 +101,8 @@ class Diffusion(Scalar):
         flux = next((condition.value for condition in self.conditions if isinstance(condition, Neumann)), 0.0)
         neumann: list[str] = []
         laws: list[Law] = []
-        for condition in self.conditions:
+        pairs = [condition for condition in self.conditions if isinstance(condition, Pair)]
+        for condition in [each for each in self.conditions if isinstance(each, Law)]:
             if isinstance(condition, Neumann) and same_value(condition.value, flux):
                 neumann += condition.parts
             elif not isinstance(condition, Dirichlet) or not same_value(condition.value, u_D):
@@ -106,10 +110,30 @@ class Diffusion(Scalar):
         plain = [law for law in laws if type(law) is Signorini and not law.region]
         own = plain[0] if len(plain) == 1 else Signorini(())
         laws = [law for law in laws if law is not own]
+        laws += [law for pair in pairs for law in laws_of(pair)]
         parts = [*own.parts, *(part for law in laws for part in law.parts)]
-        boundary = Boundary(parts, neumann, [part for part in parts if other_side(part) in domain.parts])
+        inner, paired = [part for part in parts if other_side(part) in domain.parts], [p.on_boundary for p in pairs]
+        boundary = Boundary(parts, neumann, inner, paired)
         data = {each.name: getattr(self, each.name) for each in fields(Scalar)}
         return Problem(**data | {"u_D": u_D}, g_N=flux, psi=own.psi, q_S=own.q_S, laws=tuple(laws), boundary=boundary)
+
+
+def laws_of(pair: Pair) -> list[Law]:
+    """The law of a pair on its slave; none if it is tied.
+
+    Raises:
+        InputError: If it is none for a jump of u.
+    """
+    if pair.gap != "distance":
+        raise InputError("pair: gap is of bodies; u jumps whatever the distance is")
+    if isinstance(pair.law, Tied):
+        return []
+    if not isinstance(pair.law, Law) or isinstance(pair.law, Dirichlet | Neumann | River | Seepage):
+        raise InputError(
+            "pair: law must be Tied() for perfect contact, or one between the jump of u and κ∇u·n without parts, as "
+            "Wall((), beta=5)"
+        )
+    return [replace(pair.law, parts=pair.slave)]
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class System:
         """
         self.boundary = problem.boundary
         check_parts(domain, self.boundary.named)
-        self.spaces = build_spaces(domain, self.boundary.signorini, self.boundary.neumann, self.boundary.inner)
+        self.spaces = _spaces(domain, self.boundary)
         self._known = Known(domain.mesh.comm)
         self.kept = KeptBackend()
 
@@ -78,6 +78,19 @@ class System:
     def linear_spaces(self) -> LinearSpaces:
         """The spaces of RT1 (collective when first used)."""
         return linear_spaces(self.spaces)
+
+    def _linear(self, options: Options) -> bool:
+        """Whether the element is RT1, which is the only one for pairs.
+
+        Raises:
+            InputError: If another one was asked for pairs.
+        """
+        if self.boundary.pairs and options.element == "RT0":
+            raise InputError(
+                "element: pairs of surfaces take RT1, as RT0 is constant on facets and would not be exact for a u that "
+                "is linear; take RT1, or leave out the element"
+            )
+        return options.element == "RT1" or len(self.boundary.pairs) > 0
 
     def prepared(self, problem: Problem, wish: Wish) -> DiffusionRun:
         """Read the data and check them (collective).
@@ -87,7 +100,7 @@ class System:
         """
         spaces: Any = self.spaces
         options = wish.options
-        linear = options.element == "RT1"
+        linear = self._linear(options)
         _check_same(self.boundary, problem.boundary)
         data: Any = project_data(spaces, problem, self._known).after(wish.memory)
         remesh = wish.remesh or (coarser_domains(spaces.domain) if data.inside else None)  # else 1/h steps
@@ -95,12 +108,13 @@ class System:
         if linear:
             lacking = _lacking(options, inside=data.inside is not None)
             if lacking:
-                raise InputError(f"element: {lacking}; take RT0")
+                instead = "pairs take alg1 to alg4 and vi" if self.boundary.pairs else "take RT0"
+                raise InputError(f"element: {lacking}; {instead}")
             spaces, data = self.linear_spaces, linear_data(self.linear_spaces, data)
         # The unknown is u − constant: else ∇u would be lost in rounding. In stabilised methods −εu depends on it.
         constant = 0.0 if options.method.stabilised else data.common_constant(spaces)
         in_cells = data.inside is not None
-        made_for = options.backend, options.element, options.tuning, in_cells
+        made_for = options.backend, linear, options.tuning, in_cells
         task: Any = (LinearTask if linear else DiffusionTask)(
             spaces=spaces,
             data=data.less(spaces, constant),
@@ -143,7 +157,7 @@ class System:
         Raises:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
-        spaces = self.linear_spaces if options.element == "RT1" else self.spaces
+        spaces = self.linear_spaces if self._linear(options) else self.spaces
         return DiffusionSteps(spaces, problem, evolution, start)
 
 
@@ -265,8 +279,13 @@ class LinearRun(DiffusionRun):
             data=self._data_found(),
             p=spaces.linear_multiplier(linear_from_means(spaces.site_kinds["facet"].rows_of(iterate.means))),
             outcome=outcome,
-            **about,
+            **about | {"options": replace(about["options"], element="RT1")},
         )
+
+
+def _spaces(domain: Domain, boundary: Boundary) -> Spaces:
+    """The spaces for a boundary (collective)."""
+    return build_spaces(domain, boundary.signorini, boundary.neumann, boundary.inner, boundary.pairs)
 
 
 def refining(problem: Problem, options: Options) -> tuple[Options, str]:
@@ -310,8 +329,7 @@ def _backend(options: Options, spaces: Spaces, data: Data) -> Backend[Iterate]:
 
 def _coarser(task: DiffusionTask, remesh: Remesh, problem: Problem, factor: float) -> DiffusionTask:
     """The task on a coarser mesh, whose sets are settled at any size (collective)."""
-    boundary = problem.boundary
-    spaces = build_spaces(remesh(factor), boundary.signorini, boundary.neumann, boundary.inner)
+    spaces = _spaces(remesh(factor), problem.boundary)
     data = project_data(spaces, replace(problem, exact=None))
     backend: Any = partial(HybridBackend, tuning=task.tuning, multigrid=not task.whole, prefix="coarse_")
     if isinstance(task, LinearTask):
@@ -336,6 +354,8 @@ def _check_same(boundary: Boundary, other: Boundary) -> None:
     Raises:
         InputError: If they are not.
     """
+    if boundary.pairs != other.pairs:
+        raise InputError("problem: has other pairs than that which the solver was set up for")
     for (key, parts), others in zip(boundary.named.items(), other.named.values(), strict=True):
         if sorted(parts) != sorted(others):
             raise InputError(
@@ -363,9 +383,11 @@ def _check(options: Options, spaces: Spaces, data: Data, start: Segments | None)
     check_solvability(spaces, data)
     if method.needs_dirichlet and not spaces.has_dirichlet:
         raise InputError(f"{options.algorithm_name} needs a part of the boundary where u = u_D")
-    if spaces.inner.present and not method.takes_inner:
-        usable = those(lambda other: other.takes_inner)
-        raise InputError(f"{options.algorithm_name} does not take parts inside the domain; {usable} do")
+    if spaces.several and not method.takes_inner:
+        usable, what = those(lambda other: other.takes_inner), "pairs" if spaces.joints else "parts inside the domain"
+        raise InputError(f"{options.algorithm_name} does not take {what}; {usable} do")
+    if spaces.joints and options.backend != "hybrid":
+        raise InputError("[solve] backend: pairs take the hybrid one; leave it out")
     for part in data.laws.of_parts:
         if part.name and method.laws is not None and not isinstance(part.law, method.laws):
             takes = " and ".join(name for name, law in LAWS.items() if law in method.laws) or "none in [[law]]"

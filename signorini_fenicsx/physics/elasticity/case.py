@@ -1,34 +1,34 @@
 """Case files of elastic contact, `physics = "elasticity"`."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.cases.case import CaseFile, Cost
+from signorini_fenicsx.cases.case import Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
+from signorini_fenicsx.cases.pairs import BETWEEN, PairTexts, WithPairs
 from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.values import (
-    Direction,
     Directions,
     Expression,
     ExpressionByPart,
     Moduli,
-    PartNames,
-    Positive,
     Stiffnesses,
     Vector,
     VectorByPart,
     choice,
 )
 from signorini_fenicsx.contact.law import Law
-from signorini_fenicsx.contact.laws import LAWS, Friction, River, Seepage
+from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.discrete.on_parts import one_value
+from signorini_fenicsx.discrete.pairs import Pair
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Pair, Tied, Tresca
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca, on_slave
 from signorini_fenicsx.physics.elasticity.problem import (
     ElasticBoundary,
     ElasticProblem,
@@ -76,8 +76,8 @@ class ElasticParts(Parts):
         Raises:
             InputError: If a component is unknown.
         """
-        beside = [part for each in pairs for part in (each.master if each.on_slave else each.parts)]
-        paired, pulled = [each.on_boundary for each in pairs], [*self.neumann, *beside]
+        paired = [each.on_boundary for each in pairs]
+        pulled = [*self.neumann, *(part for each in paired for part in each.without_law)]
         return ElasticBoundary(contact, pulled, self.fixed, self.inner, turned=turned, pairs=paired)
 
 
@@ -124,10 +124,9 @@ class WithFriction(FrictionTexts, WITHOUT_FRICTION):  # type: ignore[misc, valid
 
 WITHOUT_SURFACE: dict[str, type[DataSection]] = {"contact": DataSection, "friction": FrictionTexts, "tied": DataSection}
 WITH_CONTACT: dict[str, type[DataSection]] = {"contact": WITHOUT_FRICTION, "friction": WithFriction}
-NORMAL = tuple(name for name, kind in LAWS.items() if kind not in (Friction, River, Seepage))
+NORMAL = tuple(name for name in BETWEEN if LAWS[name] is not Friction)
 
 
-SIDES = ("slave", "master")
 IN_WORDS = {
     "contact": ("Contact without friction.", []),
     "friction": ("Contact with Coulomb's friction, |σ_t| ≤ mu · pressure.", ["mu = 0.3"]),
@@ -167,30 +166,20 @@ def _friction_or_none(data: dict[str, Any]) -> Tresca | Coulomb | None:
     return next(iter(bounds), None)
 
 
-class PairTexts(KindSection):
-    """`[[pair]]`: two surfaces that share no nodes, which touch or are apart, with contact or another law between them.
+class ElasticPair(PairTexts):
+    """`[[pair]]` of bodies: contact, friction, or another law between opening and pressure."""
 
-    The keys of laws are those of `[[law]]`; `tied` has none.
-    """
-
-    word = "pair"
     of_kind = WITHOUT_SURFACE | {name: OF_KIND[name] for name in NORMAL}
     kind: Annotated[str, choice("kind of a pair", tuple(of_kind))]
-    slave: PartNames
-    master: PartNames
-    direction: Direction = "normal"
-    within: Positive | None = None
     gap: Expression = "distance"
+
+    def law(self) -> Any:
+        """The law, without parts; None for contact without friction."""
+        return _friction_or_none(dict(self.model_extra or {})) if self.kind in WITH_CONTACT else super().law()
 
     def made(self) -> Pair:
         """The pair."""
-        data = dict(self.model_extra or {})
-        law: Any = {"contact": None, "tied": Tied()}.get(self.kind)
-        if self.kind in NORMAL:
-            law = LAWS[self.kind]((), **data)
-        elif self.kind == "friction":
-            law = _friction_or_none(data)
-        return Pair(self.slave, self.master, law, self.direction, self.within, self.gap)
+        return replace(super().made(), gap=self.gap)
 
     def texts(self) -> list[tuple[str, str]]:
         """Each expression with the name of its key; of the gap what is given besides the distance."""
@@ -234,7 +223,7 @@ FIRST_DATA = (
 """See `CaseFile.first_data`."""
 
 
-class ElasticCase(CaseFile):
+class ElasticCase(WithPairs):
     """One problem of elastic contact, its discretisation and its algorithm."""
 
     PHYSICS: ClassVar[str] = "elasticity"
@@ -242,7 +231,7 @@ class ElasticCase(CaseFile):
     boundary: ElasticParts
     problem: ElasticTexts
     law: Annotated[list[ContactTexts], Field(default=[], exclude_if=lambda laws: not laws)]
-    pair: Annotated[list[PairTexts], Field(default=[], exclude_if=lambda pairs: not pairs)]
+    pair: Annotated[list[ElasticPair], Field(default=[], exclude_if=lambda pairs: not pairs)]
     exact: ElasticExact = ElasticExact()
 
     @property
@@ -280,13 +269,7 @@ class ElasticCase(CaseFile):
         for key in friction:  # beside a law in the normal direction
             others = [part for other, parts in alone.items() if other not in friction for part in parts]
             alone |= {key: [part for part in alone.get(key, []) if part not in others]}
-        alone |= {f"pair.{i}.{side}": getattr(each, side) for i, each in enumerate(self.pair) for side in SIDES}
-        return alone | {"contact": [part for part in self.boundary.contact if part not in in_laws]}
-
-    def texts(self) -> list[tuple[str, str, bool]]:
-        """Each expression, also those of pairs, see `CaseFile.texts`."""
-        of_pairs = [(f"pair.{i}.{key}", text, True) for i, pair in enumerate(self.pair) for key, text in pair.texts()]
-        return [*super().texts(), *of_pairs]
+        return alone | self.in_pairs | {"contact": [part for part in self.boundary.contact if part not in in_laws]}
 
     @property
     def meeting(self) -> list[str]:
@@ -295,10 +278,6 @@ class ElasticCase(CaseFile):
 
     def condition_of(self, part: str) -> str:
         """The condition on a part, in a word."""
-        for pair in self.pair:
-            for side, other in (SIDES, SIDES[::-1]):
-                if part in getattr(pair, side):
-                    return f"{side} of {', '.join(getattr(pair, other))}, {pair.kind}"
         word = "elastic support" if part in self.problem.support else super().condition_of(part)
         return {"friction": "contact with friction"}.get(word, word)
 
@@ -329,8 +308,8 @@ class ElasticCase(CaseFile):
         gaps = dict.fromkeys(self.boundary.contact, self.problem.gap)
         gaps |= {part: self.problem.gap if law.gap is None else law.gap for law in self.law for part in law.parts}
         pairs = [pair.made() for pair in self.pair]
-        on_slaves = [on_slave for pair in pairs if (on_slave := pair.on_slave) is not None]
-        gaps |= {part: pair.added[1] for pair in pairs if pair.on_slave is not None for part in pair.slave}
+        on_slaves = [law for pair in pairs if (law := on_slave(pair)) is not None]
+        gaps |= {part: pair.added[1] for pair in pairs if not pair.on_boundary.tied for part in pair.slave}
         values["gap"] = one_value(gaps, self.problem.gap)
         laws = [law.made() for law in self.law]
         turned = [part for law in laws if getattr(law, "behind", False) for part in law.parts]

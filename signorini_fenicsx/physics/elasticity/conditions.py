@@ -10,11 +10,11 @@ from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
-from signorini_fenicsx.base.arguments import check_kind, check_names, names_of
+from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
-from signorini_fenicsx.discrete.pairing import PairedParts
+from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import Given
 
 
@@ -130,84 +130,20 @@ class Contact(OnParts):
             raise InputError("behind: a foundation on the other side is no tool, and has no surface")
 
 
-@dataclass(frozen=True)
-class Tied:
-    """Two surfaces that stay as they are to each other: [u] = 0."""
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two surfaces that need not share nodes, and may be apart: contact, or another law between opening and pressure.
-
-    A point of a slave facet is opposite to the nearest point of a master facet along the direction. Slave facets that
-    are not covered by the master are free. The coarser surface should be the slave.
-
-    Attributes:
-        slave: Name of a part, or a list of names; it carries the pressure, and its normals are those of the law.
-        master: Likewise, the other side.
-        law: None for contact without friction, `Tresca`, `Coulomb`, `Tied`, or a law between opening and pressure that
-            was made without parts, such as `Wall((), beta=5)`.
-        direction: "normal" for the normals of the slave facets, or a vector.
-        within: The largest distance of points that belong to each other; None for half the diameter of the smaller
-            body.
-        gap: "distance", which is negative where the surfaces overlap; "distance" with something added, as
-            "distance - 1e-3"; or what is in its place, a number or a text.
+def on_slave(pair: Pair) -> Contact | Law | None:
+    """The condition on the slave as if there were a foundation, without the distance; None if it is tied.
 
     Raises:
-        InputError: If the law is something else, or a part is on both sides.
+        InputError: If its law is none for bodies.
     """
-
-    slave: str | Sequence[str]
-    master: str | Sequence[str]
-    law: Tresca | Coulomb | Tied | Law | None = None
-    direction: str | Sequence[float] = "normal"
-    within: float | None = None
-    gap: Given = "distance"
-    side: ClassVar[None] = None
-
-    def __post_init__(self) -> None:
-        """Make lists of names, refuse other laws."""
-        for key in ("slave", "master"):
-            object.__setattr__(self, key, names_of(key, getattr(self, key)))
-        check_kind("law", self.law, Tresca, Coulomb, Tied, Law, NoneType)
-        if isinstance(self.law, Law) and (self.law.parts or not is_normal(self.law)):
-            raise InputError("pair: law must be one between opening and pressure without parts, as Wall((), beta=5)")
-        _ = self.added, self.on_boundary
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """The parts of both sides."""
-        return (*self.slave, *self.master)
-
-    @property
-    def added(self) -> tuple[bool, Given]:
-        """Whether the gap is the distance, and what is given more, or in its place.
-
-        Raises:
-            InputError: If the distance is not alone or the first term.
-        """
-        if not isinstance(self.gap, str) or "distance" not in self.gap:
-            return False, self.gap
-        begin, rest = self.gap.split("distance", 1)
-        rest = rest.strip()
-        if begin.strip() or "distance" in rest or rest[:1] not in ("", "+", "-"):
-            raise InputError(f'pair: gap is "{self.gap}"; use "distance", or "distance + ..." with what is more')
-        return True, 0.0 if rest == "" else f"0 {rest}"
-
-    @property
-    def on_boundary(self) -> PairedParts:
-        """What the boundary has of it."""
-        tied = isinstance(self.law, Tied)
-        return PairedParts(self.slave, self.master, self.direction, self.within, tied, self.added[0])
-
-    @property
-    def on_slave(self) -> Contact | Law | None:
-        """The condition on the slave as if there were a foundation, without the distance; None if it is tied."""
-        if isinstance(self.law, Tied):
-            return None
-        if isinstance(self.law, Law):
-            return replace(self.law, parts=self.slave)
-        return Contact(self.slave, gap=self.added[1], friction=self.law)
+    check_kind("law", pair.law, Tresca, Coulomb, Tied, Law, NoneType)
+    if isinstance(pair.law, Tied):
+        return None
+    if not isinstance(pair.law, Law):
+        return Contact(pair.slave, gap=pair.added[1], friction=pair.law)
+    if not is_normal(pair.law):
+        raise InputError("pair: law must be one between opening and pressure without parts, as Wall((), beta=5)")
+    return replace(pair.law, parts=pair.slave)
 
 
 def is_normal(law: object) -> TypeGuard[Law]:

@@ -19,17 +19,17 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Law, OnParts
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
-from signorini_fenicsx.discrete.pairing import PairedParts
+from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
+from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts
 from signorini_fenicsx.physics.elasticity.conditions import (
     Closed,
     Contact,
     CoulombLaw,
     ElasticLaw,
-    Pair,
-    Tied,
     is_normal,
+    on_slave,
 )
 
 if TYPE_CHECKING:
@@ -147,6 +147,8 @@ class Elasticity(Body):
             raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
         check_conditions(others, Law, Contact, Pair, Pressure, Support, example=example)
         check_conditions(loads_held, Law, Contact, Pressure, example=example)
+        for pair in [each for each in others if isinstance(each, Pair)]:
+            on_slave(pair)
 
     def _loads_held(self, condition: object) -> bool:
         """Whether a condition is a load or a law on parts that are fixed in some components, or a load on springs."""
@@ -180,8 +182,8 @@ class Elasticity(Body):
         gaps = {part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}
         gaps |= {part: pair.added[1] for pair in pairs if not isinstance(pair.law, Tied) for part in pair.slave}
         inner = [part for each in meeting for part in each.parts if other_side(part) in domain.parts]
-        meeting += [on_slave for pair in pairs if (on_slave := pair.on_slave) is not None]
-        beside = [part for pair in pairs for part in (pair.parts if isinstance(pair.law, Tied) else pair.master)]
+        meeting += [law for pair in pairs if (law := on_slave(pair)) is not None]
+        beside = [part for pair in pairs for part in pair.on_boundary.without_law]
         fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
         pulled = dict.fromkeys(part for each in [*loads, *springs] for part in each.parts)
         boundary = ElasticBoundary(
@@ -256,8 +258,7 @@ class ElasticBoundary:
         for key in ("contact", "neumann", "inner", "turned"):
             check_names(key, getattr(self, key))
             object.__setattr__(self, key, list(getattr(self, key)))  # as they are read from files
-        pairs = [PairedParts(**each) if isinstance(each, Mapping) else each for each in self.pairs]
-        object.__setattr__(self, "pairs", pairs)
+        object.__setattr__(self, "pairs", paired_parts(self.pairs))
         check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
         for part, components in self.fixed.items():
             check_kind(f"fixed: part '{part}'", components, str)

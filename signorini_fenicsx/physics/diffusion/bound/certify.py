@@ -45,6 +45,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
+from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.certificate.laws import Area, gap
 from signorini_fenicsx.discrete.points import facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
@@ -72,6 +73,7 @@ ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
 LAST_KAPPA = "the exact solution of the problem with the last κ"
 OF_PENALTY = "the exact solution of the penalty problem"
+OF_PAIRS = "none is there for a scalar u where surfaces that share no nodes are paired"
 
 
 def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certificate:
@@ -85,6 +87,8 @@ def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certif
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
     """
+    if solution.spaces.joints:
+        return no_bound(solution, OF_PAIRS)
     with np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
         own = Admissible.of(solution, Goal.of(solution, for_signorini=for_signorini))
         return summed(own, gap_parts(own, own, own.goal))

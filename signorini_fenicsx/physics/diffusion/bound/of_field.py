@@ -8,17 +8,24 @@ from dataclasses import replace
 import numpy as np
 from dolfinx import fem
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.certificate.of_field import FieldBound, joined
 from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
-from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
+from signorini_fenicsx.physics.diffusion.bound.certify import OF_PAIRS, Admissible, gap_parts, summed
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
 def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
-    """The bounds of a scalar v (collective)."""
+    """The bounds of a scalar v (collective).
+
+    Raises:
+        InputError: If surfaces are paired.
+    """
+    if solution.spaces.joints:
+        raise InputError(f"v: there is no bound, {OF_PAIRS}")
     goal = Goal.of(solution, for_signorini=True)
     comm = solution.spaces.mesh.comm
     with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell

@@ -23,10 +23,11 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells
 from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import CellPoints, Points, cell_quadrature
 from signorini_fenicsx.expressions.quadratics import constant
-from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
+from signorini_fenicsx.physics.diffusion.bound.certify import OF_PAIRS, Admissible, gap_parts, summed
 from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection
@@ -109,6 +110,8 @@ class StepBounds:
     def certify(self, instant: Instant) -> Certificate:
         """Bound the error of a step after those before it; without these, their u is taken as it is (collective)."""
         steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
+        if solution.spaces.joints:
+            return no_bound(solution, OF_PAIRS)
         if instant.step == 1:
             self._start = steps.start_given()
             self._before = [_Content(_at_start(steps, self._start), term=_start_term(self._start, len(steps.capacity)))]

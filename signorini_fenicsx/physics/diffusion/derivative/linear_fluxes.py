@@ -26,6 +26,7 @@ from dolfinx import fem
 from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
@@ -216,8 +217,14 @@ def _quadratics(hats: Array) -> Array:
 
 
 def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
-    """A problem linearised at its solution, with the factors of the solver that has just solved it (collective)."""
+    """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
+
+    Raises:
+        InputError: If κ depends on u, or surfaces are paired.
+    """
     check_fixed_kappa(solution)
+    if solution.spaces.joints:
+        raise InputError("derivatives are not there where surfaces that share no nodes are paired")
     backend = solution.kept_backend(LinearBackend)
     backend = backend or LinearBackend(solution.spaces, solution.data, solution.options.tuning)
     return LinearisedFluxes(solution, backend, solution.law, tolerance)

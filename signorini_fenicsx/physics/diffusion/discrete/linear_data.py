@@ -36,7 +36,7 @@ class LinearData(Data):
             too.
         load: ⟨g_N, q⟩ for each owned unknown q, and the fluxes at the references of the laws.
         given_flux: Π₁g_N at the vertices of the facets of Γ_N, shape (facets, d).
-        fixed: Owned unknowns of Γ_D.
+        fixed: Owned unknowns of Γ_D, and of slaves that are tied.
         constant: What is taken from u, see `less`.
     """
 
@@ -141,7 +141,7 @@ class LinearData(Data):
         assert isinstance(spaces, LinearSpaces)
         p_h, outer = self.laws_at.p_h.copy(), spaces.outer_sites
         p_h[outer] -= constant
-        given = np.concatenate([self.fixed, spaces.site_kinds.unknown[outer]])
+        given = np.concatenate([spaces.unknowns(spaces.dirichlet).ravel(), spaces.site_kinds.unknown[outer]])
         means = super().less(spaces, constant)
         assert isinstance(means, LinearData)
         inside = self.cells_at and replace(self.cells_at, p_h=self.cells_at.p_h - constant)
@@ -231,8 +231,8 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
     """The data for RT1, from those with their means, which are checked (collective)."""
     laws, sites = vertex_laws(spaces, data.laws.of_parts), spaces.site_kinds["facet"]
     lift, load = fem.Function(spaces.traces), la.vector(spaces.traces.dofmap.index_map, spaces.dim)
-    fixed = spaces.unknowns(spaces.dirichlet)
-    lift.x.array[fixed] = _linear(spaces, data.u_D, spaces.dirichlet)
+    on_dirichlet, on_tied = map(spaces.unknowns, (spaces.dirichlet, spaces.boundary_facets(spaces.tied)))
+    lift.x.array[on_dirichlet] = _linear(spaces, data.u_D, spaces.dirichlet)
     lift.x.array[sites.unknown] = laws.p_h
     lift.x.scatter_forward()
     given_flux = _linear(spaces, data.g_N, spaces.neumann)
@@ -248,7 +248,7 @@ def linear_data(spaces: LinearSpaces, data: Data) -> LinearData:
         lift=lift.x.array.astype(np.float64),
         load=load.array[:owned].copy(),
         given_flux=given_flux,
-        fixed=fixed.ravel(),
+        fixed=np.append(on_dirichlet, on_tied),
     )
     if data.quasilinear is None:
         return linear

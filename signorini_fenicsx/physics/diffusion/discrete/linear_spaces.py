@@ -29,7 +29,7 @@ class LinearSpaces(LinearTraces, Spaces):
 
     Unknown a of a facet is û at its vertex a. On Γ_S û is in the basis dual to the hats φ_a, so that its coefficient is
     the φ_a-weighted mean of û, and the residual that belongs to it |e|/d times σ·n at the vertex a. On a part inside
-    the domain the unknowns of the named side are the jump.
+    the domain the unknowns of the named side are the jump, on a slave of a pair û less the mean of û opposite to it.
     """
 
     @property
@@ -144,9 +144,8 @@ class LinearSpaces(LinearTraces, Spaces):
     def frames(self) -> list[tuple[BoundaryFacets, Array]]:
         """The facets of Γ_S and the other sides of those inside the domain, see `LinearTraces.frames`."""
         dual = (self.dim + 1) * np.eye(self.dim) - 1
-        return [
-            (facets, np.broadcast_to(dual, (len(facets.facets), *dual.shape))) for facets in (self.contact, self.across)
-        ]
+        of_jumps = self.contact, self.across, self.boundary_facets(self.tied)
+        return [(facets, np.broadcast_to(dual, (len(facets.facets), *dual.shape))) for facets in of_jumps]
 
     def unknowns(self, facets: BoundaryFacets) -> npt.NDArray[np.int32]:
         """The unknowns of facets, shape (facets, d)."""

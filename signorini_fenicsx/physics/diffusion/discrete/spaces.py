@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,7 +25,9 @@ from signorini_fenicsx.discrete.mesh_spaces import (
     build_mesh_spaces,
     cells_and_dofs,
 )
+from signorini_fenicsx.discrete.pairing import joints
 from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.paired_parts import PairedParts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,12 +130,14 @@ class Spaces(MeshSpaces):
         return fenicsx.function_space(self.mesh, ("DG", 0, (dim, dim)))
 
 
-def build_spaces(domain: Domain, signorini: Names, neumann: Names = (), inner: Names = ()) -> Spaces:
+def build_spaces(
+    domain: Domain, signorini: Names, neumann: Names = (), inner: Names = (), pairs: Sequence[PairedParts] = ()
+) -> Spaces:
     """Create the spaces for Γ_S and Γ_N made of the named parts; the rest of the boundary is Γ_D (collective).
 
     The parts of Γ_S in `inner` are inside the domain.
     """
-    on_mesh = build_mesh_spaces(domain, signorini, neumann, inner)
+    on_mesh = build_mesh_spaces(domain, signorini, neumann, inner, joints(domain, pairs, cut=bool(inner)))
     mesh, n, ds = domain.mesh, on_mesh.n, on_mesh.ds.reconstruct(subdomain_id="everywhere")
     V = fenicsx.function_space(mesh, ("RT", 1))
     flux_dofs = cells_and_dofs(V, on_mesh.facets)[1]

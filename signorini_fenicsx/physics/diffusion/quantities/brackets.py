@@ -31,7 +31,13 @@ from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.meshes.domain import Domain
-from signorini_fenicsx.physics.diffusion.bound.certify import LAST_KAPPA, Admissible, gap_on_gamma_s, gap_parts
+from signorini_fenicsx.physics.diffusion.bound.certify import (
+    LAST_KAPPA,
+    OF_PAIRS,
+    Admissible,
+    gap_on_gamma_s,
+    gap_parts,
+)
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
@@ -67,6 +73,8 @@ def check(domain: Domain, problem: Problem, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is given by the data.
     """
+    if problem.boundary.pairs:
+        raise InputError(f"{type(kind).__name__}: {OF_PAIRS}")
     if isinstance(kind, Energy):
         if problem.b is not None:
             raise InputError("Energy: there is none with a given flux b")

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cells_behind
 from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable, edges_of, in_vertices, of_facets
 from signorini_fenicsx.physics.diffusion.show.shown import other_tables as shown_tables
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
@@ -47,6 +48,10 @@ def table(solution: LinearSolution) -> VertexTable:
     strongest = np.argmax(condition, axis=1)[:, None]
     u = solution.u_means[spaces.cells]
     u[spaces.inner.rows] -= solution.u_means[spaces.across.cells]
+    for joint in spaces.joints:
+        of_masters = np.repeat(solution.u_means[cells_behind(spaces.mesh, joint.masters), None], spaces.dim, axis=1)
+        if not joint.pair.tied:
+            u[spaces.rows_of(joint)] -= joint.opposite(spaces.mesh.comm, of_masters).mean(axis=1)
     return VertexTable(
         **of_facets(solution),
         u=u,
@@ -91,7 +96,7 @@ def drawn(solution: LinearSolution) -> Drawn:
     """The solution for pictures (collective)."""
     spaces, laws = solution.spaces, solution.data.laws
     p, u = solution.p_means.copy(), in_vertices(solution)
-    p[spaces.inner.rows] = np.nan
+    p[np.setdiff1d(np.arange(len(p)), spaces.outer_rows)] = np.nan
     u_D = solution.data.lift[spaces.unknowns(spaces.dirichlet)].mean(axis=1)
     sigma = solution.cell_flux.centroid
     cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.divergences}
@@ -104,5 +109,5 @@ def drawn(solution: LinearSolution) -> Drawn:
         cells=cells,
         edges=edges_of(solution),
         segments=laws.names() if laws.listed else (),
-        inside=solution.boundary.inner,
+        inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -11,7 +13,8 @@ from signorini_fenicsx.base.owned import function_of, sums_at
 from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Penalty
 from signorini_fenicsx.contact.residuals import relative, squares_off
-from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, linear_values
+from signorini_fenicsx.discrete.pairing import Joint
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
@@ -64,9 +67,11 @@ def linear_kkt(
         known = cell.of(iterate.p), force
         above = laws.own(laws.chains.off_segments(known, known, unit).argmin(axis=1), above, force)
         squares += squares_off(laws.chains, (above, force), unit, cell.measure * h**2, k_T, 1.0)
-    of_cells, facets = _of_cells(spaces, data, sigma, u, kind.rows_of(means)), spaces.neumann
-    lacking = ((spaces.through(facets, sigma) - data.given_flux) ** 2).mean(axis=1)
-    of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
+    of_cells = _of_cells(spaces, data, sigma, u, kind.rows_of(means))
+    given = [(spaces.neumann, spaces.through(spaces.neumann, sigma) - data.given_flux)]
+    for facets, left in chain(given, *(_passed(spaces, joint, sigma) for joint in spaces.joints)):
+        lacking = (left**2).mean(axis=1)
+        of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
     stationarity, balance = np.sqrt(spaces.mesh.comm.allreduce(of_cells))
     return KKTResiduals(*(relative(each, scales) for each in (primal, dual, complementarity, stationarity, balance)))
@@ -111,6 +116,14 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
     return squares + _of_traces(spaces, data, trace, sizes, means)
 
 
+def _passed(spaces: LinearSpaces, joint: Joint, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
+    """What masters do not take of what goes through slaves, and what goes through slaves without one (collective)."""
+    slaves, masters, free = map(spaces.boundary_facets, (joint.slaves, joint.masters, joint.left_out))
+    passed = joint.onto_masters(spaces.mesh.comm, spaces.through(slaves, sigma)[:, :, None])[:, :, 0]
+    yield masters, spaces.through(masters, sigma) + linear_values(passed, masters.measure)
+    yield free, spaces.through(free, sigma)
+
+
 def _of_traces(spaces: LinearSpaces, data: LinearData, trace: Array, sizes: Array, means: Array) -> Array:
     """The part of the facets, see `_of_cells`, from û as each cell has it and the sizes of the basis functions."""
     dim, numbers, inner = spaces.dim, spaces.traces.dofmap.index_map, spaces.inner.rows
@@ -123,6 +136,11 @@ def _of_traces(spaces: LinearSpaces, data: LinearData, trace: Array, sizes: Arra
         (spaces.contact, linear_from_means(means)),
     ):
         squares[facets.blocks] = (mean[facets.blocks] - given) ** 2
+    for joint in spaces.joints:
+        slaves, masters = map(spaces.boundary_facets, (joint.slaves, joint.masters))
+        opposite = linear_from_means(joint.opposite(spaces.mesh.comm, mean[masters.blocks]))
+        jump = 0.0 if joint.pair.tied else linear_from_means(means)[spaces.rows_of(joint)]
+        squares[slaves.blocks] = (mean[slaves.blocks] - opposite - jump) ** 2
     named, across = spaces.contact.blocks[inner], spaces.across.blocks
     squares[named] = (mean[named] - mean[across] - linear_from_means(means)[inner]) ** 2
     size[named] += size[across]

@@ -24,7 +24,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.contact.floating import Floating
-from signorini_fenicsx.discrete.bodies import without
+from signorini_fenicsx.discrete.bodies import opposite_bodies, without
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
@@ -35,7 +35,7 @@ ROUNDING = 1e-12
 
 def floating_cells(spaces: Spaces, data: Data) -> tuple[Indices, int]:
     """The component of each owned cell among those without Γ_D and without a term cu, and their number (collective)."""
-    if not spaces.inner.present or (data.holds(spaces) and spaces.held):
+    if not spaces.several or (data.holds(spaces) and spaces.held):
         alone = 0 if data.holds(spaces) else 1
         return np.full(len(spaces.cell_measures), alone), alone
     reacting = None if data.c_h is None else owned_values(data.c_h) > 0
@@ -55,6 +55,9 @@ def _sides(spaces: Spaces, data: Data, of_cell: Indices) -> tuple[Indices, Indic
     named, across = of_cell[spaces.cells], np.zeros(len(spaces.facets), dtype=np.int64)
     space = spaces.crouzeix_raviart
     across[spaces.inner.rows] = of_cell[cells_and_dofs(space, spaces.inner.facets)[0]]
+    for joint in spaces.joints:
+        if not joint.pair.tied:
+            across[spaces.rows_of(joint)] = opposite_bodies(spaces, joint, of_cell)
     facet, cell = (math.prod(kind.shape) for kind in spaces.site_kinds)
     named, across = np.repeat(named, facet), np.repeat(across, facet)
     if data.inside is not None:
@@ -73,7 +76,7 @@ def check_solvability(spaces: Spaces, data: Data) -> None:
     lowest, highest = data.total_load
     if not spaces.has_dirichlet and data.c_h is None and not lowest < 0 < highest:
         _refuse_all(data)
-    if number == 0 or not spaces.inner.present:
+    if number == 0 or not spaces.several:
         return
     loads, sizes, pairs, low, high = _balance(spaces, data, of_cell, number)
     comm = spaces.mesh.comm

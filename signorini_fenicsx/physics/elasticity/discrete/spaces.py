@@ -16,9 +16,8 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.contact.sites import Kind, Sites
-from signorini_fenicsx.discrete.hybrid_system import Sides
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces
-from signorini_fenicsx.discrete.mesh_spaces import Facets, build_mesh_spaces
+from signorini_fenicsx.discrete.mesh_spaces import build_mesh_spaces
 from signorini_fenicsx.discrete.pairing import Joint, joints
 from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.meshes.domain import AXES, Domain
@@ -52,20 +51,18 @@ class ElasticSpaces(LinearTraces):
     times σ_nn at the vertex a. Where a law is from the other side, n on Γ_C is the inner normal.
 
     On a part inside the domain the unknowns of the named side are the jump, û of this side less û of the other one;
-    those of the other side are in the same frame.
+    those of the other side are in the same frame. The unknowns of a slave of a pair in the directions in which a law
+    holds are jumps, too: û less the mean of û opposite to it.
 
     Attributes:
         boundary: The parts.
         displacements: Linear on each cell.
         rough_rows: Which of them have friction; there the tangential part has the dual basis, too.
-        joints: Pairs of surfaces. The unknowns of a slave in the directions in which a law holds are jumps: û less the
-            mean of û opposite to it. A slave that is tied has the dual basis in all components.
     """
 
     boundary: ElasticBoundary
     displacements: fem.FunctionSpace
     rough_rows: Indices
-    joints: tuple[Joint, ...] = ()
 
     @cached_property
     def distances(self) -> dict[tuple[str, str], Array]:
@@ -108,49 +105,13 @@ class ElasticSpaces(LinearTraces):
             frames.append((self.boundary_facets(self.tied), np.tile(everything, (self.tied.size, 1, 1))))
         return frames
 
-    @cached_property
-    def tied(self) -> Facets:
-        """The slave facets that are tied."""
-        return np.concatenate([np.empty(0, dtype=np.int32), *(each.slaves for each in self.joints if each.pair.tied)])
-
-    @cached_property
-    def outer_rows(self) -> npt.NDArray[np.intp]:
-        """The rows of `facets` with a rigid foundation: neither inside the domain nor opposite to another body."""
-        return np.setdiff1d(super().outer_rows, np.concatenate([[], *map(self.rows_of, self.joints)]).astype(np.intp))
-
-    def rows_of(self, joint: Joint) -> npt.NDArray[np.intp]:
-        """The rows of `contact` of the slaves of a pair; none if they are tied."""
+    def frames_of(self, joint: Joint) -> Array:
+        """See `LinearTraces.frames_of`: the normal and, with friction, tangents; all components where it is tied."""
         if joint.pair.tied:
-            return np.empty(0, dtype=np.intp)
-        order = np.argsort(self.facets)
-        return order[np.searchsorted(self.facets[order], joint.slaves)]
-
-    @cached_property
-    def sides(self) -> Sides:
-        """The facets whose unknowns are jumps (collective when first used)."""
-        entries = [self.jumps, *map(self._means_opposite, self.joints)]
-        present = self.inner.present or len(self.joints) > 0
-        rows, columns, values = (np.concatenate(each) for each in zip(*entries, strict=True))
-        return Sides(self.traces, (rows, columns, values), present=present)
-
-    def _means_opposite(self, joint: Joint) -> tuple[Indices, Indices, Array]:
-        """The entries of P of a pair, see `Sides` (collective)."""
-        dim, numbers, pieces = self.dim, self.traces.dofmap.index_map, joint.pieces
-        masters = numbers.local_to_global(self.boundary_facets(joint.masters).blocks).astype(np.int64)
-        columns = joint.of_masters(self.mesh.comm, masters)[pieces.master]
-        slaves = self.boundary_facets(joint.slaves)
-        blocks = slaves.blocks.astype(np.int64)
-        if joint.pair.tied:
-            frames = np.tile(np.eye(dim), (len(blocks), 1, 1))
-        else:
-            frames = _frames(slaves.normals)  # as in `frames`, to the last digit: tangents depend on it
-            frames[~np.isin(joint.slaves, self.rough.facets), 1:] = 0.0
-        a, k, b, i = np.meshgrid(*[np.arange(dim)] * 4, indexing="ij")
-        rows = blocks[pieces.slave, None] * dim**2 + (a * dim + k).ravel()
-        values = np.einsum("nab,nki->nakbi", pieces.weights, frames[pieces.slave]).reshape(rows.shape)
-        places = columns[:, None] * dim**2 + (b * dim + i).ravel()
-        used = values != 0
-        return rows[used], places[used], values[used]
+            return np.tile(np.eye(self.dim), (len(joint.slaves), 1, 1))
+        frames = _frames(self.boundary_facets(joint.slaves).normals)  # as in `frames`, to the last digit
+        frames[~np.isin(joint.slaves, self.rough.facets), 1:] = 0.0
+        return frames
 
     def rows_on(self, part: str) -> Indices:
         """The rows of `contact` that are on a part of Γ_C."""
@@ -267,8 +228,9 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
         raise InputError(f"[boundary] fixed: part '{flat[0]}' is fixed in z, which there is only in space")
     pairs = joints(domain, boundary.pairs, cut=bool(boundary.inner))
     loaded = [*boundary.neumann, *(part for part in boundary.fixed if part not in boundary.contact)]
-    free = [each.left_out for each in pairs]
-    on_mesh = build_mesh_spaces(domain, boundary.contact, loaded, boundary.inner, free)
+    on_mesh = build_mesh_spaces(
+        domain, boundary.contact, loaded, boundary.inner, pairs, [each.left_out for each in pairs]
+    )
     dim = domain.mesh.topology.dim
     displacements = fenicsx.function_space(domain.mesh, ("DG", 1, (dim,)))
 
@@ -281,7 +243,6 @@ def build_elastic_spaces(domain: Domain, boundary: ElasticBoundary, rough: Seque
         boundary=boundary,
         displacements=displacements,
         rough_rows=rows(rough),
-        joints=pairs,
     )
     return replace(spaces, contact=spaces.contact.turned(rows(boundary.turned))) if boundary.turned else spaces
 

@@ -1,0 +1,67 @@
+"""Pairs of surfaces that share no nodes, by the names of their parts, as a boundary has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.base.arguments import check_names
+from signorini_fenicsx.base.errors import InputError
+
+
+@dataclass(frozen=True)
+class PairedParts:
+    """Two surfaces that share no nodes, as a boundary has them.
+
+    Attributes:
+        slave: Names of the parts that carry the pressure.
+        master: Names of those opposite to them.
+        direction: Along which points are paired: "normal" for the normal of each slave facet, or a vector.
+        within: The largest distance; None for half the diameter of the smaller body.
+        tied: Whether nothing may move.
+        distance: Whether the gap is the distance, and what else is given more.
+    """
+
+    slave: Sequence[str]
+    master: Sequence[str]
+    direction: str | Sequence[float] = "normal"
+    within: float | None = None
+    tied: bool = False
+    distance: bool = True
+
+    def __post_init__(self) -> None:
+        """Make lists, as they are read from files; refuse what is no direction.
+
+        Raises:
+            InputError: If it is none, or a part is on both sides.
+        """
+        for key in ("slave", "master"):
+            check_names(key, getattr(self, key))
+            object.__setattr__(self, key, list(getattr(self, key)))
+        if both := sorted({*self.slave} & {*self.master}):
+            raise InputError(f"pair: part '{both[0]}' is slave and master")
+        if self.direction != "normal":
+            vector = np.asarray(self.direction)
+            if vector.ndim != 1 or vector.dtype.kind not in "if" or not np.isfinite(vector).all() or not vector.any():
+                raise InputError(f"pair: direction is {self.direction!r}; use normal or a vector such as [0, -1]")
+            object.__setattr__(self, "direction", [float(each) for each in vector])
+        if self.within is not None and not (isinstance(self.within, int | float) and 0 < self.within < np.inf):
+            raise InputError(f"pair: within is {self.within!r}; it must be a length above 0")
+
+    @property
+    def words(self) -> str:
+        """Both sides in words."""
+        return f"{', '.join(self.slave)} on {', '.join(self.master)}"
+
+    @property
+    def without_law(self) -> list[str]:
+        """The parts with no law on them: the master, and a slave that is tied."""
+        return [*self.slave, *self.master] if self.tied else [*self.master]
+
+
+def paired_parts(given: Sequence[PairedParts | Mapping[str, Any]]) -> list[PairedParts]:
+    """Pairs, some of which are as a file has them."""
+    return [PairedParts(**each) if isinstance(each, Mapping) else each for each in given]
