@@ -5,8 +5,8 @@ A problem:
 - `domain_of(mesh, parts)` makes a `Domain` of your own mesh, `domain_of_bodies({name: domain})` one of several;
 - `Diffusion` and `Elasticity` hold the data and the conditions on the parts of the boundary: `Dirichlet`, `Neumann`,
   `Pressure`, `Support`, `Contact` with `Tresca` or `Coulomb`, `Pair`, also `Tied`, and the laws `Signorini`,
-  `Friction`, `TwoSided`, `Wall`, `Regulator`, `Seepage`, `River` and `Corners`; in regions `Obstacle`, `Reaction`,
-  `Corners` and, in time, `Storage`;
+  `Friction`, `TwoSided`, `Wall`, `Regulator`, `Seepage`, `River`, `Corners` and, in time, `Film`; in regions
+  `Obstacle`, `Reaction`, `Corners` and, in time, `Storage`;
   κ may be a soil, `VanGenuchten`, `Gardner` or `BrooksCorey`;
 - `Stokes` holds those of a viscous flow, with `Outflow`, `Slip` and `Leak`;
 - `load_case` reads a case file, or a shipped case by its name.

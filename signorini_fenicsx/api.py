@@ -87,6 +87,7 @@ from signorini_fenicsx.contact.laws import (
     TwoSided,
     Wall,
 )
+from signorini_fenicsx.contact.memory import Film
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import Domain
@@ -113,6 +114,7 @@ __all__ = [
     "Domain",
     "Elasticity",
     "Evolution",
+    "Film",
     "Friction",
     "Gardner",
     "InputError",

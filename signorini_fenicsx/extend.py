@@ -15,7 +15,8 @@ Your own algorithm is a start and a rule; here Algorithm 1 as an example:
 >>> one.contact == other.contact
 True
 
-Your own law is a class with a `Graph`, see `contact.laws`. Your own discretisation is a `Backend`: an object that
+Your own law is a class with a `Graph`, see `contact.laws`, and a `LawWithMemory` one whose graph depends on what has
+happened, see `contact.memory`. Your own discretisation is a `Backend`: an object that
 solves one linear problem under given conditions on its sites. With `FacetBackend` it needs `name`, `dofs`, `solver` and
 `solve`. Your own method is a `Method`, whose `run` gets a `Task` and returns an `Outcome`. All of them are options:
 `Options(algorithm=…, backend=…)`.
@@ -29,6 +30,7 @@ from signorini_fenicsx.contact.backend import Backend, Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import Outcome, Step
 from signorini_fenicsx.contact.law import Graph, Law
+from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.task import Task
@@ -49,6 +51,7 @@ __all__ = [
     "Iterate",
     "LaterFailure",
     "Law",
+    "LawWithMemory",
     "Method",
     "Outcome",
     "Penalty",

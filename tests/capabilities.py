@@ -164,6 +164,7 @@ def _shipped() -> Iterator[Capability]:
     yield solved("membrane", *STRUCTURED, *few, h="1/6", beside=TIES)
     yield solved("moving_transition", *STRUCTURED, *few, h="1/6")
     yield solved("seepage_falling", *few)
+    yield own("film", "--certify-steps")
     for case in ("melting", "thawing", "oxygen", "soil"):
         yield solved(case, *few, h="1/8")
 
@@ -270,7 +271,7 @@ PATHS_ON_RANKS = (
     *("alg3", "snes1", "snes2", "--algorithm vi", "qp", "psor", "mixed-uzawa-h12", "--backend mixed", "--rigorous"),
     *("--for-signorini", "solve.max_iterations=1", "--start-from", "export out", "restart", "restart of a storage"),
     *("adapt", "problem.f=", "problem.obstacle=", "solve two_parts.toml", "solve crossed.toml", "solve reaction.toml"),
-    *("solve springs.toml", "solve blocks.toml", "solve many.toml"),
+    *("solve springs.toml", "solve film.toml", "solve blocks.toml", "solve many.toml"),
 )
 """Words in the names of other capabilities that are also run on several ranks, each the first with it."""
 

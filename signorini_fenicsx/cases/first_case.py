@@ -19,6 +19,7 @@ from signorini_fenicsx.cases.first_pairs import Facing, facing
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.contact.law import names_of_data
 from signorini_fenicsx.contact.laws import LAWS
+from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.meshes.bodies import Bodies, Body
 from signorini_fenicsx.meshes.checks import faces, rows_of
 from signorini_fenicsx.meshes.files import read_mesh_file
@@ -172,11 +173,22 @@ def _sections(case: Any, outer: Mapping[str, str], inner: Mapping[str, str], dim
         lines.append(f"fixed = {{{axes}}}  # u·n is given there; also letters of xyz")
     laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, SYMMETRIC, plain)} | {**inner}
     numbers = {"down": [0] * (dim - 1) + [-0.01], "zero": [0] * dim}
+    in_time = ["[time]\nend = 1\nsteps = 10"] if any(_has_memory(word) for word in laws.values()) else []
     needed = [(line, about) for line, about, word in case.first_data if not word or parts_with(outer, word)]
     data = [(line.format(**numbers), about.format()) for line, about in needed]
     width = max(len(line) for line, _ in data)
     problem = [f"{line:<{width}}  # {about}" if about else line for line, about in data]
-    return ["\n".join(["[boundary]", *lines]), *law_sections(laws, case.first_laws), "\n".join(["[problem]", *problem])]
+    return [
+        "\n".join(["[boundary]", *lines]),
+        *law_sections(laws, case.first_laws),
+        "\n".join(["[problem]", *problem]),
+        *in_time,
+    ]
+
+
+def _has_memory(word: str) -> bool:
+    """Whether a law changes from step to step, so that it needs [time]."""
+    return word in LAWS and issubclass(LAWS[word], LawWithMemory)
 
 
 def _pair_section(pair: Facing, kind: str, special: Mapping[str, tuple[str, list[str]]]) -> str:

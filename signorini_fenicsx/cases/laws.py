@@ -16,7 +16,9 @@ OF_LAWS = READERS | {
     Given | Literal["vertical"]: Expression,
     Sequence[tuple[Given, Given]]: Entries,
 }
-OF_KIND = {name: data_section(kind, OF_LAWS, parts=None, region=None, side=None) for name, kind in KINDS.items()}
+OF_KIND = {
+    name: data_section(kind, OF_LAWS, parts=None, region=None, side=None, now=None) for name, kind in KINDS.items()
+}
 """The data of each kind of law as text in x, y, z."""
 
 

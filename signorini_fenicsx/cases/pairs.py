@@ -10,10 +10,11 @@ from signorini_fenicsx.cases.data_section import DataSection, KindSection
 from signorini_fenicsx.cases.laws import OF_KIND
 from signorini_fenicsx.cases.values import Direction, PartNames, Positive
 from signorini_fenicsx.contact.laws import LAWS, River, Seepage
+from signorini_fenicsx.contact.memory import Film
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 
 SIDES = ("slave", "master")
-BETWEEN = tuple(name for name, kind in LAWS.items() if kind not in (River, Seepage))
+BETWEEN = tuple(name for name, kind in LAWS.items() if kind not in (Film, River, Seepage))
 """The laws that may be between two surfaces."""
 
 

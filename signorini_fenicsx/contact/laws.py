@@ -16,6 +16,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import VERTICAL, Given, Graph, Law, Values
+from signorini_fenicsx.contact.memory import Film
 
 
 @dataclass(frozen=True)
@@ -426,7 +427,7 @@ class Storage(Corners):
 
 
 LAWS: Mapping[str, type[Law]] = {
-    law.word: law for law in (Signorini, Friction, TwoSided, Wall, Regulator, Seepage, River, Corners)
+    law.word: law for law in (Signorini, Friction, TwoSided, Wall, Regulator, Seepage, River, Film, Corners)
 }
 """The laws on parts of the boundary by the names that case files have for them."""
 LAWS_INSIDE: Mapping[str, type[Law]] = {law.word: law for law in (Obstacle, Reaction, Corners, Storage)}

@@ -247,6 +247,41 @@ class _OnParts(Datum):
         return [(last == number, datum) for number, (_, datum) in enumerate(self.parts)]
 
 
+@dataclass(frozen=True, eq=False)
+class OnFacets(Datum):
+    """A number on each of some facets of this rank, as a state has; it has values in points of facets alone.
+
+    Attributes:
+        facets: The facets.
+        numbers: Its value on each.
+    """
+
+    facets: npt.NDArray[np.int32]
+    numbers: Array
+
+    @property
+    def number(self) -> None:
+        """None: it is not one number."""
+        return
+
+    @property
+    def polynomial(self) -> int:
+        """0, on each facet."""
+        return 0
+
+    @property
+    def pieces(self) -> None:
+        """None: it was given as no text."""
+        return
+
+    def _look(self, points: Points, *, slope: bool) -> Array:
+        assert isinstance(points, FacetPoints)
+        order = np.argsort(self.facets)
+        numbers = self.numbers[order[np.searchsorted(self.facets, points.facets, sorter=order)]]
+        shape = (*points.shape, points.mesh.geometry.dim) if slope else points.shape
+        return np.zeros(shape) if slope else np.repeat(numbers[:, None], shape[1], axis=1)
+
+
 def datum_by_cells(parts: list[tuple[Mask, Datum]]) -> Datum:
     """A datum with a value in each of some sets of owned cells; each cell is in one of them."""
     return _ByRegion(max((datum for _, datum in parts), key=lambda datum: datum.degree).ufl, parts)

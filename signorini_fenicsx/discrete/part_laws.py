@@ -14,6 +14,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import Graph, Law
 from signorini_fenicsx.contact.laws import Corners
+from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, in_problem
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
@@ -124,6 +125,19 @@ def checked(spaces: MeshSpaces, part: PartLaw) -> tuple[PartLaw, Graph]:
     return replace(part, bounds=_bounds(spaces, part, graph, means)), graph
 
 
+def by_ends(spaces: MeshSpaces, part: PartLaw) -> list[PartLaw]:
+    """A law with memory by the facets whose graphs are vertical at the same ends, others as they are (collective).
+
+    So a bound of u is one on all facets of a part, as bare metal has u = 0 and metal below a film has not.
+    """
+    if not isinstance(part.law, LawWithMemory):
+        return [part]
+    graph = part.law.falling(means_of(spaces, part))
+    ends = np.zeros(len(part.rows), dtype=np.int64) + np.isinf(graph.before) + 2 * np.isinf(graph.beyond)
+    kinds = np.unique(np.concatenate(spaces.mesh.comm.allgather(np.unique(ends))))
+    return [replace(part, rows=part.rows[ends == kind]) for kind in kinds]
+
+
 def parts_of_laws(spaces: MeshSpaces, laws: Sequence[Law]) -> set[str]:
     """The parts of all laws.
 
@@ -161,8 +175,10 @@ def data_of_law(spaces: MeshSpaces, law: Law, name: str) -> dict[str, Datum]:
     """The data of a law (collective).
 
     Raises:
-        InputError: If a text cannot be read, or is no scalar.
+        InputError: If a text cannot be read, or is no scalar; if it is a law with memory outside of steps in time.
     """
+    if isinstance(law, LawWithMemory) and not law.now:
+        raise InputError(f"{name} ({law.name}): this law has a memory, so it needs [time], without physics")
     data: dict[str, Datum] = {}
     for key, given in law.data().items():
         place = f"{name}.{key}"
@@ -220,8 +236,8 @@ def _bounds(
     for which, slope, (u, _) in (("first", graph.before, graph.corners[0]), ("last", graph.beyond, graph.corners[-1])):
         if not spaces.mesh.comm.allreduce(bool(np.isinf(slope).any()), MPI.LOR):
             bounds.append(None)
-        elif np.ndim(u) == 0:
-            bounds.append(datum_of(spaces, f"{part.name} ({part.law.name})", float(u)))
+        elif (number := _one_number(u, spaces.mesh.comm)) is not None:
+            bounds.append(datum_of(spaces, f"{part.name} ({part.law.name})", number))
         else:
             key = next((key for key, values in means.items() if values is u), None)
             if key is None:
@@ -232,6 +248,17 @@ def _bounds(
             _check_nodes(spaces, part, key)
             bounds.append(part.data[key])
     return bounds[0], bounds[1]
+
+
+def _one_number(u: Array | float, comm: MPI.Comm) -> float | None:
+    """The number that all values on all ranks are; None if they differ (collective)."""
+    if np.ndim(u) == 0:
+        return float(u)
+    least, most = (
+        comm.allreduce(float(np.min(u, initial=np.inf)), MPI.MIN),
+        comm.allreduce(float(np.max(u, initial=-np.inf)), MPI.MAX),
+    )
+    return least if least == most else None
 
 
 def _check_nodes(spaces: MeshSpaces, part: PartLaw, key: str) -> None:

@@ -26,7 +26,7 @@ class Evolution:
         initial: u_0 of diffusion, or one for each region of the mesh.
         capacity: C ≥ 0 of diffusion, or one for each region of the mesh; or the graph of θ(u), a table with `corners`
             and, where they are not 0, `before` and `beyond`, as the law `Storage` has them. None for 1, or for 0 where
-            there are laws of storage.
+            there are laws of storage, or with memory on parts.
         scheme: "implicit-euler" or "bdf2", of diffusion.
     """
 
@@ -91,8 +91,11 @@ class Steps(Protocol):
             InputError: If that is not what it has to be.
         """
 
-    def problem(self, step: int) -> Any:
-        """The problem of a step, without what it takes from those before."""
+    def problem(self, step: int, before: Sequence[Any] = ()) -> Any:
+        """The problem of a step, but for its `memory`; without `before` after the start (collective)."""
+
+    def touching(self, problem: Any, solution: Any) -> Any:
+        """The problem of a step with laws that touch their curves at a solution; None if it is on them (collective)."""
 
     def memory(self, step: int, before: Sequence[Any]) -> Any:
         """What a step takes from those before, of what they have left: the last one first (collective)."""

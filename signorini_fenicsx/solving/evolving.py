@@ -7,14 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from signorini_fenicsx.base.arguments import check_kind
+from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off_in_steps
-from signorini_fenicsx.contact.history import OnStep
+from signorini_fenicsx.contact.history import OnStep, Step
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.evolution import Evolution, Past, Steps
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
 from signorini_fenicsx.solving.system import sorted_on, with_sides
 
+MOST = 500
+"""Most linear problems of a step whose laws are curves."""
 COLLECT = 50
 """Python's garbage is collected after so many steps; a step makes some hundred kilobytes."""
 
@@ -96,19 +99,20 @@ def evolve(
     steps: Steps = solver.steps(problem, evolution, start, options)
     before = Past(0, [], start) if past is None else past(steps)
     left, segments = [*before.left, steps.start()][:2], before.segments
+    about: dict[str, Any] = {"name": name, "title": title, "source": source, "on_step": on_step}
     for step in range(before.step + 1, evolution.steps + 1):
-        solved = solver.solve(
-            steps.problem(step),
-            options,
-            start=segments if options.method.starts_from_sets else None,
-            memory=steps.memory(step, left),
-            name=name,
-            title=title,
-            source=source,
-            on_step=on_step,
-        )
-        solution = replace(solved, step=step)
-        left, segments = [steps.left_by(solution), *left[:1]], solution.segments()
+        posed, memory, history = steps.problem(step, left), steps.memory(step, left), list[Step]()
+        while posed is not None:
+            first = segments if options.method.starts_from_sets else None
+            solved = solver.solve(posed, options, start=first, memory=memory, **about)
+            history += solved.outcome.history
+            posed, segments = steps.touching(posed, solved), solved.segments()
+            if posed is not None and len(history) > MOST:
+                raise NumericalFailure(
+                    f"the laws with memory are not on their curves after {MOST} linear problems", solved
+                )
+        solution = replace(solved, step=step, outcome=replace(solved.outcome, history=history))
+        left = [steps.left_by(solution), *left[:1]]
         yield Instant(step, evolution.time(step), solution, steps)
         if step % COLLECT == 0:
             collect_garbage(comm)  # UFL makes cycles when it estimates the degree of a new datum

@@ -13,12 +13,13 @@ from signorini_fenicsx import __version__
 from signorini_fenicsx.base.shipped import case_names, data_folder
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.first_case import words
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import evolve_case, solve_case
 
 FIRST = [
     ("--on", "bottom=signorini", "--on", "left,right=neumann"),
     ("--on", "bottom=friction", "--on", "left=wall", "--on", "right=regulator", "--on", "top=graph"),
     ("--on", "bottom=two-sided", "--on", "left=seepage", "--on", "right=river"),
+    ("--on", "bottom=film", "--on", "left,right=neumann"),
     ("--shape", "slit", "--on", "slit=signorini", "--on", "left=neumann"),
     ("--shape", "cube", "--on", "bottom=signorini", "--on", "left,right=neumann"),
     ("--mesh", str(data_folder("meshes") / "dam.msh"), "--on", "face=seepage", "--on", "base,top=neumann"),
@@ -36,7 +37,10 @@ def test_a_first_case_can_be_solved(tmp_path: Path, options: tuple[str, ...]):
     done = signorini(tmp_path, "init", "mine.toml", *options)
     assert (done.returncode, done.stderr) == (0, "")
     case = load_case(tmp_path / "mine.toml")
-    assert solve_case(case if case.geometry.file else case.with_values({"solve.h": 0.5}), MPI.COMM_SELF).converged
+    case = case if case.geometry.file else case.with_values({"solve.h": 0.5})
+    assert (
+        solve_case(case, MPI.COMM_SELF) if case.time is None else next(evolve_case(case, MPI.COMM_SELF)).solution
+    ).converged
 
 
 def box_file(path: Path, low: list[float], high: list[float]) -> None:

@@ -160,7 +160,10 @@ class Settling:
     def start(self):
         return 0.0
 
-    def problem(self, step: int):
+    def touching(self, problem: Bed, solution: Rested):
+        return None
+
+    def problem(self, step: int, before: Sequence[Any] = ()):
         return replace(self.given, f=self.given.f * self.evolution.time(step))
 
     def memory(self, step: int, before: Sequence[Any]):

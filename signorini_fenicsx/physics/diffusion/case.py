@@ -9,13 +9,14 @@ from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, mode
 from signorini_fenicsx.cases.case import Cost, Times
 from signorini_fenicsx.cases.data_section import DataSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD
-from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.laws import KINDS, LawTexts
 from signorini_fenicsx.cases.pairs import BETWEEN, PairTexts, WithPairs
 from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.values import ByRegion, ExpressionByRegion, ExpressionOrByPart, choice
 from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Neumann, Signorini
+from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.cut import ANY, Side
@@ -198,8 +199,8 @@ class Case(WithPairs):
         if EVERYWHERE in self.soil and len(self.soil) > 1:
             raise ValueError(f"[soil.{EVERYWHERE}]: is the soil everywhere; leave out the other soils")
         for i, texts in enumerate(self.law):
-            if texts.kind == "storage" and self.time is None:
-                raise ValueError(f"law.{i}: the law 'storage' needs [time]")
+            if self.time is None and (texts.kind == "storage" or issubclass(KINDS[texts.kind], LawWithMemory)):
+                raise ValueError(f"law.{i}: the law '{texts.kind}' needs [time]")
         return self
 
     @property

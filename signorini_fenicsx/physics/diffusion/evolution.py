@@ -4,6 +4,8 @@ With ∂w/∂t ≈ a w_n − Σ_k w_k w_(n−k) for w = Cu + θ each step is a p
 load f + Σ_k w_k w_(n−k), with all data at the time of the step. w_(n−k) is in P0, and so C has its mean on each cell.
 With RT1 w_(n−k) is in P1 on each cell, the projection Π₁(Cu) by the quadrature that the reaction has; there is no θ.
 
+Laws with memory on Γ_S have their state at the beginning of the step, see `discrete/remembered.py`.
+
 θ is a monotone graph, a law of storage; at jumps of it θ is not known from u. What a step leaves is the θ that its
 balance has selected, so that nothing is lost. At the start θ is the least value that u_0 allows.
 """
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
@@ -28,11 +30,13 @@ from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.law import EVERYWHERE, VERTICAL
 from signorini_fenicsx.contact.laws import Corners, Storage
+from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, datum_by_cells, datum_of, regional_datum
 from signorini_fenicsx.discrete.part_laws import PartLaw
+from signorini_fenicsx.discrete.remembered import Remembered
 from signorini_fenicsx.discrete.seen import seen_in_cells
 from signorini_fenicsx.expressions import TREES, Binary, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows, at_time, is_fixed, parsed
@@ -45,8 +49,23 @@ from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpa
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.show.states import sizes
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.evolution import Evolution, Past
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a step leaves.
+
+    Attributes:
+        content: W = Cu + θ.
+        columns: What laws with memory remember, see `Remembered`.
+    """
+
+    content: fem.Function
+    columns: Array
+
 
 type Pieces = list[tuple[Tree | Rows, Mask | None]] | None
 
@@ -60,6 +79,7 @@ class DiffusionSteps:
         capacity: Mean of C on each owned cell.
         initial: u_0.
         storage: The laws of θ with their cells, and their chains between u and −θ.
+        remembered: The laws with memory.
     """
 
     def __init__(self, spaces: Spaces, problem: Problem, evolution: Evolution, start: Solution | None = None):
@@ -76,8 +96,12 @@ class DiffusionSteps:
         self.spaces, self._evolution = spaces, evolution
         self._problem = with_storage(problem.in_time(dim), evolution, dim)
         self.storage = [_storage(spaces, law, f"law.{i}") for i, law in _storages(self._problem)]
-        if spaces.degree and self.storage:
-            raise InputError("element: there is no RT1 for storage; take RT0")
+        self.remembered = Remembered.among(spaces, self._problem.laws)
+        for some, what in ((self.storage, "storage"), (self.remembered.laws, "laws with memory")):
+            if spaces.degree and some:
+                raise InputError(f"element: there is no RT1 for {what}; take RT0")
+        if evolution.scheme != "implicit-euler" and self.remembered.laws:
+            raise InputError("[time] scheme: laws with memory need implicit-euler")
         if evolution.scheme != "implicit-euler" and self._jumps():
             raise InputError("[time] scheme: a storage that jumps, as of melting, needs implicit-euler")
         try:
@@ -90,7 +114,7 @@ class DiffusionSteps:
         comm = spaces.mesh.comm
         if (least := comm.allreduce(float(self.capacity.min(initial=np.inf)), MPI.MIN)) < 0:
             raise InputError(f"[time] capacity: must not be negative; its smallest mean over a cell is {least:.3g}")
-        if not self.storage and not comm.allreduce(bool(self.capacity.any()), MPI.LOR):
+        if not self.storage and not self.remembered.laws and not comm.allreduce(bool(self.capacity.any()), MPI.LOR):
             raise InputError("[time] capacity: is 0 everywhere; leave out [time]")
 
     def _jumps(self) -> bool:
@@ -98,19 +122,19 @@ class DiffusionSteps:
         jumps = any(bool(np.isinf(chains.slope).any()) for _, chains in self.storage)
         return bool(self.spaces.mesh.comm.allreduce(jumps, MPI.LOR))
 
-    def start(self) -> fem.Function:
-        """The means of w = Cu + θ over the cells for u_0, of RT1 Π₁(CΠ₁u_0) (collective).
+    def start(self) -> Left:
+        """The means of w = Cu + θ over the cells for u_0, of RT1 Π₁(CΠ₁u_0), and the states (collective).
 
         Raises:
             InputError: If they are not finite, or of no usable size.
         """
-        u = self._means("initial", self.initial)
+        u, columns = self._means("initial", self.initial), self.remembered.start(self._evolution.time(1))
         if isinstance(self.spaces, LinearSpaces):
-            return self._content(projected(self.spaces, self.initial))
+            return Left(self._content(projected(self.spaces, self.initial)), columns)
         least = np.zeros_like(u)
         for part, chains in self.storage:
             least[part.rows] -= chains.ends_at(u[part.rows])[0]
-        return self._content(u, least)
+        return Left(self._content(u, least), columns)
 
     def start_given(self) -> Datum | None:
         """W = Cu + θ for u_0 as a text in the points of each cell; None if u_0 is given in Python."""
@@ -137,13 +161,28 @@ class DiffusionSteps:
             return self.spaces.scalar(projected(self.spaces, self.given, u))
         return self.spaces.scalar(self.capacity * u + theta)
 
-    def problem(self, step: int) -> Problem:
-        """The problem of a step, without what it takes from those before.
+    def problem(self, step: int, before: Sequence[Left] = ()) -> Problem:
+        """The problem of a step, see `solving.evolution.Steps`.
 
         Raises:
             InputError: If C was given in Python, or c is a function of points.
         """
-        return _of_step(self._problem, self._evolution, step, self.spaces.mesh.geometry.dim)
+        problem = _of_step(self._problem, self._evolution, step, self.spaces.mesh.geometry.dim)
+        if not self.remembered.laws:
+            return problem
+        columns = before[0].columns if before else self.start().columns
+        return replace(problem, laws=self.remembered.in_step(problem.laws, columns))
+
+    def touching(self, problem: Problem, solution: Solution) -> Problem | None:
+        """The problem with the flux of a solution, see `solving.evolution.Steps` (collective)."""
+        if not self.remembered.laws:
+            return None
+        parts, flux = solution.data.laws.of_parts, solution.flux_at
+        if self.remembered.on_curves(parts, solution.p_at, flux, solution.data.conductance):
+            return None
+        columns = self.remembered.known(problem.laws)
+        columns[:, -2] = flux
+        return replace(problem, laws=self.remembered.in_step(problem.laws, columns))
 
     def weights(self, step: int) -> tuple[float, ...]:
         """w_1, w_2, … of a step."""
@@ -153,9 +192,14 @@ class DiffusionSteps:
         """The factor a of a step."""
         return self._evolution.formula(step)[0]
 
-    def left_by(self, solution: Solution) -> fem.Function:
-        """The content w = Cu + θ in the space of u (collective)."""
-        return self._content(solution.u_values, self.theta(solution))
+    def left_by(self, solution: Solution) -> Left:
+        """The content w = Cu + θ in the space of u, and the states (collective)."""
+        return Left(self._content(solution.u_values, self.theta(solution)), self._columns(solution))
+
+    def _columns(self, solution: Solution) -> Array:
+        """What the laws with memory remember after a step (collective)."""
+        flux = solution.spaces.normal_flux(solution.sigma)
+        return self.remembered.after(solution.data.laws.of_parts, solution.p_means, flux)
 
     def theta(self, solution: Solution) -> Array:
         """The θ that the balance of a step has selected, per owned cell; 0 where there is no storage (collective).
@@ -180,11 +224,12 @@ class DiffusionSteps:
         return content
 
     def of_step(self, solution: Solution) -> dict[str, float]:
-        """The integral of the content, where there is storage (collective)."""
+        """The integral of the content, where there is storage, and sizes of states (collective)."""
+        of_states = {f"{name} {what}": size for name, of in sizes(solution).items() for what, size in of.items()}
         if not self.storage:
-            return {}
-        local = float(self.spaces.cell_measures @ owned_values(self.left_by(solution)))
-        return {"content": self.spaces.mesh.comm.allreduce(local)}
+            return of_states
+        local = float(self.spaces.cell_measures @ owned_values(self.left_by(solution).content))
+        return {"content": self.spaces.mesh.comm.allreduce(local)} | of_states
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, the segments on which the step has ended, and θ if there is storage."""
@@ -195,7 +240,8 @@ class DiffusionSteps:
         own = {key: on.of(names[key]).reshape(kind.count, *kind.shape) for key, kind in kinds.items()}
         linear = {"u_at": solution.u_values} if self.spaces.degree else {}
         theta = {"theta": self.theta(solution)} if self.storage else {}
-        return {"u": solution.u_means, **linear, **own, **theta}
+        columns = {"facet_remembered": self._columns(solution)} if self.remembered.laws else {}
+        return {"u": solution.u_means, **linear, **own, **theta, **columns}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
@@ -203,16 +249,17 @@ class DiffusionSteps:
         for earlier in range(step, max(step - 2, 0), -1):
             theta = kept(earlier, "theta").ravel() if self.storage else np.zeros_like(self.capacity)
             u = kept(earlier, "u_at") if self.spaces.degree else kept(earlier, "u").ravel()
-            left.append(self._content(u, theta))
+            columns = kept(earlier, "facet_remembered") if self.remembered.laws else np.empty((0, 0))
+            left.append(Left(self._content(u, theta), columns))
         keys = ("facet_own", "own") if self._problem.has_laws_inside else ("facet_own",)
         return Past(step, left, Segments(self.spaces, np.concatenate([kept(step, key).ravel() for key in keys])))
 
-    def memory(self, step: int, before: Sequence[fem.Function]) -> fem.Function:
+    def memory(self, step: int, before: Sequence[Left]) -> fem.Function:
         """The sum Σ_k w_k w_(n−k) in the space of u, from the last content and those before it."""
         memory = fem.Function(self.spaces.scalar_space, name="memory")
         weights = self.weights(step)
-        for weight, content in zip(weights, before[: len(weights)], strict=True):
-            memory.x.array[:] += weight * content.x.array
+        for weight, left in zip(weights, before[: len(weights)], strict=True):
+            memory.x.array[:] += weight * left.content.x.array
         return memory
 
     def by_earlier(self, step: int, by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
@@ -291,9 +338,9 @@ def with_storage(problem: Problem, evolution: Evolution, dim: int) -> Problem:
 
 
 def _capacity(evolution: Evolution, problem: Problem) -> Given | Mapping[str, Given]:
-    """The factor C: its default is 0 where there are laws of storage."""
+    """The factor C: its default is 0 where there are laws of storage, or with memory."""
     if evolution.capacity is None or (isinstance(evolution.capacity, Mapping) and "corners" in evolution.capacity):
-        return 0.0 if any(True for _ in _storages(problem)) else 1.0
+        return 0.0 if any(isinstance(law, Storage | LawWithMemory) for law in problem.laws) else 1.0
     return evolution.capacity
 
 

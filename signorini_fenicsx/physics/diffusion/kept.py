@@ -14,6 +14,7 @@ from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition
 from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, Dirichlet, Neumann
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.discrete.remembered import Remembered
 from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
@@ -55,6 +56,8 @@ OF_KAPPA: Layout = {"kappa": (np.float64, "cells"), "kappa_at": (np.float64, "ce
 """And where κ depends on u the one that was found, on cells or at their vertices."""
 OF_STEP: Layout = {"memory_at": (np.float64, "cells", "corners")}
 """And in time."""
+OF_MEMORY: Layout = {"facet_remembered": (np.float64, "facets", "remembered")}
+"""And with laws with memory, see `discrete/remembered.py`."""
 
 
 def _in_cells(solution: Solution) -> Arrays:
@@ -66,6 +69,13 @@ def _in_cells(solution: Solution) -> Arrays:
         kappa = solution.data.kappa_values
         rows |= {"kappa_at": kappa} if solution.spaces.degree else {"kappa": kappa[:, 0]}
     return rows | ({} if memory is None else {"memory": solution.data.means_of_memory})
+
+
+def _on_facets(solution: Solution) -> Arrays:
+    """The table, and what laws with memory know in the step (collective)."""
+    remembered = Remembered.among(solution.spaces, solution.problem.laws)
+    known = {"remembered": remembered.known(solution.problem.laws)} if remembered.laws else {}
+    return {**vars(solution.table()), **known}
 
 
 def _at_vertices(solution: LinearSolution) -> Arrays:
@@ -125,7 +135,11 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
     flux, trace, condition = stored.on_facets(mesh.comm, "flux", "p", "condition")
     sigma.x.array[spaces.flux_dofs] = flux * spaces.facet_measure / spaces.basis_flux
     sigma.x.scatter_forward()
-    p = spaces.multiplier(trace)
+    p, remembered = spaces.multiplier(trace), Remembered.among(spaces, problem.laws)
+    if remembered.laws:
+        if "facet_remembered" not in stored.arrays:
+            raise InputError("not a readable solution (it holds no facet_remembered)")
+        problem = replace(problem, laws=remembered.in_step(problem.laws, *stored.on_facets(mesh.comm, "remembered")))
     data = project_data(spaces, problem)
     if stored.step is not None:
         data = data.after(function_of(spaces.Q, stored.in_cells(spaces, "memory"), "memory"))
@@ -142,7 +156,7 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
         p=p,
         outcome=stored.outcome(iterate, conditions),
         kkt=kkt_residuals(spaces, data, sigma, u, p, options.method.penalty, options.eps),
-        **stored.about,
+        **{**stored.about, "problem": problem},
     )
 
 
@@ -153,8 +167,8 @@ KEEPING = Keeping(
     layout=LAYOUT,
     codes=dict.fromkeys(("facet_condition", "facet_condition_at"), len(Condition)),
     in_cells=_in_cells,
-    on_facets=lambda solution: vars(solution.table()),
+    on_facets=_on_facets,
     read=_read,
-    of_some={**OF_LINEAR, **OF_KAPPA, **OF_STEP},
+    of_some={**OF_LINEAR, **OF_KAPPA, **OF_STEP, **OF_MEMORY},
     of_step={"memory": (np.float64, "cells")},  # a load
 )

@@ -49,8 +49,8 @@ class Diffusion(Scalar):
 
     With an obstacle u ≥ obstacle and −∇·(κ∇u) + cu ≥ f in Ω, with equality in one of them. The conditions are
     `Dirichlet`, `Neumann` and laws: `Signorini`, `Friction`, `TwoSided`, `Wall`, `Regulator`, `Seepage`, `River`,
-    `Corners`, or your own. Laws in regions of Ω, `Obstacle`, `Reaction`, `Corners` or your own, are made with `region=`
-    and give s, a monotone graph of u; without any s = 0.
+    `Corners`, in time `Film`, or your own. Laws in regions of Ω, `Obstacle`, `Reaction`, `Corners` or your own, are
+    made with `region=` and give s, a monotone graph of u; without any s = 0.
 
     Attributes:
         f: Load, or one for each region of the mesh.

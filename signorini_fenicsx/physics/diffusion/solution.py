@@ -37,6 +37,7 @@ from signorini_fenicsx.physics.diffusion.show.differences import differences
 from signorini_fenicsx.physics.diffusion.show.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.show.seepage import Seepage, seepage
+from signorini_fenicsx.physics.diffusion.show.states import sizes
 from signorini_fenicsx.physics.diffusion.show.water import discharges, in_words
 from signorini_fenicsx.solution import Solution as AnySolution
 
@@ -412,6 +413,7 @@ class Solution(AnySolution):
             "contact_facets": facets,
             "contact_measure": measure,
             **({"segments": self.segments_of_parts()} if self.data.laws.listed else {}),
+            **({"states": found} if (found := sizes(self)) else {}),
             **self._inside(),
         }
 

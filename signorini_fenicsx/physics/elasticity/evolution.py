@@ -41,9 +41,12 @@ class ElasticSteps:
         """No slip, at the sites with friction."""
         return np.zeros(len(self.spaces.site_kinds["slip"]))
 
-    def problem(self, step: int) -> ElasticProblem:
+    def problem(self, step: int, _before: Sequence[Array] = ()) -> ElasticProblem:
         """The problem at the time of a step."""
         return self._problem.at(self._evolution.time(step))
+
+    def touching(self, _problem: ElasticProblem, _solution: ElasticSolution) -> None:
+        """None: there are no laws with memory that are curves."""
 
     def memory(self, _step: int, before: Sequence[Array]) -> FromBefore:
         """The slip at the end of the last step."""

@@ -33,6 +33,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs
@@ -247,7 +248,7 @@ def _with_kappa(spaces: Spaces, kappa: Expr, sigma: Expr, change: Expr) -> Form:
 
 
 def check_fixed_kappa(solution: Solution) -> None:
-    """Refuse a κ that depends on u, and a given flux in UFL.
+    """Refuse a κ that depends on u, laws with memory, and a given flux in UFL.
 
     Raises:
         InputError: If there is one.
@@ -257,6 +258,8 @@ def check_fixed_kappa(solution: Solution) -> None:
         raise InputError("derivatives: there are none with a given flux b in UFL, or with numbers in it as controls")
     if solution.data.quasilinear is not None:
         raise InputError("derivatives: there are none where κ depends on u")
+    if any(isinstance(law, LawWithMemory) for law in solution.problem.laws):
+        raise InputError("derivatives: there are none with laws with memory")
 
 
 def linearised(solution: Solution, tolerance: float) -> LinearisedDiffusion:

@@ -12,7 +12,7 @@ from signorini_fenicsx.contact.chains import Chains, joined
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import Datum
-from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of, checked, data_of_law, parts_of_laws
+from signorini_fenicsx.discrete.part_laws import PartLaw, by_ends, chains_of, checked, data_of_law, parts_of_laws
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -42,15 +42,16 @@ class BoundaryLaws:
 
     def names(self) -> list[str]:
         """Names of all segments, law after law; see `labels`."""
-        return [segment for part in self.of_parts for segment in part.law.segments]
+        return [segment for law in {part.name: part.law for part in self.of_parts}.values() for segment in law.segments]
 
     def labels(self, segment: np.ndarray) -> np.ndarray:
         """For each facet the row of its segment in `names`."""
         labels = np.array(segment, dtype=np.int64)
-        first = 0
+        first, laws = 0, dict[str, int]()
         for part in self.of_parts:
-            labels[part.rows] = part.law.named(labels[part.rows]) + first
-            first += len(part.law.segments)
+            if part.name not in laws:
+                laws[part.name], first = first, first + len(part.law.segments)
+            labels[part.rows] = part.law.named(labels[part.rows]) + laws[part.name]
         return labels
 
 
@@ -76,8 +77,9 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
     of_parts, chains = [], []
     for name, law, data in laws:
         rows = np.flatnonzero(np.isin(spaces.part_of_facet, [spaces.part_names.index(part) for part in law.parts]))
-        part, graph = checked(spaces, PartLaw(law, name, rows, data))
-        psi_h[rows], q_Sh[rows] = graph.reference
-        chains.append((rows, chains_of(graph, len(rows))))
-        of_parts.append(part)
+        for some in by_ends(spaces, PartLaw(law, name, rows, data)):
+            part, graph = checked(spaces, some)
+            psi_h[part.rows], q_Sh[part.rows] = graph.reference
+            chains.append((part.rows, chains_of(graph, len(part.rows))))
+            of_parts.append(part)
     return BoundaryLaws(tuple(of_parts), joined(chains, number)), psi_h, q_Sh

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from signorini_fenicsx.physics.diffusion.show.pools import Pools, water_lines, wet
+from signorini_fenicsx.physics.diffusion.show.shown import STATE
+from signorini_fenicsx.physics.diffusion.show.states import titles
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.curves import moves
 from signorini_fenicsx.pictures.evolution import animate, chosen_for_fronts, draw_fronts, draw_over_time, shown
@@ -62,6 +64,7 @@ def files(scene: Scene) -> dict[str, File]:
     on_gamma = [
         Panel("p", Where.GAMMA, "trace of $u$", curves=trace, of_jump="jump of $u$"),
         Panel("flux", Where.GAMMA, r"flux $\sigma_h\cdot n$", curves=FLUX | ({"q_S": BOUND} if bounded else {})),
+        *of_states(scene),
     ]
     in_cells = [across, *([replace(SETS, title=scene.edges)] if "states" in scene.fields.in_cells else [])]
     error, steps = error_panel(scene, r"error contributions $\eta_T$"), Panel("", Where.STEPS, "iteration errors")
@@ -74,6 +77,14 @@ def files(scene: Scene) -> dict[str, File]:
         "signorini": ("", [*on_gamma, SETS] if scene.labels else []),
         "iterations": ("", [steps] if moves(scene.history) else []),
     }
+
+
+def of_states(scene: Scene) -> list[Panel]:
+    """The states of laws with memory."""
+    return [
+        Panel(STATE + name, Where.GAMMA, title, title, curves={STATE + name: (title, LINE | {"color": "C3"})})
+        for name, title in titles(scene.solution).items()
+    ]
 
 
 def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
@@ -109,7 +120,11 @@ def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
     in_cells = {name: ([row[key] for row in steps.rows], None) for key, name in titles.items() if key in steps.rows[-1]}
     size = r"cells by the laws in $\Omega$", "area" if scene.dim == 2 else "volume"
     draw_over_time(
-        folder / "contact.png", scene, steps, [replace(SETS, title="sets")], {size: in_cells} if in_cells else {}
+        folder / "contact.png",
+        scene,
+        steps,
+        [replace(SETS, title="sets"), *of_states(scene)],
+        {size: in_cells} if in_cells else {},
     )
     if fronts := steps.kept.get("own"):
         draw_fronts(folder / "fronts.png", scene, {steps.times[step - 1]: each for step, each in fronts.items()})

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import basix
@@ -21,6 +22,7 @@ from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
+from signorini_fenicsx.physics.diffusion.show.states import states
 from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
@@ -47,6 +49,7 @@ def fields(solution: Solution) -> Fields:
     if laws.listed:
         segments = laws.labels(facet.rows_of(solution.segments().segment))
         on_facets.append(Field("segment", segments, names=laws.names()))
+    on_facets += [Field(name, values) for name, values in states(solution).items()]
     return {IN_CELLS: [*on_cells, *_inside(solution)], "multiplier": on_facets}
 
 
@@ -92,13 +95,25 @@ class GammaTable(FacetTable):
     q_S: Array
 
 
+STATE = "state_"
+
+
+@cache
+def _table_with(states: tuple[str, ...]) -> type[GammaTable]:
+    """The class of tables that have states of laws with memory as well."""
+    columns = [(STATE + name, Array) for name in states]
+    return make_dataclass("StateTable", columns, bases=(GammaTable,), frozen=True) if states else GammaTable
+
+
 def table(solution: Solution) -> GammaTable:
-    """The Γ_S facets of this rank, in their order on it; vertices have the original numbers of the mesh."""
-    spaces = solution.spaces
+    """The Γ_S facets of this rank, in their order; vertices have the original numbers of the mesh (collective)."""
+    spaces, of_laws = solution.spaces, states(solution)
     u = solution.u.x.array[spaces.cells]
     u[spaces.inner.rows] -= solution.u.x.array[cells_behind(spaces.mesh, spaces.inner.facets)]
-    return GammaTable(
+    kind: Any = _table_with(tuple(of_laws))
+    return kind(
         **of_facets(solution),
+        **{STATE + name: values for name, values in of_laws.items()},
         u=u,
         p=solution.p.x.array[: len(spaces.facets)],
         flux=spaces.normal_flux(solution.sigma),
@@ -126,6 +141,7 @@ def columns(solution: Solution, table: GammaTable) -> Columns:
         **{key: getattr(table, key) for key in ("measure", "p", "flux")},
         "condition": np.array(CONDITIONS)[table.condition],
         **({"segment": np.array(laws.names())[table.segment]} if laws.listed else {}),
+        **{key.removeprefix(STATE): values for key, values in vars(table).items() if key.startswith(STATE)},
     }
 
 
