@@ -165,8 +165,7 @@ def _shipped() -> Iterator[Capability]:
     yield solved("moving_transition", *STRUCTURED, *few, h="1/6")
     yield solved("seepage_falling", *few)
     yield own("film", "--certify-steps")
-    for case in ("melting", "thawing", "oxygen", "soil"):
-        yield solved(case, *few, h="1/8")
+    yield from (solved(case, *few, h="1/8") for case in ("melting", "thawing", "oxygen", "soil"))
 
 
 def _methods() -> Iterator[Capability]:
