@@ -50,8 +50,12 @@ class WithPairs(CaseFile):
 
     @property
     def in_pairs(self) -> dict[str, list[str]]:
-        """The parts of pairs by their keys."""
-        return {f"pair.{i}.{side}": getattr(each, side) for i, each in enumerate(self.pair) for side in SIDES}
+        """The parts of pairs by their keys; a master of several pairs is in the first one."""
+        parts = {f"pair.{i}.{side}": getattr(each, side) for i, each in enumerate(self.pair) for side in SIDES}
+        for i, pair in enumerate(self.pair):
+            before = [part for other in self.pair[:i] for part in other.master]
+            parts[f"pair.{i}.master"] = [part for part in pair.master if part not in before]
+        return parts
 
     @property
     def lists(self) -> dict[str, list[str]]:

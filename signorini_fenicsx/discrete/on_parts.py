@@ -16,20 +16,24 @@ from signorini_fenicsx.meshes.domain import Domain, other_side
 def check_conditions(conditions: object, *kinds: Any, example: str) -> None:
     """Refuse what is no list of conditions of these kinds, and parts with two of them.
 
+    A part may be the master of several pairs.
+
     Raises:
         InputError: If it is.
     """
     if not isinstance(conditions, Sequence):
         raise InputError(f"conditions: must be a list, such as {example}")
-    listed: set[str] = set()
+    listed, masters = set[str](), set[str]()
     for condition in conditions:
         if not isinstance(condition, kinds):
             names = type(condition).__name__ if isinstance(condition, OnParts) else repr(condition)
             raise InputError(f"conditions: {names} is no condition of this problem; an example is {example}")
+        opposite = set(getattr(condition, "master", ()))
         for part in condition.parts:
-            if part in listed:
+            if part in listed and part not in masters & opposite:
                 raise InputError(f"conditions: part '{part}' has two conditions")
             listed.add(part)
+        masters |= opposite
 
 
 def names_all(domain: Domain, conditions: Sequence[Any]) -> bool:

@@ -20,7 +20,7 @@ from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_c
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
 from signorini_fenicsx.base.small_matrices import inverses
-from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts
+from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts, without_law
 
 AXES = "xyz"
 FAR = 4.0
@@ -168,7 +168,7 @@ class Boundary:
     @property
     def named(self) -> dict[str, Sequence[str]]:
         """The parts of each kind."""
-        paired = [part for pair in self.pairs for part in pair.without_law]
+        paired = without_law(self.pairs)
         return {"signorini": self.signorini, "neumann": self.neumann, "inner": self.inner, "paired": paired}
 
 

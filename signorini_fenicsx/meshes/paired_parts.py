@@ -56,10 +56,10 @@ class PairedParts:
         """Both sides in words."""
         return f"{', '.join(self.slave)} on {', '.join(self.master)}"
 
-    @property
-    def without_law(self) -> list[str]:
-        """The parts with no law on them: the master, and a slave that is tied."""
-        return [*self.slave, *self.master] if self.tied else [*self.master]
+
+def without_law(pairs: Sequence[PairedParts]) -> list[str]:
+    """The parts of pairs with no law on them: masters, each once, and slaves that are tied."""
+    return [*dict.fromkeys(part for pair in pairs for part in (*(pair.slave if pair.tied else ()), *pair.master))]
 
 
 def paired_parts(given: Sequence[PairedParts | Mapping[str, Any]]) -> list[PairedParts]:

@@ -28,6 +28,7 @@ from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.discrete.on_parts import one_value
 from signorini_fenicsx.discrete.pairs import Pair
 from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.meshes.paired_parts import without_law
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca, on_slave
 from signorini_fenicsx.physics.elasticity.problem import (
     ElasticBoundary,
@@ -77,7 +78,7 @@ class ElasticParts(Parts):
             InputError: If a component is unknown.
         """
         paired = [each.on_boundary for each in pairs]
-        pulled = [*self.neumann, *(part for each in paired for part in each.without_law)]
+        pulled = [*self.neumann, *without_law(paired)]
         return ElasticBoundary(contact, pulled, self.fixed, self.inner, turned=turned, pairs=paired)
 
 

@@ -22,7 +22,7 @@ from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
-from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts
+from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts, without_law
 from signorini_fenicsx.physics.elasticity.conditions import (
     Closed,
     Contact,
@@ -183,7 +183,7 @@ class Elasticity(Body):
         gaps |= {part: pair.added[1] for pair in pairs if not isinstance(pair.law, Tied) for part in pair.slave}
         inner = [part for each in meeting for part in each.parts if other_side(part) in domain.parts]
         meeting += [law for pair in pairs if (law := on_slave(pair)) is not None]
-        beside = [part for pair in pairs for part in pair.on_boundary.without_law]
+        beside = without_law([pair.on_boundary for pair in pairs])
         fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
         pulled = dict.fromkeys(part for each in [*loads, *springs] for part in each.parts)
         boundary = ElasticBoundary(

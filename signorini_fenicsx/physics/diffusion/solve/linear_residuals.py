@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Penalty
 from signorini_fenicsx.contact.residuals import relative, squares_off
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, linear_values
-from signorini_fenicsx.discrete.pairing import Joint
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
@@ -69,7 +67,7 @@ def linear_kkt(
         squares += squares_off(laws.chains, (above, force), unit, cell.measure * h**2, k_T, 1.0)
     of_cells = _of_cells(spaces, data, sigma, u, kind.rows_of(means))
     given = [(spaces.neumann, spaces.through(spaces.neumann, sigma) - data.given_flux)]
-    for facets, left in chain(given, *(_passed(spaces, joint, sigma) for joint in spaces.joints)):
+    for facets, left in [*given, *_passed(spaces, sigma)]:
         lacking = (left**2).mean(axis=1)
         of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
@@ -116,11 +114,18 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
     return squares + _of_traces(spaces, data, trace, sizes, means)
 
 
-def _passed(spaces: LinearSpaces, joint: Joint, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
+def _passed(spaces: LinearSpaces, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
     """What masters do not take of what goes through slaves, and what goes through slaves without one (collective)."""
-    slaves, masters, free = map(spaces.boundary_facets, (joint.slaves, joint.masters, joint.left_out))
-    passed = joint.onto_masters(spaces.mesh.comm, spaces.through(slaves, sigma)[:, :, None])[:, :, 0]
-    yield masters, spaces.through(masters, sigma) + linear_values(passed, masters.measure)
+    nothing = np.empty(0, dtype=np.int32)
+    facets = np.unique(np.concatenate([nothing, *(joint.masters for joint in spaces.joints)]))
+    masters = spaces.boundary_facets(facets)
+    left = spaces.through(masters, sigma)
+    for joint in spaces.joints:
+        flux = spaces.through(spaces.boundary_facets(joint.slaves), sigma)[:, :, None]
+        rows, passed = np.searchsorted(facets, joint.masters), joint.onto_masters(spaces.mesh.comm, flux)[:, :, 0]
+        left[rows] += linear_values(passed, masters.measure[rows])
+    yield masters, left
+    free = spaces.boundary_facets(np.concatenate([nothing, *(joint.left_out for joint in spaces.joints)]))
     yield free, spaces.through(free, sigma)
 
 

@@ -170,16 +170,14 @@ def jumps(solution: ElasticSolution, joint: Joint) -> Array:
 
     These are values at the vertices of the linear functions with its means weighted by the hats.
     """
-    spaces, pieces = solution.spaces, joint.pieces
+    spaces = solution.spaces
     u = spaces.displacement_values(solution.u)
 
     def on(numbers: npt.NDArray[np.int32]) -> Array:
         facets = spaces.boundary_facets(numbers)
         return u[facets.cells][np.arange(spaces.dim + 1) != facets.local[:, None]].reshape(-1, spaces.dim, spaces.dim)
 
-    means = means_of_linear(on(joint.slaves))
-    opposite = joint.of_masters(spaces.mesh.comm, on(joint.masters))[pieces.master]
-    np.subtract.at(means, pieces.slave, np.einsum("nab,nbi->nai", pieces.weights, opposite))
+    means = means_of_linear(on(joint.slaves)) - joint.opposite(spaces.mesh.comm, on(joint.masters))
     normals = joint.slave.normals[:, None]
     return linear_from_means(means - normals * (means * normals).sum(axis=2, keepdims=True))
 
