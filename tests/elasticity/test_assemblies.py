@@ -46,6 +46,14 @@ def test_a_roller_on_a_block() -> None:
     assert abs(about["width"] - 6.21) < 0.8 / 2 + 0.1  # half of a facet
 
 
+@pytest.mark.slow
+def test_two_spheres() -> None:
+    """Hertz has the peak 2798.3 and the radius 10."""
+    about = on(solve_case(load_case("two_spheres")), "upper.face")
+    assert abs(about["peak_pressure"]["largest"] - 2798.3) < 0.03 * 2798.3
+    assert abs(np.sqrt(4 * about["area"] / np.pi) - 10) < 0.03 * 10
+
+
 def test_a_press_fit() -> None:
     """Lamé's pressure, by the mean over the face."""
     solution = solve_case(load_case("press_fit"))

@@ -6,11 +6,16 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.text import json_text
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
+from signorini_fenicsx.physics.stokes.show.readings import traces, velocities
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
@@ -66,6 +71,40 @@ def test_an_outlet_lets_poiseuille_out():
     for pressure in (0.0, 1e6):
         found = channel([Dirichlet("x0", [u, 0]), Outflow("x1", pressure=pressure, tangential="held")], [u, "0"])
         assert found.errors()["energy"] < 2e-9
+
+
+def test_flows_balance_and_their_field_has_no_divergence():
+    """Past the cylinders of an array goes what Sangani and Acrivos have, and nothing is lost on the way."""
+    found = solve_case(load_case("cylinders"))
+    flows, at_facets = found.flows(), traces(found)
+    assert flows["right"] == pytest.approx(1 / 24.83, rel=5e-3)
+    assert sum(flows.values()) == pytest.approx(0.0, abs=1e-13)
+    spaces = found.spaces
+    least, most = np.full((2, spaces.dofs.max() + 1, 2, 2), [[[[np.inf]]], [[[-np.inf]]]])
+    np.minimum.at(least, spaces.dofs, at_facets)
+    np.maximum.at(most, spaces.dofs, at_facets)
+    assert (most - least).max() < 1e-11  # both sides of a facet have one û
+    v = velocities(found, at_facets)
+    assert np.abs(np.einsum("nvi,nvi->n", v, barycentric_gradients(spaces.vertices))).max() < 1e-12
+    part = spaces.part("cylinder")
+    assert np.abs(at_facets[part.cells, part.local]).max() < 1e-13
+    told = found.lines(found.summary())
+    assert told["flow"].startswith("out of ")
+    assert "largest" not in told
+
+
+def test_a_report_has_the_words_of_flow():
+    """Nothing is said of a contact pressure; the wall is closed where u_n = 0, and the numbers are those of its law."""
+    found = channel([Dirichlet("x0", ["y*(1 - y)", 0]), Leak("y1", g=1.0)], ["0", "0"])
+    summary = found.summary()
+    law = summary["quantities"]["laws"]["y1"]
+    assert law["sigma_nn"]["least"] == pytest.approx(-1)
+    assert law["u_n"]["largest"] > 0
+    assert summary["contact_measure"] == pytest.approx(summary["segments"]["y1"]["closed"]["measure"])
+    text = " ".join([*found.lines(summary), *found.lines(summary).values(), json_text(summary)])
+    assert "pressure at most" not in text
+    assert "contact_force" not in text
+    assert set(found.columns(found.table())["condition"]) <= {"open", "closed"}
 
 
 def test_an_outlet_that_would_suck_is_closed_there():

@@ -46,7 +46,9 @@ def files(scene: Scene) -> dict[str, File]:
     what = "displacement and gap" if {*scene.labels} - {*scene.inside} else "displacement"
     told = f"{what} × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
     body = scene.at(moved, _beside(scene, moved, factor, NEAR * size))
-    foundation = " on its foundation" if scene.dim == 3 and any(each.filled for each in body.over) else ""
+    foundation = (
+        " on its foundation" if scene.dim == 3 and any(each.filled and len(each.points) for each in body.over) else ""
+    )
     title, near = f"{scene.title}\n{scene.caption}\n{told}", _near(scene)
     named = {"deformed": ("stress", "von Mises stress"), "displacement": ("u", "$|u_h|$")}
     found: dict[str, File] = {}
