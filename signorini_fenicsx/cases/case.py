@@ -17,6 +17,7 @@ from signorini_fenicsx.cases.data_section import DataSection
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.parts import Named, Parts, Section
 from signorini_fenicsx.cases.quantities import QuantityTexts
+from signorini_fenicsx.cases.readings import ProbeTexts, SectionTexts, check_names, with_points
 from signorini_fenicsx.cases.toml_files import read_toml
 from signorini_fenicsx.cases.values import Positive, Whole, choice, within
 from signorini_fenicsx.expressions import depends_on, parse_expression, read
@@ -91,6 +92,8 @@ class CaseFile(Section):
     solve: Solve = Solve()
     time: Annotated[Times | None, Field(default=None, exclude_if=lambda time: time is None)]
     quantity: Annotated[list[QuantityTexts], Field(default=[], exclude_if=lambda quantities: not quantities)]
+    probe: Annotated[list[ProbeTexts], Field(default=[], exclude_if=lambda probes: not probes)]
+    section: Annotated[list[SectionTexts], Field(default=[], exclude_if=lambda sections: not sections)]
     boundary: Parts
     law: Annotated[Sequence[Any], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: DataSection
@@ -194,6 +197,7 @@ class CaseFile(Section):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"quantity.{i}.name: '{name}' is the name of two quantities")
+        check_names(self.probe, self.section)
         return self
 
     @model_validator(mode="after")
@@ -295,7 +299,7 @@ def _below(branch: Any, section: str, key: str) -> Any:
         return branch[int(section)]
     if not isinstance(branch, dict):
         raise InputError(f"{key}: no such key in a case")
-    if section in ("law", "pair", "quantity") and section not in branch:
+    if section in ("law", "pair", "quantity", "probe", "section") and section not in branch:
         raise InputError(f"{key}: the case has no [[{section}]]")
     return branch.setdefault(section, {})
 
@@ -366,7 +370,13 @@ def read_case_file(name_or_path: str | Path) -> tuple[dict[str, Any], Path]:
 
 
 def seen_from_here(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The keys of a case file in this folder, with the paths of its mesh and of surfaces as seen from here."""
+    """The keys of a case file in this folder, with the paths of its mesh and of surfaces as seen from here.
+
+    Probes have the points of their files then.
+
+    Raises:
+        InputError: If such a file cannot be read.
+    """
     laws, geometry = tree.get("law"), tree.get("geometry")
     bodies = geometry.get("bodies") if isinstance(geometry, dict) else None
     places = [(geometry, "file"), *((law, "surface") for law in (laws if isinstance(laws, list) else []))]
@@ -375,7 +385,13 @@ def seen_from_here(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
     for section, key in places:
         if isinstance(section, dict) and isinstance(file := section.get(key), str):
             section[key] = os.path.normpath(folder / file)
+    if isinstance(probes := tree.get("probe"), list):
+        tree["probe"] = [with_points(probe, folder) if _has_file(probe) else probe for probe in probes]
     return tree
+
+
+def _has_file(probe: object) -> bool:
+    return isinstance(probe, dict) and isinstance(probe.get("file"), str)
 
 
 def validated[C: CaseFile](model: type[C], tree: dict[str, Any], name: str, source: str) -> C:

@@ -1,24 +1,32 @@
-"""`[plot]`: what pictures call u and the flux, and the level lines that they draw."""
+"""`[plot]`: what pictures call u and the flux, what u is of water, and the level lines that they draw."""
 
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from signorini_fenicsx.cases.parts import Section
+from signorini_fenicsx.cases.values import choice
 
 MOST_LEVELS = 100
+
+WATER = ("head", "minus head", "pressure head")
+"""What u may be of water."""
 
 type Word = Annotated[str, Field(max_length=30)]
 
 
 class Plot(Section):
-    """`[plot]`: names and units of u and of the flux; the sign of the physical flux, −1 where it is −σ; levels of u."""
+    """`[plot]`: names and units of u and of the flux; the sign of the physical flux, −1 where it is −σ; levels of u.
+
+    `water` says what u is of water, true that it is a head if laws do not tell, false that it is none.
+    """
 
     u: Word = ""
     unit: Word = ""
     flux: Word = ""
     flux_unit: Word = ""
     sign: Literal[1, -1] = 1
+    water: bool | Annotated[str, choice("water", WATER)] | None = None
     levels: list[Annotated[float, Field(allow_inf_nan=False)]] = Field(default=[], max_length=MOST_LEVELS)
 
     @model_validator(mode="after")

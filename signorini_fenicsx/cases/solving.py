@@ -13,6 +13,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.complaints import naming
 from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.readings import check_places
 from signorini_fenicsx.certificate.adaptive import DEFAULT_MAX_CELLS, DEFAULT_THETA, AdaptRow, adapt
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.history import OnStep
@@ -84,11 +85,12 @@ def _remade(case: CaseFile, present: Domain, factor: float) -> Domain:
 
 
 def check_quantities_of(case: CaseFile, domain: Domain, posed: Any) -> None:
-    """Refuse what are no quantities of the problem of a case, before it is solved (collective).
+    """Refuse what cannot be measured in the problem of a case, before it is solved (collective).
 
     Raises:
-        InputError: If one is none.
+        InputError: If something is no quantity, or a probe or section is outside the domain.
     """
+    check_places(domain, case.probe, case.section)
     check_quantities(domain, posed, [each.made() for each in case.quantity])
 
 

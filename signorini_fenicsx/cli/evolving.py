@@ -18,7 +18,7 @@ from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import named
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.common import results_place
-from signorini_fenicsx.cli.solution_report import interval, mesh
+from signorini_fenicsx.cli.solution_report import interval, mesh, read_off
 
 if TYPE_CHECKING:
     from signorini_fenicsx.cases.case import CaseFile
@@ -72,6 +72,7 @@ class EvolutionReport(CaseReport):
             "at most": named({name: each for name, each in about["largest"].items() if name not in TRUST}, ".3e"),
             **{name: f"at the end {words}" for name, words in last.lines(summary).items()},
         }
+        lines |= {name: f"at the end {words}" for name, words in read_off(summary).items()}
         if "errors" in summary:
             lines["errors"] = f"at the end {named(summary['errors'], '.4e')}"
         if certified:

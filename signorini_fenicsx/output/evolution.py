@@ -17,6 +17,7 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
+from signorini_fenicsx.output.outlines import is_outline, write_outlines
 from signorini_fenicsx.output.steps import Row, StepFolder
 from signorini_fenicsx.output.tables import write_columns
 from signorini_fenicsx.output.writing import with_quantities, write_summary
@@ -84,13 +85,17 @@ def write_evolution(
         OSError: On all ranks, if the disk is full.
     """
     solution, rows = last.solution, steps.rows()
-    comm, kind = solution.spaces.mesh.comm, type(solution.table())
+    comm, kind, readings = solution.spaces.mesh.comm, type(solution.table()), solution.readings
 
     times = [row["t"] for row in rows]
 
     def tables() -> None:
         write_rows(results.path / "steps.csv", dict.fromkeys(key for row in rows for key in row), rows)
         _write_sites(results.path, steps, rows, solution, kind)
+        for name, table in readings.items():
+            write_columns(results.path / f"{name}.csv", (steps.readings(row, name) for row in rows))
+            if is_outline(table):
+                write_outlines(results.path / f"{name}.xdmf", ((row["t"], steps.readings(row, name)) for row in rows))
 
     def write() -> None:
         fields = solution.fields()

@@ -32,11 +32,12 @@ from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
+from signorini_fenicsx.solving.solved import Columns
 
-CASE, ROW, MESH = "case.json", "row.json", "mesh-"
+CASE, ROW, READINGS, MESH = "case.json", "row.json", "readings.json", "mesh-"
 MEANS = "means_of_"
-FORMAT = 3
-"""Format of what is kept of a step; versions up to 0.4 kept no fields, and wrote no format."""
+FORMAT = 4
+"""Format of what is kept of a step; 3 had no readings, versions up to 0.4 kept no fields, and wrote no format."""
 type Row = Mapping[str, Any]
 """The numbers of a step."""
 
@@ -130,8 +131,11 @@ class StepFolder:
         means = {MEANS + key: field.cell_means for key, field in fields if field.cell_means is not None}
         values = {key: field.values for key, field in fields}
         write_arrays(comm, part, instant.steps.kept(solution) | tables | values | means)
+        readings = solution.readings
 
         def end() -> None:
+            as_lists = {name: {key: column.tolist() for key, column in of.items()} for name, of in readings.items()}
+            (part / READINGS).write_text(json.dumps(as_lists), encoding="utf-8")
             (part / ROW).write_text(json.dumps(dict(row)), encoding="utf-8")
             part.rename(place)
 
@@ -191,6 +195,18 @@ class StepFolder:
         place = self._place(step)
         with self._told():
             return kind(**{each.name: np.load(place / f"table_{each.name}.npy") for each in fields(kind)}).in_order()
+
+    def readings(self, row: Row, name: str) -> Columns:
+        """A table of what was read off after the step with this row (rank 0, not collective).
+
+        Raises:
+            InputError: If it cannot be read.
+        """
+        with self._told():
+            kept = json.loads(text_of(self._place(row["step"]) / READINGS))[name]
+            columns = {key: np.array(column) for key, column in kept.items()}
+        length = len(next(iter(columns.values()), ()))
+        return {key: np.full(length, row[key]) for key in ("step", "t")} | columns
 
     def past(self, steps: Steps, step: int) -> Past:
         """What the step after this one needs.

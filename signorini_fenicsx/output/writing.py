@@ -30,6 +30,7 @@ from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slope
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
+from signorini_fenicsx.output.outlines import is_outline, write_outlines
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.fields import IN_CELLS, Field
@@ -126,8 +127,10 @@ class SolutionFiles:
         """Write the tables of sites, of iterations, and others that the physics has."""
         with self._watch.phase("output"):
             write_sites(folder, self._solution)
-            for name, columns in self._solution.other_tables().items():
+            for name, columns in (self._solution.other_tables() | self._solution.readings).items():
                 on_root(self._comm, partial(write_columns, folder / f"{name}.csv", [columns]))
+                if is_outline(columns):
+                    on_root(self._comm, partial(write_outlines, folder / f"{name}.xdmf", [(None, columns)]))
             history = self._solution.outcome.history
             on_root(self._comm, lambda: write_table(folder / "history.csv", Step, history))
 

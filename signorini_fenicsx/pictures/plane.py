@@ -15,10 +15,11 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.base.tolerances import ROUNDING, TIE
 from signorini_fenicsx.pictures import style, traces
 from signorini_fenicsx.pictures.curves import draw_steps, moves
-from signorini_fenicsx.pictures.geometry import chains, framed, thinned
+from signorini_fenicsx.pictures.geometry import framed, thinned
 from signorini_fenicsx.pictures.panels import Panel, Where
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet

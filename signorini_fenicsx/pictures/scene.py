@@ -15,6 +15,7 @@ from matplotlib import patheffects
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import owned_values
+from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.plot import Plot
@@ -25,7 +26,6 @@ from signorini_fenicsx.discrete.site_table import Facets
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.gather import Boundary, Fields, boundary_of, fields_of, sample_of
-from signorini_fenicsx.pictures.geometry import chains
 from signorini_fenicsx.pictures.panels import File, Overlay, Pictures
 from signorini_fenicsx.pictures.sample import Sample
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
@@ -65,7 +65,7 @@ class Scene:
         segments: Names of the segments of all laws, if there are others than the Signorini law.
         edges: What the facets between cells in different states are called.
         inside: The parts of Γ_S inside the domain.
-        lines: Lines of maps by their names.
+        lines: Lines of maps by their names, in space triangles.
         given: What is drawn over maps, if not the boundary and what the physics has.
         frame: Smallest and largest coordinates of maps, shape (2, 2), if not those of the domain.
         parts: The parts of `facets` and `sites`, if these are not those of Γ_S.
@@ -81,7 +81,7 @@ class Scene:
     segments: Sequence[str] = ()
     edges: str = ""
     inside: Collection[str] = ()
-    lines: Mapping[str, Array] = field(default_factory=dict)
+    lines: Mapping[str, Sequence[Array]] = field(default_factory=dict)
     given: Sequence[Overlay] | None = None
     frame: Array | None = None
     parts: Sequence[str] | None = None

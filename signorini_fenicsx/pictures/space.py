@@ -215,6 +215,8 @@ class Space:
             self._add_hull(plotter)
         elif panel.where is Where.STREAMS:
             self._add_contact(plotter, opacity=0.3)
+            for triangles in (each for each in self.scene.lines.values() if len(each)):
+                plotter.add_mesh(_surface(triangles), color=style.WATER, opacity=0.35, lighting=False)
             lines = self.streamlines
             tubes = lines.tube(radius=0.005 * self.extent, n_sides=8) if lines.n_points else lines
             if tubes.n_points:  # without flux each line is a point, which has no tube
@@ -223,9 +225,7 @@ class Space:
             surface = self.with_values(panel).extract_surface(algorithm=None)
             plotter.add_mesh(surface, scalars="values", **look)
             for each in (each for each in self.scene.given or () if each.filled and len(each.points)):
-                corners = np.concatenate(each.points)
-                triangles = pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))
-                plotter.add_mesh(triangles, color=each.look["color"], opacity=0.35, lighting=False)
+                plotter.add_mesh(_surface(each.points), color=each.look["color"], opacity=0.35, lighting=False)
         elif cut is not None and panel.in_cells:
             self._add_half(plotter, panel, cut, look)
         elif cut is not None:
@@ -266,8 +266,10 @@ class Space:
     def handles(self) -> list:
         """The entries of the legend of Γ_S and of the states of laws in Ω."""
         edge = [Patch(color=style.CONTACT, label=self.scene.edges)] if len(self.scene.free_boundary()) > 0 else []
-        groups = self.scene.groups
-        return [*(Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups), *edge]
+        groups, lines = self.scene.groups, self.scene.lines
+        names = [Patch(color="black", label=name.replace("line", "surface")) for name, own in lines.items() if len(own)]
+        of_gamma = [Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups]
+        return [*of_gamma, *edge, *names]
 
     def _add_shell_of(self, plotter: pyvista.Plotter, cut: Cut) -> None:
         """The shell of the domain, whose inner side is pale where it is before the cut."""
@@ -275,6 +277,10 @@ class Space:
         groups = [(group.colour, facets.vertices[group.facets]) for group in self.scene.groups]
         for colour, vertices in [*groups, (HULL, boundary.vertices[boundary.kind != SIGNORINI])]:
             self._add_shell(plotter, cut, colour, vertices)
+        for triangles in self.scene.lines.values():
+            edge = _surface(triangles).slice(cut.normal, origin=cut.origin) if len(triangles) else pyvista.PolyData()
+            if edge.n_cells:
+                self._add_lines(plotter, edge, cut.view, "black", 4)
         sets = [*groups, (style.CONTACT, self.scene.free_boundary())]
         for colour, vertices in (each for each in sets if len(each[1])):
             edge = self._triangles(vertices).slice(cut.normal, origin=cut.origin)
@@ -385,6 +391,12 @@ def _lines(points: Array, edges: Indices) -> pyvista.PolyData:
     if not len(edges):
         return pyvista.PolyData()
     return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
+
+
+def _surface(triangles: Sequence[Array]) -> pyvista.PolyData:
+    """A surface of triangles."""
+    corners = np.concatenate(triangles)
+    return pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))
 
 
 def _sizes(values: Array) -> Array:

@@ -35,6 +35,7 @@ OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "
 """Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn, which are
 those of Okabe and Ito: colour-blind readers tell them apart."""
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP, SIGNED_MAP = "viridis", "cividis", "plasma", "magma", "RdBu_r"
+WET_MAP, PRESSURE_MAP = "YlGnBu", "RdBu"
 
 DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
 """Mathematics in a line."""

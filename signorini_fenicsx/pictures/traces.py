@@ -9,9 +9,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.geometry import chains
 from signorini_fenicsx.pictures.panels import Panel
 from signorini_fenicsx.pictures.scene import Group, Scene
 

@@ -48,7 +48,7 @@ class Drawn:
         edges: What these facets are called.
         segments: Names of what `SiteTable.shown` counts, if that is more than contact or not.
         inside: The parts of Γ_S inside the domain.
-        lines: Lines of maps by their names, on all ranks, each of shape (points, 2).
+        lines: On rank 0 lines of maps by their names, each of shape (points, 2), in space triangles, (3, 3).
         words: What captions add.
         opposite: What is opposite to Γ_S and has a table, if there is such.
     """
@@ -60,7 +60,7 @@ class Drawn:
     edges: str = ""
     segments: Sequence[str] = ()
     inside: Sequence[str] = ()
-    lines: Mapping[str, Array] = field(default_factory=dict)
+    lines: Mapping[str, Sequence[Array]] = field(default_factory=dict)
     words: Sequence[str] = ()
     opposite: Surfaces | None = None
 

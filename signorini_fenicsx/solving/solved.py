@@ -21,12 +21,18 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.curved import of_polygon
+from signorini_fenicsx.discrete.places import Places
+from signorini_fenicsx.discrete.sections import Section, Through
 from signorini_fenicsx.discrete.site_table import SiteTable
+from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.registry import Method
 from signorini_fenicsx.solving.drawn import Drawn
 from signorini_fenicsx.solving.fields import Fields
 from signorini_fenicsx.solving.options import Options
+
+IN_SUMMARY = 20
+"""Most points that are in summaries; all are in tables."""
 
 type Columns = Mapping[str, npt.NDArray]
 """The columns of a table by their names."""
@@ -98,8 +104,8 @@ class Solved(ABC):
     WORD: ClassVar[str] = "Solution"
     offers: ClassVar[Sequence[str]] = (
         *("approach", "at", "boundary", "certify", "contact", "converged", "derivative", "errors", "gradient"),
-        *("kkt", "name", "norms", "options", "outcome", "plot", "potential", "problem", "quantity"),
-        *("segments_of_parts", "sigma", "spaces", "step", "summary", "title", "u", "write"),
+        *("kkt", "name", "norms", "options", "outcome", "plot", "potential", "probe", "problem", "quantity"),
+        *("segments_of_parts", "sigma", "spaces", "step", "summary", "through_section", "title", "u", "write"),
     )
     """The names that completion in a notebook shows; others are for the program itself."""
     order: ClassVar[int]
@@ -206,6 +212,66 @@ class Solved(ABC):
         fields = self.potential, self.sigma
         return PointValues(*(at_points(self.spaces.domain, field, points) for field in fields))
 
+    @collector_off()
+    def probe(self, points: npt.ArrayLike) -> Columns:
+        """What is known at points, by names: "u", "sigma" and what the physics adds (collective).
+
+        Args:
+            points: Shape (n, dim), the same on all ranks.
+
+        Returns:
+            For each name the values as `at` has them, also the same on all ranks: where several cells meet the mean of
+            theirs, NaN outside the mesh.
+
+        Raises:
+            InputError: If the points have another shape.
+        """
+        x, domain = as_points(self.spaces.domain, points), self.spaces.domain
+        fields = {"u": self.potential, "sigma": self.sigma}
+        return {
+            name: Places.of(domain, x, field.function_space.mesh).of_function(field) for name, field in fields.items()
+        }
+
+    @collector_off()
+    def through_section(self, points: npt.ArrayLike, normal: npt.ArrayLike | None = None) -> Through:
+        """What flows through a section of the domain, exactly for σ_h: ∫σ_h·n and its size (collective).
+
+        Args:
+            points: In the plane the points of a polyline, shape (n, 2), with n to the right of who walks along it; in
+                space a point of a plane, shape (1, 3).
+            normal: The normal of the plane, shape (3,).
+
+        Raises:
+            InputError: If they have another shape.
+        """
+        x, dim = as_points(self.spaces.domain, points), self.spaces.mesh.geometry.dim
+        if (dim == 2) is not (normal is None) or (len(x) < 2 if dim == 2 else len(x) != 1):
+            raise InputError(
+                "section: give at least two points of a polyline in the plane, in space a point and a normal"
+            )
+        return Section(x, None if normal is None else np.asarray(normal, dtype=float)).through(
+            self.spaces.domain, self.sigma
+        )
+
+    @cached_property
+    def readings(self) -> dict[str, Columns]:
+        """Tables of what is read off, which steps have too, by their names (collective when first used).
+
+        They are those of the probes and sections of its case, the same on all ranks; others have rows on rank 0 alone.
+        """
+        probes, sections = (getattr(self.source, key, None) or () for key in ("probe", "section"))
+        tables: dict[str, Columns] = {}
+        if probes:
+            points = np.array([point for each in probes for point in each.points])
+            names = {"probe": np.array([label for each in probes for label in each.labels])}
+            tables["probes"] = names | _in_columns({"": points, **self.probe(points)})
+        if sections:
+            found = [each.made().through(self.spaces.domain, self.sigma) for each in sections]
+            names = {"section": np.array([each.name for each in sections])}
+            flux = {"flux": np.array([each.flux for each in found])}
+            tables["sections"] = names | _in_columns(flux) | {"measure": np.array([each.measure for each in found])}
+        return tables
+
     def of_problem(self, problem: Any) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         raise InputError(f"solutions of {self.physics} have no derivatives")
@@ -298,6 +364,7 @@ class Solved(ABC):
             "reason": outcome.reason,
             "norms": self.norms(),
             **({} if errors is None else {"errors": errors}),
+            **{name: _by_name(self.readings[name]) for name in ("probes", "sections") if name in self.readings},
             "kkt": vars(self.kkt),
             **self._particular(),
             **({"notices": notes} if notes else {}),
@@ -330,3 +397,31 @@ class Solved(ABC):
 
     def __dir__(self) -> list[str]:
         return sorted(self.offers)
+
+
+def as_points(domain: Domain, points: npt.ArrayLike) -> Array:
+    """Points of the dimension of a domain, shape (n, dim).
+
+    Raises:
+        InputError: If they have another shape.
+    """
+    x, dim = np.asarray(points, dtype=np.float64), domain.mesh.geometry.dim
+    if x.ndim != 2 or x.shape[1] != dim:
+        raise InputError(f"points: must be an array of shape (n, {dim}), a row for each point")
+    return x
+
+
+def _by_name(table: Columns) -> dict[str, dict[str, float]]:
+    """The first rows of a table by the names in their first column."""
+    (_, names), *others = table.items()
+    return {str(name): {key: float(column[i]) for key, column in others} for i, name in enumerate(names[:IN_SUMMARY])}
+
+
+def _in_columns(values: Columns) -> dict[str, npt.NDArray]:
+    """Columns of numbers: of vectors and matrices one for each component, such as sigma_x or sigma_xy."""
+    columns = {}
+    for name, of_name in values.items():
+        for place in np.ndindex(of_name.shape[1:]):
+            word = "".join(AXES[i] for i in place)
+            columns["_".join(filter(None, (name, word)))] = of_name[:, *place]
+    return columns

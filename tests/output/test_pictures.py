@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from mpi4py import MPI
 
+from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
@@ -33,7 +34,7 @@ from signorini_fenicsx.pictures.cuts import SLANTED, Cut, outward
 from signorini_fenicsx.pictures.drawing import draw_all, overview
 from signorini_fenicsx.pictures.evolution import draw_over_time
 from signorini_fenicsx.pictures.gather import Boundary, Fields
-from signorini_fenicsx.pictures.geometry import chains, thinned
+from signorini_fenicsx.pictures.geometry import thinned
 from signorini_fenicsx.pictures.page import plain
 from signorini_fenicsx.pictures.panels import Panel, Steps
 from signorini_fenicsx.pictures.plane import Plane, levels_between, on_levels
@@ -126,7 +127,7 @@ def test_nothing_overlaps(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     drawn = []
     monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.append((path.name, sheet)))
     draw_all(tmp_path, scene(name, certified=True, **({} if name == "dam" else {"h": 0.25})))
-    assert {path for path, _ in drawn} == {f"{each}.png" for each in PICTURES}
+    assert {path for path, _ in drawn} == {f"{each}.png" for each in (*PICTURES, *["water"] * (name == "dam"))}
     for _, sheet in drawn:
         assert_apart(sheet)
 

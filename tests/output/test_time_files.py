@@ -206,7 +206,7 @@ def test_a_step_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     shorter = growing.with_values({"time.steps": 3, "time.end": 0.6})
     about = tmp_path / "x.steps" / "case.json"
     now = about.read_text()
-    about.write_text(now.replace('"format": 3', '"format": 2'))
+    about.write_text(now.replace('"format": 4', '"format": 3'))
     with pytest.raises(InputError, match="is of another version of the program; remove it"):
         run(shorter, tmp_path / "x", restart=True)
     about.write_text(now)

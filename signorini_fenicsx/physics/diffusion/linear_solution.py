@@ -36,7 +36,7 @@ class LinearSolution(Solution):
     data: LinearData
     order = 2
     drawn = linear_shown.drawn
-    table, other_tables = linear_shown.table, linear_shown.other_tables
+    table, other_tables, traces = linear_shown.table, linear_shown.other_tables, linear_shown.traces
 
     @property
     def iterate(self) -> LinearIterate:

@@ -8,18 +8,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
-import dolfinx.mesh
+import basix
 import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import fem
-from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
 from signorini_fenicsx.base.parallel import collector_off
-from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
@@ -31,15 +28,17 @@ from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, in_
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.discrete.potential import Potential
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.through import flux_through
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.show import shown
+from signorini_fenicsx.physics.diffusion.show import heads, phreatic, shown
 from signorini_fenicsx.physics.diffusion.show.differences import differences
 from signorini_fenicsx.physics.diffusion.show.errors import exact_contact, exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.show.seepage import Seepage, seepage
 from signorini_fenicsx.physics.diffusion.show.states import sizes
-from signorini_fenicsx.physics.diffusion.show.water import discharges, in_words
+from signorini_fenicsx.physics.diffusion.show.water import balance, discharges, in_words, of_step
 from signorini_fenicsx.solution import Solution as AnySolution
+from signorini_fenicsx.solving.solved import Columns
 
 SAME = 1e-9
 """Relative distance of u from a corner of a law that is rounding."""
@@ -50,31 +49,6 @@ def corners_passed(corners: Array, u: Array) -> Indices:
     near = SAME * np.maximum(np.abs(u[:, None]), np.abs(corners))
     below, at = (corners < u[:, None] - near).sum(axis=1), np.abs(corners - u[:, None]) <= near
     return np.asarray(below + np.where(at.sum(axis=1) > 1, 1, 0))
-
-
-def flux_through(
-    spaces: Spaces, sigma: fem.Function, parts: str | Sequence[str] | None, weight: Expr | float = 1.0
-) -> float:
-    """∫ weight·σ·n over parts of the boundary, see `Solution.flux_through` (collective).
-
-    Raises:
-        InputError: If there is no such part, or it has facets inside the domain.
-    """
-    domain, topology = spaces.domain, spaces.mesh.topology
-    outer = dolfinx.mesh.exterior_facet_indices(topology)
-    names = [parts] if isinstance(parts, str) else parts
-    chosen = outer if names is None else np.empty(0, dtype=np.int32)
-    for name in names or ():
-        if name not in domain.facets:
-            names_of_parts = ", ".join(domain.facets)
-            raise InputError(f"unknown part '{name}'; there are {names_of_parts}{did_you_mean(name, domain.facets)}")
-        inside = np.setdiff1d(domain.facets[name], outer)
-        if spaces.mesh.comm.allreduce(len(inside)) > 0:
-            raise InputError(f"part '{name}' has facets inside the domain; the flux is that through the boundary")
-        chosen = np.union1d(chosen, domain.facets[name]).astype(np.int32)
-    entities = fem.compute_integration_domains(fem.IntegralType.exterior_facet, topology, chosen)
-    ds = ufl.Measure("ds", domain=spaces.mesh, subdomain_data=[(1, entities)])
-    return spaces.integrate(weight * ufl.dot(sigma, spaces.n) * ds(1))
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -125,7 +99,7 @@ class Solution(AnySolution):
     order = 1
     offers = (*AnySolution.offers, "cell_flux", "flux_through", "force", "free_boundary", "p")
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
-    table, columns, other_tables = shown.table, shown.columns, shown.other_tables
+    table, columns, other_tables, traces = shown.table, shown.columns, shown.other_tables, shown.traces
     differences = differences
 
     def of_problem(self, problem: Problem) -> Self:
@@ -380,16 +354,18 @@ class Solution(AnySolution):
     def of_step(self) -> dict[str, float]:
         """The numbers that `steps.csv` has of laws in Ω (collective).
 
-        Of an obstacle the cells in contact and its force, of other laws the measures of the cells on each segment.
+        Of an obstacle the cells in contact and its force, of other laws the measures of the cells on each segment, and
+        of water what flows in.
         """
         if self.data.inside is None:
-            return {}
+            return of_step(self)
         if not self.data.inside.is_obstacle:
             of_laws = self.in_regions().items()
-            return {f"{law} {name}": on["measure"] for law, segments in of_laws for name, on in segments.items()}
+            sizes = {f"{law} {name}": on["measure"] for law, of in of_laws for name, on in of.items()}
+            return sizes | of_step(self)
         numbers = self.on_obstacle()
         measure, force = numbers["contact_measure"], numbers["force"]
-        return {"contact_cells": numbers["contact_cells"], "cells_measure": measure, "force": force}
+        return {"contact_cells": numbers["contact_cells"], "cells_measure": measure, "force": force} | of_step(self)
 
     def contradiction(self) -> str | None:
         """Whether σ·n and p do not have the values that the conditions prescribe, see `Solved.contradiction`."""
@@ -434,6 +410,30 @@ class Solution(AnySolution):
         """What flows in through parts with laws of groundwater, see `discharges` (collective when first used)."""
         return discharges(self)
 
+    water_kind = cached_property(heads.water_of)
+
+    @cached_property
+    def phreatic(self) -> list[Array]:
+        """The phreatic lines, in space triangles, on rank 0; none without water (collective when first used)."""
+        return [] if self.water_kind is None else phreatic.phreatic(self)
+
+    @property
+    def u_vertices(self) -> Array:
+        """The potential of second order in the vertices of the cells, shape (cells, dim + 1) (collective)."""
+        return self.cell_potential.in_nodes(basix.geometry(self.spaces.mesh.basix_cell()))
+
+    @collector_off()
+    def probe(self, points: npt.ArrayLike) -> Columns:
+        """See `Solved.probe`; of water also "pressure", the pressure head, and of soils "saturation" (collective)."""
+        found, x = super().probe(points), np.asarray(points, dtype=np.float64)
+        return {**found, **heads.at_points(self, x, found["u"], found["sigma"])}
+
+    @cached_property
+    def readings(self) -> dict[str, Columns]:
+        """See `Solved.readings`; of water also the phreatic line (collective when first used)."""
+        tables = super().readings
+        return tables if self.water_kind is None else tables | {"phreatic": phreatic.table(self)}
+
     @cached_property
     def seepage(self) -> Seepage | None:
         """The seepage through a dam of a case with [dam]; None for others (collective when first used)."""
@@ -444,7 +444,7 @@ class Solution(AnySolution):
         return {
             **({} if own is None else {"own_residual": own}),
             **({"eps": self.options.eps, "violation": self.violation()} if self.method.has_eps else {}),
-            **({"water": self.water} if self.water else {}),
+            **({"water": self.water, "water_balance": balance(self)} if self.water else {}),
             **({} if self.seepage is None else {"seepage": self.seepage.summary()}),
             "details": self.outcome.details,
         }

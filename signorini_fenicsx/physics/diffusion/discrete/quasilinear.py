@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.discrete.simplices import opposite
@@ -112,15 +112,19 @@ class Quasilinear:
             least[inside] = 2 * FLOOR * curve.K if isinstance(curve, Soil) else 0.0
         return kappa.min(axis=1, initial=np.inf) <= least
 
-    def of_soils(self, u: Array) -> dict[str, Array]:
-        """The pressure head and the saturation of the owned cells with these means of u; nothing without soils."""
-        x = corners(self.spaces.mesh).mean(axis=1)
+    @property
+    def has_soils(self) -> bool:
+        """Whether there is a soil somewhere."""
+        return any(isinstance(curve, Soil) for _, curve in self.parts)
+
+    def saturation(self, x: Array, u: Array, cells: Entities | slice = slice(None)) -> Array:
+        """The saturation for u in points, each in an owned cell; 1 where there is no soil."""
         saturation, head = np.ones(len(u)), self.head(x, u)
         for inside, curve in self.parts:
             if isinstance(curve, Soil):
-                saturation[inside] = curve.saturation(x[inside], head[inside])
-        soils = any(isinstance(curve, Soil) for _, curve in self.parts)
-        return {"pressure": head - x[:, -1], "saturation": saturation} if soils else {}
+                rows = inside[cells]
+                saturation[rows] = curve.saturation(x[rows], head[rows])
+        return saturation
 
     def head(self, x: Array, u: Array) -> Array:
         """The head in points with these u, where there are soils."""

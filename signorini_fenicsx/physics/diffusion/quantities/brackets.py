@@ -44,11 +44,12 @@ from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
 from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
 from signorini_fenicsx.physics.diffusion.bound.near_polynomial import NearPolynomial
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values, in_points, normal_flux
+from signorini_fenicsx.physics.diffusion.discrete.through import flux_through
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.quantities.shifts import with_flux, with_trace
 from signorini_fenicsx.physics.diffusion.show.water import share_above_table
 from signorini_fenicsx.physics.diffusion.soils import FORMS
-from signorini_fenicsx.physics.diffusion.solution import Solution, flux_through
+from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.quantities import beside
 from signorini_fenicsx.quantities.beside import SHARE, Beside, in_regions
 from signorini_fenicsx.quantities.bracket import Half, Quantity

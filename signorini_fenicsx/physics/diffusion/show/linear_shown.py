@@ -10,9 +10,16 @@ import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cells_behind
-from signorini_fenicsx.physics.diffusion.show.shown import CONDITIONS, GammaTable, edges_of, in_vertices, of_facets
+from signorini_fenicsx.physics.diffusion.show.shown import (
+    CONDITIONS,
+    GammaTable,
+    corners_of,
+    edges_of,
+    lines_of,
+    of_facets,
+)
 from signorini_fenicsx.physics.diffusion.show.shown import other_tables as shown_tables
-from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.drawn import Drawn, Kind, whole_boundary
 from signorini_fenicsx.solving.solved import Columns
 
 if TYPE_CHECKING:  # it shows this
@@ -92,22 +99,28 @@ def other_tables(solution: LinearSolution) -> dict[str, Columns]:
     }
 
 
-def drawn(solution: LinearSolution) -> Drawn:
-    """The solution for pictures (collective)."""
-    spaces, laws = solution.spaces, solution.data.laws
-    p, u = solution.p_means.copy(), in_vertices(solution)
+def traces(solution: LinearSolution) -> dict[int, Kind]:
+    """The facets of each kind of boundary, see `shown.traces`."""
+    spaces, p = solution.spaces, solution.p_means.copy()
     p[np.setdiff1d(np.arange(len(p)), spaces.outer_rows)] = np.nan
     u_D = solution.data.lift[spaces.unknowns(spaces.dirichlet)].mean(axis=1)
+    return whole_boundary(spaces, signorini=p, dirichlet=u_D)
+
+
+def drawn(solution: LinearSolution) -> Drawn:
+    """The solution for pictures (collective)."""
+    laws, u = solution.data.laws, solution.u_vertices
     sigma = solution.cell_flux.centroid
     cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.divergences}
     if solution.data.cells_at is not None:
         cells |= {"contact": solution.held_cells, "states": solution.cell_segments}
     return Drawn(
-        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)},
+        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)} | corners_of(solution, u),
         facets=table(solution),
-        boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
+        boundary=solution.traces(),
         cells=cells,
         edges=edges_of(solution),
         segments=laws.names() if laws.listed else (),
         inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
+        lines=lines_of(solution),
     )

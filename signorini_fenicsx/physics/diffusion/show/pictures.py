@@ -32,10 +32,12 @@ SETS = Panel("", Where.SETS, "contact set")
 def files(scene: Scene) -> dict[str, File]:
     """The pictures of a solution."""
     plot, water, bounded = scene.plot, Pools.of(scene), not scene.segments  # other laws have neither ψ nor q_S
-    name = plot.u_label if water is None or plot.u else "$H = -u_h$"
-    values = scene.u if water is None else -scene.u
+    name, unit = plot.u_label, f" ({plot.unit})" * bool(plot.unit)
+    values = scene.u if water is None else water.head
+    if water is not None:
+        name = f"head $H${unit}"
     levels = plot.levels or levels_between(float(values.min()), float(values.max()))
-    u = Panel(values, Where.MAP, name if water is None or plot.u else f"head of water {name}", name, levels=levels)
+    u = Panel(values, Where.MAP, name if water is None else "head of the water $H$", name, levels=levels)
     across = replace(u, where=Where.ACROSS)
     surface = replace(u, where=Where.SURFACE, title=f"{name} as a surface")
     sigma = scene.fields.at_points["sigma"]
@@ -44,13 +46,16 @@ def files(scene: Scene) -> dict[str, File]:
     cut = Panel(strength, Where.CUT, r"$|\sigma_h|$", r"$|\sigma_h|$", style.FLUX_MAP, ends=ends)
     title = f"streamlines of {plot.flux_name}"
     streams = Panel(strength, Where.STREAMS, title, label, style.STREAM_MAP, ends=ends)
+    if water is not None:
+        title = "streamlines of the water"
+        streams = replace(streams, title=title)
     if scene.dim == 2:
         lines, title = (
-            streamlines(scene.fields, plot.sign * of_means(scene.fields)),
+            streamlines(scene.fields, sign_of(scene) * of_means(scene.fields)),
             title if plot.flux else f"{title} on {label}",
         )
         streams = replace(streams, lines=lines, title=title, colours=style.FLUX_MAP)
-    if scene.lines:  # of Baiocchi's dam
+    if water is None and scene.lines:  # of Baiocchi's dam
         head, only = scene.fields.points[:, 1] - sigma[:, 1], wet(scene.fields)
         seen = head[scene.fields.cells[only]]
         title, ends = (
@@ -68,10 +73,13 @@ def files(scene: Scene) -> dict[str, File]:
     ]
     in_cells = [across, *([replace(SETS, title=scene.edges)] if "states" in scene.fields.in_cells else [])]
     error, steps = error_panel(scene, r"error contributions $\eta_T$"), Panel("", Where.STEPS, "iteration errors")
-    overview = [u, streams, *(error or [cut]), *(on_gamma if scene.labels else in_cells), steps]
+    of_water = [] if water is None else wetness(scene, water, unit)
+    shown = [u, streams, *(of_water[-1:] or error or [cut])]
+    overview = [*shown, *(on_gamma if scene.labels else in_cells), steps]
     return {
         "overview": (f"{scene.title}\n{scene.caption}", overview),
         "u": ("", [u, across, surface]),
+        "water": ("", of_water),
         "sigma": ("", [cut, streams]),
         "certificate": ("", error_panel(scene)),
         "signorini": ("", [*on_gamma, SETS] if scene.labels else []),
@@ -87,11 +95,31 @@ def of_states(scene: Scene) -> list[Panel]:
     ]
 
 
+def sign_of(scene: Scene) -> int:
+    """The sign of the physical flux by σ: as `[plot]` says, else that of the velocity of water."""
+    water = getattr(scene.solution, "water_kind", None)
+    return scene.plot.sign if water is None or "sign" in scene.plot.model_fields_set else -int(water.inflow)
+
+
+def wetness(scene: Scene, water: Pools, unit: str) -> list[Panel]:
+    """The pressure head, with its level 0, and of soils the saturation."""
+    title = "pressure head $H - z$" if scene.dim == 3 else "pressure head $H - y$"
+    most = max(float(np.abs(water.pressure).max()), 1e-300)
+    ends = (-most, most, "neither")
+    panels = [Panel(water.pressure, Where.MAP, title, f"pressure head{unit}", style.PRESSURE_MAP, ends=ends)]
+    saturation = scene.fields.at_points.get("saturation")
+    if saturation is not None:
+        ends = 0.0, 1.0, "neither"
+        panels.append(Panel(saturation[:, 0], Where.MAP, "saturation", "saturation", style.WET_MAP, ends=ends))
+    return panels
+
+
 def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
     """Over maps: the water outside, cells in contact, fronts, the phreatic line."""
     points, contact = scene.fields.points, scene.fields.in_cells.get("contact")
-    water = Pools.of(scene)
+    water, colour = Pools.of(scene), style.WATER
     if water is not None:
+        colour = "black"
         face = f"{scene.gamma}, contact"
         seepage = {face: f"{face} (seepage face)"}
         usual = [replace(each, label=seepage.get(each.label, each.label)) for each in usual]
@@ -103,7 +131,7 @@ def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
         usual += [Overlay(scene.edges, list(points[scene.free_boundary()]), fronts)]
     return [
         *usual,
-        *(Overlay(name, [line], {"color": style.WATER, "linewidth": 1.8}) for name, line in scene.lines.items()),
+        *(Overlay(name, lines, {"color": colour, "linewidth": 1.8}) for name, lines in scene.lines.items()),
     ]
 
 

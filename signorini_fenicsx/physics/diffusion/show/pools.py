@@ -1,4 +1,4 @@
-"""Seepage: if ψ is minus the height, u is minus the head of water, and the pictures show the water."""
+"""Water in pictures: its head, whatever of it u is, and the water outside; of Baiocchi's dam its streamlines."""
 
 from __future__ import annotations
 
@@ -7,63 +7,70 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET
+from signorini_fenicsx.physics.diffusion.show.heads import INTEGRAL, SAME, Water
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.gather import Fields
-from signorini_fenicsx.pictures.geometry import chains, level_lines
+from signorini_fenicsx.pictures.geometry import level_lines
 from signorini_fenicsx.pictures.panels import Overlay
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.streams import heads
 
+WALL = 0.02
+"""Water stands before a wall that is at least as high as this share of the domain."""
+
 
 @dataclass(frozen=True)
 class Pools:
-    """The water inside and outside a domain in the plane.
+    """The water inside and outside a domain.
 
     Attributes:
-        scene: The solution.
-        pools: Outlines of the water outside, each of shape (n, 2).
+        head: Its head at the points of the scene.
+        pressure: Its pressure head there.
+        pools: In the plane outlines of the water outside, each of shape (n, 2).
     """
 
-    scene: Scene
+    head: Array
+    pressure: Array
     pools: list[Array]
 
     @classmethod
     def of(cls, scene: Scene) -> Pools | None:
-        """The water of a problem in the plane whose ψ is −y, None for other problems."""
-        y, psi = scene.facets.x[:, 1], getattr(scene.sites, "psi", None)
-        if psi is None or len(y) == 0 or scene.dim == 3:
+        """The water of a problem, None for other problems and of Baiocchi's dam."""
+        water: Water | None = getattr(scene.solution, "water_kind", None)
+        if water is None or water.u == INTEGRAL:
             return None
-        size = float(np.ptp(scene.fields.points[:, 1]))
-        if not np.allclose(psi, -y, rtol=0, atol=1e-6 * size) or np.ptp(y) < 0.05 * size:
-            return None
-        boundary = scene.boundary
-        is_dirichlet = boundary.kind == DIRICHLET
-        pools = []
-        for level in np.unique(np.round(-boundary.u[is_dirichlet] / size, 9)) * size:
-            below = is_dirichlet & np.isclose(-boundary.u, level, rtol=0, atol=1e-6 * size)
-            for _, vertices in chains(boundary.vertices[below]):
-                points = scene.fields.points[vertices]
-                if points[:, 1].max() <= level + 1e-6 * size:
-                    pools.append(_pool(points, level, scene.fields.points))
-        return cls(scene, pools)
+        points = scene.fields.points
+        head, pressure = water.head(points, scene.u), water.pressure(points, scene.u)
+        return cls(head, pressure, _pools(scene, water) if scene.dim == 2 else [])
 
     def overlays(self) -> list[Overlay]:
-        """The water outside with its level, and the water table, on which the pressure is 0."""
-        fields, blue = self.scene.fields, {"color": style.WATER}
+        """The water outside with its level."""
+        blue = {"color": style.WATER}
         levels = [
             np.column_stack([np.linspace(pool[:, 0].min(), pool[:, 0].max(), 3), np.full(3, pool[:, 1].max())])
             for pool in self.pools
         ]
-        pressure = -self.scene.u - fields.points[:, 1]
-        at_0 = pressure.min() < 0 < pressure.max()
-        table = level_lines(fields.points, fields.cells, pressure, [0.0]) if at_0 else []
         mark = {"linewidth": 1.2, "marker": 7, "markevery": slice(1, None, 4), "markersize": 5, "markeredgewidth": 0}
         return [
             Overlay("", self.pools, {"facecolors": style.WATER, "alpha": 0.35, "linewidths": 0}, filled=True),
-            Overlay("water table", table, {"color": "black", "linewidth": 1.8}),
             Overlay("water outside", levels, blue | mark),
         ]
+
+
+def _pools(scene: Scene, water: Water) -> list[Array]:
+    """Outlines of the water before walls that it wets: parts of Γ_D with one head, and rivers."""
+    boundary, points = scene.boundary, scene.fields.points
+    size, middle = float(np.ptp(points[:, 1])), points[boundary.vertices].mean(axis=1)
+    level = np.where(boundary.kind == DIRICHLET, water.head(middle, boundary.u), np.nan)
+    pools = []
+    for each in np.unique(np.round(level[np.isfinite(level)] / size, 9)) * size:
+        for _, vertices in chains(boundary.vertices[np.isclose(level, each, rtol=0, atol=SAME * size)]):
+            wall = points[vertices]
+            if np.ptp(wall[:, 1]) > WALL * size and wall[:, 1].max() <= each + SAME * size:
+                pools.append(_pool(wall, each, points))
+    return pools
 
 
 def _pool(wall: Array, level: float, domain: Array) -> Array:

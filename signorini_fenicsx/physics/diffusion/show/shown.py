@@ -7,7 +7,6 @@ from dataclasses import dataclass, make_dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import basix
 import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
@@ -18,12 +17,13 @@ from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.text import named
 from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values
 from signorini_fenicsx.physics.diffusion.show.states import states
-from signorini_fenicsx.solving.drawn import Drawn, whole_boundary
+from signorini_fenicsx.solving.drawn import Drawn, Kind, whole_boundary
 from signorini_fenicsx.solving.fields import IN_CELLS, Field, Fields
 from signorini_fenicsx.solving.solved import Columns
 
@@ -37,8 +37,9 @@ CONDITIONS = [condition.name.lower() for condition in Condition]
 def fields(solution: Solution) -> Fields:
     """The fields, see `Solved.fields`: `potential`, σ_h, on Γ_S p_h, σ_h·n and the state of the law."""
     spaces, laws, facet = solution.spaces, solution.data.laws, solution.spaces.site_kinds["facet"]
-    u = Field("u", in_vertices(solution), at_points=True, cell_means=solution.u_means)
-    on_cells = [u, Field("sigma", solution.cell_flux.in_vertices(), order=1), *of_kappa(solution)]
+    u = Field("u", solution.u_vertices, at_points=True, cell_means=solution.u_means)
+    sigma = Field("sigma", solution.cell_flux.in_vertices(), order=1)
+    on_cells = [u, sigma, *of_kappa(solution), *of_water(solution)]
     if not spaces.part_names:
         return {IN_CELLS: [*on_cells, *_inside(solution)]}
     on_facets = [
@@ -54,19 +55,22 @@ def fields(solution: Solution) -> Fields:
 
 
 def of_kappa(solution: Solution) -> list[Field]:
-    """κ where it depends on u, and with soils the pressure head and the saturation, by means over cells."""
+    """κ where it depends on u, and the saturation of soils, by means over cells."""
     of_u = solution.data.quasilinear
     if of_u is None:
         return []
-    return [
-        Field("kappa", solution.data.kappa_values.mean(axis=1)),
-        *(Field(name, values) for name, values in of_u.of_soils(solution.u_means).items()),
-    ]
+    kappa, x = Field("kappa", solution.data.kappa_values.mean(axis=1)), corners(solution.spaces.mesh).mean(axis=1)
+    return [kappa, *([Field("saturation", of_u.saturation(x, solution.u_means))] if of_u.has_soils else [])]
 
 
-def in_vertices(solution: Solution) -> Array:
-    """The potential of second order in the vertices of the cells, shape (cells, dim + 1) (collective)."""
-    return solution.cell_potential.in_nodes(basix.geometry(solution.spaces.mesh.basix_cell()))
+def of_water(solution: Solution) -> list[Field]:
+    """The pressure head of water at the vertices of the cells."""
+    water, x = solution.water_kind, corners(solution.spaces.mesh)
+    if water is None:
+        return []
+    flux, means = solution.cell_flux, water.pressure(x.mean(axis=1), solution.u_means, solution.cell_flux.centroid)
+    at_vertices = water.pressure(x, solution.u_vertices, flux.in_vertices())
+    return [Field("pressure", at_vertices, at_points=True, cell_means=means)]
 
 
 def _inside(solution: Solution) -> list[Field]:
@@ -146,11 +150,8 @@ def columns(solution: Solution, table: GammaTable) -> Columns:
 
 
 def other_tables(solution: Solution) -> dict[str, Columns]:
-    """`free_boundary.csv` of laws in Ω, `phreatic_line.csv` of a dam, see `Solved.other_tables` (collective)."""
-    tables = {} if solution.data.inside is None else {"free_boundary": free_boundary(solution)}
-    if solution.seepage is not None:
-        tables["phreatic_line"] = dict(zip(("x", "y"), solution.seepage.phreatic_line.T, strict=True))
-    return tables
+    """`free_boundary.csv` of laws in Ω, see `Solved.other_tables` (collective)."""
+    return {} if solution.data.inside is None else {"free_boundary": free_boundary(solution)}
 
 
 def free_boundary(solution: Solution) -> Columns:
@@ -176,13 +177,33 @@ def edges_of(solution: Solution) -> str:
     return "edge of the contact" if laws is not None and laws.bounds_alone else "fronts"
 
 
-def drawn(solution: Solution) -> Drawn:
-    """The solution for pictures (collective)."""
-    spaces, lift, laws = solution.spaces, solution.data.u_lift, solution.data.laws
+def traces(solution: Solution) -> dict[int, Kind]:
+    """The facets of each kind of boundary, with p_h on Γ_S but for jumps, and the means of u_D."""
+    spaces, lift = solution.spaces, solution.data.u_lift
     p = solution.p.x.array[: len(spaces.facets)].copy()
     p[spaces.inner.rows] = np.nan
     u_D = lift.x.array[cells_and_dofs(lift.function_space, spaces.dirichlet_facets)[1]]
-    u, laws_inside = in_vertices(solution), solution.data.inside
+    return whole_boundary(spaces, signorini=p, dirichlet=u_D)
+
+
+def corners_of(solution: Solution, u: Array) -> dict[str, Array]:
+    """The saturation of soils at the vertices of cells, for pictures."""
+    of_u = solution.data.quasilinear
+    if of_u is None or not of_u.has_soils:
+        return {}
+    x = corners(solution.spaces.mesh)
+    return {"saturation": np.stack([of_u.saturation(x[:, k], u[:, k]) for k in range(u.shape[1])], axis=1)[..., None]}
+
+
+def lines_of(solution: Solution) -> dict[str, list[Array]]:
+    """The phreatic line in maps, in space a surface (collective when first used)."""
+    return {} if solution.water_kind is None else {"phreatic line": solution.phreatic}
+
+
+def drawn(solution: Solution) -> Drawn:
+    """The solution for pictures (collective)."""
+    laws = solution.data.laws
+    u, laws_inside = solution.u_vertices, solution.data.inside
     if laws_inside is not None and all(
         given.number is not None for part in laws_inside.of_regions for given in part.data.values()
     ):  # u is constant where it is held, and a line of this level is to end there
@@ -191,16 +212,16 @@ def drawn(solution: Solution) -> Drawn:
     cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.cell_flux.divergence}
     if laws_inside is not None:
         cells |= {"contact": solution.held_cells, "states": solution.cell_segments}
-    above = max((about["above_table"] for about in solution.water.values()), default=0.0)
+    above = max((about.get("above_table", 0.0) for about in solution.water.values()), default=0.0)
     return Drawn(
-        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)},
+        corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)} | corners_of(solution, u),
         facets=table(solution),
-        boundary=whole_boundary(spaces, signorini=p, dirichlet=u_D),
+        boundary=solution.traces(),
         cells=cells,
         edges=edges_of(solution),
         segments=laws.names() if laws.listed else (),
         inside=solution.boundary.inner,
-        lines={} if solution.seepage is None else {"phreatic line": solution.seepage.phreatic_line},
+        lines=lines_of(solution),
         words=[f"{100 * above:.3g} % of the discharge at negative pressure"] if above else [],
     )
 
@@ -242,6 +263,10 @@ def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
         lines["own"] = f"residual of its own discrete problem {summary['own_residual']:.1e}"
     if summary["details"]:
         lines["chosen"] = named({DETAILS[name]: value for name, value in summary["details"].items()}, ".6g")
+    if solution.water:
+        inflows = {part: about["inflow"] for part, about in solution.water.items()}
+        left = summary["water_balance"]["left"]
+        lines["flows in"] = f"{named(inflows, '.6g')}; left of the balance {left:.1e}"
     if solution.seepage is not None:
         lines["seepage"] = solution.seepage.in_words()
     return lines

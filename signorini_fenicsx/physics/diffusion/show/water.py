@@ -25,6 +25,9 @@ from signorini_fenicsx.contact.laws import River, Seepage
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.points import in_facets
 from signorini_fenicsx.linear.petsc import direct_solver
+from signorini_fenicsx.meshes.domain import other_side
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cells
+from signorini_fenicsx.physics.diffusion.show.heads import INTEGRAL
 from signorini_fenicsx.quantities.bracket import PASSES
 
 if TYPE_CHECKING:  # it has these
@@ -35,11 +38,41 @@ LESS = 1 - 1e-12
 
 
 def discharges(solution: Solution) -> dict[str, dict[str, float]]:
-    """What flows in through each part with a law of groundwater, and its share above the water table (collective)."""
-    shares = {part: share_above_table(solution, [part]) for part in _parts_of_water(solution)}
-    return {
-        part: {"inflow": solution.flux_through(part), "above_table": share or 0.0} for part, share in shares.items()
-    }
+    """What flows in through each part of the boundary, see `heads`; nothing if u is nothing of water (collective).
+
+    Of parts with a law of groundwater in saturated soil also the share above the water table.
+    """
+    water, boundary = solution.water_kind, solution.boundary
+    if water is None or water.u == INTEGRAL:
+        return {}
+    inside = {*boundary.inner, *map(other_side, boundary.inner)}
+    parts = [part for part in solution.spaces.domain.facets if part not in inside]
+    found = {part: {"inflow": water.inflow * solution.flux_through(part) + 0.0} for part in parts}
+    for part in _parts_of_water(solution):
+        found[part]["above_table"] = share_above_table(solution, [part]) or 0.0
+    return found
+
+
+def balance(solution: Solution) -> dict[str, float]:
+    """What flows in through all of the boundary, comes from sources less what is stored, and what is left (collective).
+
+    What is left is rounding.
+    """
+    assert solution.water_kind is not None
+    sign, spaces = solution.water_kind.inflow, solution.spaces
+    sources = solution.data.source(solution.u)
+    cells = means_in_cells(sources) + means_in_cells(solution.force())
+    inflow = sign * solution.flux_through()
+    from_sources = sign * spaces.mesh.comm.allreduce(float(spaces.cell_measures @ cells))
+    return {"inflow": inflow, "sources": from_sources, "left": inflow + from_sources}
+
+
+def of_step(solution: Solution) -> dict[str, float]:
+    """The columns of `steps.csv` of water: what flows in through each part, and what is left of the balance."""
+    if not solution.water:
+        return {}
+    inflows = {f"inflow {part}": about["inflow"] for part, about in solution.water.items()}
+    return inflows | {"balance": balance(solution)["left"]}
 
 
 def in_words(found: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -48,7 +81,7 @@ def in_words(found: Mapping[str, Mapping[str, float]]) -> list[str]:
         f"through '{part}' {abs(about['inflow']):.4g} flow {'in' if about['inflow'] > 0 else 'out'}, "
         f"{100 * about['above_table']:.3g} % of it {PASSES}"
         for part, about in found.items()
-        if about["above_table"] > 0
+        if about.get("above_table", 0.0) > 0
     ]
 
 
