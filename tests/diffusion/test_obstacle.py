@@ -249,7 +249,7 @@ def test_files(tmp_path):
     assert summary["seepage"]["separation_height"] == pytest.approx(12.7059138062, rel=0.02)
     edge = read_rows(folder / "free_boundary.csv")
     assert 24 - 12.7 < sum(float(row["measure"]) for row in edge) < 2 * (24 - 12.7 + 16)
-    assert len(read_rows(folder / "phreatic_line.csv")) > 16
+    assert len(read_rows(folder / "phreatic.csv")) > 16
     read = load_solution(folder, COMM)
     assert read.plot() is not None
     assert read.on_obstacle()["contact_cells"] == summary["obstacle"]["contact_cells"]

@@ -47,7 +47,9 @@ def discharges(solution: Solution) -> dict[str, dict[str, float]]:
         return {}
     inside = {*boundary.inner, *map(other_side, boundary.inner)}
     parts = [part for part in solution.spaces.domain.facets if part not in inside]
-    found = {part: {"inflow": water.inflow * solution.flux_through(part) + 0.0} for part in parts}
+    inflows = {part: water.inflow * solution.flux_through(part) for part in parts}
+    rounding = ROUNDING * max(map(abs, inflows.values()), default=0.0)
+    found = {part: {"inflow": each if abs(each) > rounding else 0.0} for part, each in inflows.items()}
     for part in _parts_of_water(solution):
         found[part]["above_table"] = share_above_table(solution, [part]) or 0.0
     return found
