@@ -46,6 +46,7 @@ def discharges(solution: Solution) -> dict[str, dict[str, float]]:
     if water is None or water.u == INTEGRAL:
         return {}
     inside = {*boundary.inner, *map(other_side, boundary.inner)}
+    inside |= {part for pair in boundary.pairs for part in (*pair.slave, *pair.master)}
     parts = [part for part in solution.spaces.domain.facets if part not in inside]
     inflows = {part: water.inflow * solution.flux_through(part) for part in parts}
     rounding = ROUNDING * max(map(abs, inflows.values()), default=0.0)
