@@ -66,11 +66,13 @@ class Segments:
         segment: Number of its segment for each site of `spaces.site_kinds`; without laws in Ω none of cells.
         carried: What else the vertices of facets hand on, by name, shape (facets, d, …): with friction the "bound" of
             the shear and, where it is known, the "slip", u_t in space of those that slip.
+        u: The u of a solution that tells more than its segments, as where κ depends on u; None for none.
     """
 
     spaces: MeshSpaces
     segment: Indices
     carried: Mapping[str, Array] = field(default_factory=dict)
+    u: fem.Function | None = None
 
     def of(self, name: str) -> Indices:
         """Those of one kind of sites."""
@@ -85,7 +87,16 @@ class Segments:
         segment = np.rint(spaces.site_kinds.gathered(*found[: len(rows)])).astype(np.int64)
         if spaces.mesh.comm.allreduce("cell" in self.spaces.site_kinds and len(self.of("cell")) > 0, MPI.LOR):
             segment = np.append(segment, self._in_cells(spaces))
-        return Segments(spaces, segment, dict(zip(self.carried, found[len(rows) :], strict=True)))
+        carried = dict(zip(self.carried, found[len(rows) :], strict=True))
+        return Segments(spaces, segment, carried, self.u_on(spaces))
+
+    def u_on(self, spaces: Any) -> fem.Function | None:
+        """The u in P0 on another mesh of the domain, or on this one as it is (collective)."""
+        if self.u is None or spaces is self.spaces:
+            return self.u
+        (sample,) = sampled([self.u], spaces.mesh, self.spaces.domain, degree=0)
+        of_cells = sample.x.array[sample.function_space.dofmap.list[: len(spaces.cell_measures), 0]]
+        return function_of(spaces.Q, of_cells, "u")
 
     def _in_cells(self, spaces: Any) -> Indices:
         """The segment of each cell of another mesh: at its centroid, or near each of its vertices (collective).

@@ -135,6 +135,32 @@ def test_ranks():
     assert found[2] == pytest.approx(found[3], rel=1e-10)
 
 
+@pytest.mark.parametrize("options", [Options(), RT1])
+def test_start_on_another_mesh(options: Options):
+    """From the u of a coarser mesh Newton's method begins at once: the same solution in fewer steps."""
+    problem, comm = slope_problem(VanGenuchten(1e-3, 4.0, 1.6)), COMM
+    coarse, fine = (build_domain(comm, "square", h, mesh="structured") for h in (0.3, 0.15))
+    cold, near = solve(fine, problem, options), solve(fine, problem, options, start=solve(coarse, problem, options))
+    assert near.norms() == pytest.approx(cold.norms(), rel=1e-7)
+    assert len(near.outcome.history) < len(cold.outcome.history) - 6
+
+
+def test_dry_sand():
+    """Sand in a dam, whose k_r falls by ten orders: powers of κ find it, and failed ways end soon."""
+    sand = Diffusion(
+        f=0,
+        kappa=VanGenuchten(8.25e-5, 14.5, 2.68),
+        conditions=[Dirichlet("left", 5.0), Seepage("right", level="y"), Neumann(["top", "bottom"], 0)],
+    )
+    mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (9, 9)], (9, 9))
+    sides = {"bottom": (1, 0.0), "top": (1, 9.0), "left": (0, 0.0), "right": (0, 9.0)}
+    solution = solve(
+        domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()}), sand
+    )
+    assert solution.outcome.details["kappa_change"] < 1e-6
+    assert len(solution.outcome.history) < 250
+
+
 def test_iterative_solvers():
     """Where CG solves the linear problems GMRES makes Newton's steps, and the solution is the same."""
     square, problem = build_domain(COMM, "square", 0.3, mesh="structured"), slope_problem(VanGenuchten(1e-3, 4.0, 1.6))

@@ -17,6 +17,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of
 from signorini_fenicsx.discrete.points import Points
@@ -105,6 +106,14 @@ class Quasilinear:
         shares, (value, slope) = self._places[1], self._at(traces)
         return value @ shares.T, shares * slope[:, None]
 
+    def of_means(self, u: Array) -> Array:
+        """κ of each cell for a u with these means over the owned cells (collective)."""
+        space = self.spaces.crouzeix_raviart
+        dofs, numbers = cell_dofs(space), space.dofmap.index_map
+        on_facets = (sums_at(numbers, dofs, u[:, None]) / sums_at(numbers, dofs))[dofs]
+        count = self._places[0].shape[1] // on_facets.shape[1]
+        return self.of_traces(np.repeat(on_facets, count, axis=1) - self.constant)[0]
+
     def on_floor(self, kappa: Array) -> Mask:
         """The owned cells, with these values of κ, where soil is so dry that k_r cannot fall further."""
         least = np.zeros(len(kappa))
@@ -155,9 +164,18 @@ class Quasilinear:
         return value, slope
 
     @cached_property
-    def _first(self) -> Array:
+    def _middle(self) -> Array:
         u = sum(self.ends) / 2 if np.isfinite(self.ends).all() else 0.0
-        value = self._of_u(np.full(self._places[0].shape[:2], u))[0]
+        return self._of_u(np.full(self._places[0].shape[:2], u))[0]
+
+    @property
+    def at_rest(self) -> Array:
+        """κ for u in the middle of its ends: of soil without flow."""
+        return np.asarray(self._middle @ self._places[1].T)
+
+    @cached_property
+    def _first(self) -> Array:
+        value = self._middle.copy()
         for inside, curve in self.parts:
             if isinstance(curve, Soil):
                 value[inside] = curve.K

@@ -3,7 +3,8 @@
 Each problem under a fixed κ is linear but for its sets. That its u gives this κ again is found by Newton's method with
 a line search, one change of sets a step, after some steps of Anderson's acceleration for log κ. The last problem is one
 under a fixed κ again, so that its balance is exact; it is the solution if its u gives this κ. Where that fails, more of
-Anderson's steps follow, and then κ to powers from 0 to 1, each from the last one.
+Anderson's steps follow, and then κ to powers from 0 to 1, each from the last ones. A u that is known from another mesh
+comes first, and the u at rest last.
 
 What is judged is the largest change of κ, and the energy norm of (κ(x, u) − κ)∇u; a flux may repeat long before.
 """
@@ -23,6 +24,7 @@ from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.loop import LINEAR
 from signorini_fenicsx.methods.task import Loop
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import Quasilinear
 
 CHANGE = 1e-9
 """κ is found when it changes by this share of itself,"""
@@ -38,12 +40,12 @@ NEWTON = 40
 """Newton's steps at most."""
 EXACT = 1e-13
 """Newton's method ends where no residual is above this share of u, or where they do not fall below `CHANGE` of it."""
-FALLS, PATIENCE = 0.9, 8
-"""Newton's method has failed where its residual has not fallen to this share of the least one in so many steps."""
 KEPT = "u gives the κ of its problem"
 """Why it ends."""
-POWERS, SHORTEST = 5, 1e-3
-"""How many powers of κ are tried at first, and the shortest step from one to another."""
+POWERS, SHORTEST, GROWS = 5, 1e-3, 1.5
+"""How many powers of κ are tried at first, the shortest step from one to another, and how steps grow."""
+ROUGH = 1e-3
+"""What Newton's method may leave for a power that is not 1, as a share of u."""
 
 
 @dataclass(frozen=True)
@@ -67,18 +69,24 @@ class QuasiLinear:
         backend: Solves with its κ; with its `tangent` it makes Newton's steps.
         loop: The loop over the sets.
         changes: Gets how κ changed with the solution of each problem under a fixed κ.
+        near: The means over the owned cells of a u to begin with; None for saturated soil.
     """
 
     backend: Any
     loop: Loop
     changes: list[Change]
+    near: Array | None = None
     _tried: list[tuple[Array, Array]] = field(default_factory=list)
     _by_newton: bool = False
 
     def solved(self) -> Outcome:
         """The solution whose u gives its κ (collective)."""
-        outcome = self._frozen()
-        for way in (self._anderson(FIRST), self._newton(), self._anderson(FIRST), self._newton(), self._by_powers()):
+        of_u: Quasilinear = self.backend.data.quasilinear
+        ways = [self._under(of_u.first), self._anderson(), self._newton(), self._anderson(), self._newton()]
+        ways += [self._by_powers(), self._under(of_u.at_rest), self._newton()]
+        if self.near is not None:
+            ways = [self._under(of_u.of_means(self.near)), self._newton(), *ways]
+        for way in ways:
             with contextlib.suppress(LinearSolveFailure):  # as where κ differs by too many orders
                 for outcome in way:
                     if self._found or not outcome.converged:
@@ -125,11 +133,16 @@ class QuasiLinear:
             self._tried = [*self._tried, (np.log(kappa), np.log(following))][-DEPTH - 1 :]
         return outcome
 
-    def _anderson(self, steps: int) -> Iterator[Outcome]:
+    def _under(self, kappa: Array) -> Iterator[Outcome]:
+        """The problem under a κ, by its values on each cell (collective)."""
+        self.backend.take_kappa(self.backend.data.with_kappa(self.backend.spaces, kappa))
+        yield self._frozen()
+
+    def _anderson(self) -> Iterator[Outcome]:
         """Anderson's acceleration for log κ (collective)."""
         backend = self.backend
         self._tried = self._tried[-1:]
-        for _ in range(steps):
+        for _ in range(FIRST):
             x = np.array([each[0].ravel() for each in self._tried])
             left = np.array([(each[1] - each[0]).ravel() for each in self._tried])
             step = RELAXED * left[-1]
@@ -150,28 +163,34 @@ class QuasiLinear:
 
     def _newton(self) -> Iterator[Outcome]:
         """Newton's method from the last solution, and the problem under the κ that it finds (collective)."""
-        backend = self.backend
-        tangent = backend.tangent = backend.new_tangent()
-        least, since = np.inf, 0
-        try:
-            for _ in range(NEWTON):
-                self.loop(None, lambda iterate: True)
-                size = backend.comm.allreduce(float(np.abs(backend.x.array_r).max(initial=0.0)), MPI.MAX)
-                since = 0 if tangent.norm < FALLS * least else since + 1
-                if tangent.left <= EXACT * size or since == (1 if tangent.left <= CHANGE * size else PATIENCE):
-                    break
-                least = min(least, tangent.norm)
-        except LinearSolveFailure:
+        if not self._settled(EXACT):
             return
-        finally:
-            backend.tangent = None
         self._by_newton = True
         yield self._frozen()
         self._by_newton = False
 
+    def _settled(self, enough: float) -> bool:
+        """Newton's method from the last solution; whether it leaves so little, or all it can (collective)."""
+        backend = self.backend
+        tangent = backend.tangent = backend.new_tangent()
+        try:
+            for _ in range(NEWTON):
+                self.loop(None, lambda iterate: True)
+                size = backend.comm.allreduce(float(np.abs(backend.x.array_r).max(initial=0.0)), MPI.MAX)
+                if tangent.left <= enough * size or (tangent.since > 0 and tangent.left <= CHANGE * size):
+                    return True
+        except LinearSolveFailure:  # also where the residual does not fall
+            return False
+        finally:
+            backend.tangent = None
+        return False
+
     def _by_powers(self) -> Iterator[Outcome]:
-        """Newton's method for κ to one power after another, from the first κ (collective)."""
-        backend, done, step = self.backend, 0.0, 1 / POWERS
+        """Newton's method for κ to one power after another, from the first κ (collective).
+
+        Each begins on the line through the two before.
+        """
+        backend, step = self.backend, 1 / POWERS
 
         def with_power(power: float) -> None:
             data, of_u = backend.data, replace(backend.data.quasilinear, power=power)
@@ -181,20 +200,21 @@ class QuasiLinear:
         traces = np.zeros(backend.system.on_cells(backend.x).shape)
         backend.take_kappa(backend.data.with_kappa(backend.spaces, backend.data.quasilinear.of_traces(traces)[0]))
         yield self._frozen()
-        kept = backend.x.array_r.copy(), backend.data.kappa_values
-        while done < 1 and step > SHORTEST:
-            with_power(min(done + step, 1.0))
-            outcome = None
-            for outcome in self._newton():
-                good = self.changes[-1].largest <= ENOUGH and outcome.converged
-                yield outcome
-            if outcome is not None and good:
-                done, step = self._power, 1.5 * step
-                kept = backend.x.array_r.copy(), backend.data.kappa_values
-            else:
-                step /= 2
-                backend.x.array_w[:] = kept[0]
-                backend.take_kappa(backend.data.with_kappa(backend.spaces, kept[1]))
+        done = [(0.0, backend.x.array_r.copy(), backend.data.kappa_values)]
+        while done[-1][0] < 1 and step > SHORTEST:
+            at, x, kappa = done[-1]
+            power = min(at + step, 1.0)
+            with_power(power)
+            if len(done) > 1:
+                before = done[-2]
+                backend.x.array_w[:] = x + (power - at) / (at - before[0]) * (x - before[1])
+            if self._settled(EXACT if power == 1 else ROUGH):
+                done, step = [*done[-1:], (power, backend.x.array_r.copy(), backend.data.kappa_values)], GROWS * step
+                continue
+            step /= 2
+            backend.x.array_w[:] = x
+            backend.take_kappa(backend.data.with_kappa(backend.spaces, kappa))
         with_power(1.0)
-        if done < 1:
-            yield self._frozen()
+        self._by_newton = done[-1][0] == 1
+        yield self._frozen()
+        self._by_newton = False

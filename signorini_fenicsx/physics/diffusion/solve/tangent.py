@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import SiteConditions
 from signorini_fenicsx.linear.gmres import gmres
@@ -24,6 +24,9 @@ HALVINGS = 8
 """A step is halved so often at most."""
 FALLS = 1e-4
 """Share of a step by which the residual has to fall."""
+LOWER, PATIENCE, LOST = 0.9, 8, 1e2
+"""The steps have failed where the residual has not fallen to this share of the least one in so many of them, or is so
+many times as large."""
 
 
 class Tangible(Protocol):
@@ -61,10 +64,12 @@ class Tangent:
     Attributes:
         left: The largest residual, as a u, after the last step.
         norm: The norm of all of them.
+        since: So many steps ago it has fallen.
     """
 
     left = np.inf
     norm = np.inf
+    since = 0
 
     def __init__(self, backend: Any, solver: LinearSolver):
         """Begin at the last solution of the backend (collective).
@@ -74,13 +79,14 @@ class Tangent:
             solver: Its linear solver, whose preconditioner is that of the matrix under the present conditions.
         """
         self._backend: Tangible = backend
+        self._least = np.inf
         self._iterates, self._preconditioner = solver.iterates, solver.preconditioner
 
     def step(self, conditions: SiteConditions) -> None:
         """One step under these conditions (collective).
 
         Raises:
-            LinearSolveFailure: If its linear problem cannot be solved.
+            LinearSolveFailure: If its linear problem cannot be solved, or the residual does not fall any more.
         """
         backend, of_u = self._backend, self._backend.data.quasilinear
         self._take_kappa()
@@ -98,6 +104,10 @@ class Tangent:
         backend.x.array_w[:] = best[1]
         self._take_kappa()
         self.norm = self._residual(conditions)
+        self.since = 0 if self.norm < LOWER * self._least else self.since + 1
+        if self.norm > LOST * self._least or self.since > PATIENCE:
+            raise LinearSolveFailure(f"Newton's method for κ leaves a residual of {self.norm:.1e}")
+        self._least = min(self._least, self.norm)
 
     def _searched(self, conditions: SiteConditions, start: Array, step: Array, base: float) -> tuple[float, Array]:
         """The least residual along a step that is halved until it falls, and its x (collective)."""

@@ -16,6 +16,7 @@ from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.methods.task import Loop, Task
+from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
@@ -57,7 +58,8 @@ class DiffusionTask(Task):
         if self.data.quasilinear is None:
             return loop()
         self.changes.clear()
-        outcome = QuasiLinear(backend, loop, self.changes).solved()
+        u = self.start and self.start.u_on(self.spaces)
+        outcome = QuasiLinear(backend, loop, self.changes, None if u is None else means_in_cells(u)).solved()
         self.last[:] = [backend.data]
         return outcome
 
