@@ -58,7 +58,7 @@ class DiffusionTask(Task):
         if self.data.quasilinear is None:
             return loop()
         self.changes.clear()
-        u = self.start and self.start.u_on(self.spaces)
+        u = None if self.start is None else self.start.u_on(self.spaces)
         outcome = QuasiLinear(backend, loop, self.changes, None if u is None else means_in_cells(u)).solved()
         self.last[:] = [backend.data]
         return outcome
