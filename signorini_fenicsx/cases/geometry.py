@@ -12,6 +12,7 @@ from signorini_fenicsx.cases.values import Positive, ShapeName, choice, number
 from signorini_fenicsx.meshes.bodies import Bodies, Body, check_name
 from signorini_fenicsx.meshes.files import is_geometry
 from signorini_fenicsx.meshes.meshing import MeshFile, Source
+from signorini_fenicsx.meshes.named_faces import Rule, check_rule
 from signorini_fenicsx.meshes.shapes import SHAPES, shape_of
 
 
@@ -22,6 +23,9 @@ class Meshed(Section):
     file: Annotated[str, Field(min_length=1)] | None = None
     mesh: Annotated[str, choice("mesh", ("unstructured", "structured", "gmsh"))] = "unstructured"
     diagonal: Annotated[str, choice("diagonal", ("left", "right", "crossed"))] | None = None
+    faces: Annotated[
+        dict[str, Annotated[Rule, BeforeValidator(check_rule)]], Field(default={}, exclude_if=lambda each: not each)
+    ]
 
     @model_validator(mode="after")
     def _mesh_exists(self) -> Self:
@@ -29,6 +33,8 @@ class Meshed(Section):
             if {"mesh", "diagonal"} & self.model_fields_set:
                 raise ValueError("mesh and diagonal apply to named shapes, not to files")
             return self
+        if self.faces:
+            raise ValueError("faces apply to files; a named shape has names for its parts")
         shape = shape_of(self.shape)
         if self.mesh == "structured" and shape.grid is None:
             structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
@@ -58,7 +64,7 @@ class BodyKeys(Meshed):
 
     def made(self) -> Body:
         """The body."""
-        return Body(self.shape, self.file, tuple(self.offset), self.h, self.mesh, self.diagonal)
+        return Body(self.shape, self.file, tuple(self.offset), self.h, self.mesh, self.diagonal, self.faces)
 
 
 def _bodies(value: object) -> object:
@@ -84,6 +90,8 @@ class Geometry(Meshed):
     def _one_domain(self) -> Self:
         if [self.shape, self.file, self.bodies].count(None) != 2:
             raise ValueError("must have one of: a shape, such as 'square'; a file, such as 'mesh.msh'; bodies")
+        if self.bodies is not None and self.faces:
+            raise ValueError("faces stand with the file of a body: bodies = {up = {file = …, faces = {…}}}")
         return self
 
     @property
@@ -96,7 +104,7 @@ class Geometry(Meshed):
         """What the mesh is read or made from, if the domain is no named shape."""
         if self.bodies is not None:
             return Bodies({name: body.made() for name, body in self.bodies.items()})
-        return MeshFile(self.file or "")
+        return MeshFile(self.file or "", self.faces)
 
     @property
     def files(self) -> dict[str, str]:

@@ -20,7 +20,7 @@ type Answers = tuple[str, str, dict[str, str]]
 def init(
     case: Annotated[Path, typer.Argument(help="The file to write.")] = Path("my-case.toml"),
     shape: Annotated[str | None, typer.Option("--shape", help="A named shape, or '[-2, 2] x [0, 1]'.")] = None,
-    mesh: Annotated[str | None, typer.Option("--mesh", help="A mesh file instead: .msh, .geo, …")] = None,
+    mesh: Annotated[str | None, typer.Option("--mesh", help="A file instead: .msh, .geo, .step, …")] = None,
     body: Annotated[
         list[str] | None,
         typer.Option("--body", metavar="NAME=FILE", help="One of several bodies, with its mesh."),

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from mpi4py import MPI
@@ -26,6 +27,7 @@ from signorini_fenicsx.meshes.meshing import (
     expected_size,
     own_size,
 )
+from signorini_fenicsx.meshes.named_faces import Rule, named
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_uniformly
 from signorini_fenicsx.meshes.whole import check_pairs, gathered, handed_out
@@ -45,6 +47,7 @@ class Body:
         h: Its largest cell diameter; None for that of a file, or of the whole domain.
         mesh: How a shape is meshed, see `build_domain`.
         diagonal: See there.
+        faces: Names for faces of a file, see `named_faces`.
     """
 
     shape: str | None = None
@@ -53,6 +56,7 @@ class Body:
     h: float | None = None
     mesh: str = "unstructured"
     diagonal: str | None = None
+    faces: Mapping[str, Rule] = MappingProxyType({})
 
     @property
     def is_fixed(self) -> bool:
@@ -87,8 +91,9 @@ class Body:
             domain = build_domain(MPI.COMM_SELF, self.shape, h or 1.0, mesh=self.mesh, diagonal=self.diagonal)
         else:
             self.size(h)  # refuses too large a size
-            read = read_mesh_file(self.file or "", None if self.is_fixed else h)
-            domain = handed_out(MPI.COMM_SELF, read, self.file or "")
+            path = self.file or ""
+            read = named(read_mesh_file(path, None if self.is_fixed else h), self.faces, path)
+            domain = handed_out(MPI.COMM_SELF, read, path)
             while self.is_fixed and h is not None and domain.h > h * (1 + SAME):
                 domain = refined_uniformly(domain)
         mesh = gathered(domain.mesh, domain.facets, domain.regions)

@@ -12,6 +12,10 @@ SIMPLICES = {"vertex": 0, "line": 1, "triangle": 2, "tetra": 3}
 """Accepted kinds of elements and their dimensions."""
 SECOND = {"line3": "line", "triangle6": "triangle", "tetra10": "tetra"}
 """Elements of second order, accepted if they are straight, and those with their corners, which come first."""
+DRAWINGS = (".geo", ".step", ".stp", ".brep")
+"""Endings of files with a geometry, which Gmsh meshes."""
+OF_GMSH = (*DRAWINGS, ".msh", ".unv", ".bdf")
+"""Endings of files that Gmsh reads."""
 STRAIGHT = 1e-6
 """Largest distance of a point from the middle of its edge, relative to the element's size, in a straight element."""
 

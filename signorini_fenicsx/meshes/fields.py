@@ -14,13 +14,12 @@ from signorini_fenicsx.base.owned import cell_dofs, cell_nodes
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.meshes.checks import FileMesh
+from signorini_fenicsx.meshes.contents import OF_GMSH
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.files import read_mesh_file
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.meshes.whole import handed_out
 
-WITHOUT = (".msh", ".geo")
-"""Endings of files whose values are not read, as Gmsh reads their meshes."""
 SAME = 1e-5
 """Values on two meshes are the same if they differ by at most this share of all values; files may have few digits."""
 
@@ -40,7 +39,7 @@ def read_field(comm: MPI.Comm, path: str, name: str | None, *, vector: bool) -> 
     read: list[tuple[FileMesh, Array]] = []
 
     def values() -> None:
-        if Path(path).suffix in WITHOUT:
+        if Path(path).suffix.lower() in OF_GMSH:
             raise InputError(f"field {path}: no values are read from {Path(path).suffix} files; take .vtu or .xdmf")
         mesh = read_mesh_file(path)
         try:

@@ -14,7 +14,7 @@ import numpy as np
 from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import printable
-from signorini_fenicsx.meshes.contents import Contents
+from signorini_fenicsx.meshes.contents import OF_GMSH, Contents
 
 
 def main(arguments: list[str], result: BinaryIO) -> None:
@@ -26,7 +26,7 @@ def main(arguments: list[str], result: BinaryIO) -> None:
         result: The file for `unpack`.
     """
     source, h = Path(arguments[0]), float(arguments[1]) or None
-    if source.suffix in (".geo", ".msh"):
+    if source.suffix.lower() in OF_GMSH:
         contents = _by_gmsh(source, h, int(arguments[2]), float(arguments[3]))
     else:
         from signorini_fenicsx.meshes.meshio_files import read_with_meshio

@@ -1,4 +1,4 @@
-"""Meshes from files: Gmsh's `.msh` and `.geo` (`gmsh_worker`), and formats that meshio reads (`meshio_files`).
+"""Meshes from files: those that Gmsh reads or meshes (`gmsh_worker`), and formats that meshio reads (`meshio_files`).
 
 All functions run on rank 0. A file is read in another process (`file_worker`), into blocks of elements and named groups
 of them (`Contents`). The cells of the highest dimension become the mesh, groups of cells become its regions, and groups
@@ -12,7 +12,7 @@ from pathlib import Path
 from signorini_fenicsx.base import confined
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.checks import FileMesh, checked
-from signorini_fenicsx.meshes.contents import Contents
+from signorini_fenicsx.meshes.contents import DRAWINGS, Contents
 from signorini_fenicsx.meshes.file_worker import unpack
 
 MAX_CELLS = 10**8
@@ -21,7 +21,7 @@ MAX_CELLS = 10**8
 
 def is_geometry(path: str) -> bool:
     """Whether a file describes a geometry, which Gmsh meshes with any h, and not a mesh."""
-    return Path(path).suffix == ".geo"
+    return Path(path).suffix.lower() in DRAWINGS
 
 
 def read_mesh_file(path: str, h: float | None = None, refined: int = 0) -> FileMesh:
@@ -29,7 +29,7 @@ def read_mesh_file(path: str, h: float | None = None, refined: int = 0) -> FileM
 
     Args:
         path: Path of the file.
-        h: Largest cell diameter of a mesh that Gmsh makes; None for the sizes in the `.geo` file.
+        h: Largest cell diameter of a mesh that Gmsh makes; None for the sizes of the file.
         refined: How often Gmsh refines a coarser mesh for that.
 
     Raises:

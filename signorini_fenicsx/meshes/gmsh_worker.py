@@ -8,7 +8,7 @@ import gmsh
 import numpy as np
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.meshes.contents import Contents
+from signorini_fenicsx.meshes.contents import DRAWINGS, Contents
 
 KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra", 8: "line3", 9: "triangle6", 11: "tetra10"}
 """Gmsh's numbers of simplices of first and second order, and meshio's names."""
@@ -19,7 +19,7 @@ STRAIGHT = ("Point", "Line", "Plane", "Volume")
 
 
 def read_with_gmsh(source: Path, h: float | None, refined: int, max_cells: float) -> Contents:
-    """Read a mesh, or make one from a `.geo` file, in a sealed process.
+    """Read a mesh, or make one from a geometry, in a sealed process.
 
     Args:
         source: The file, in a folder without other files that Gmsh would read too.
@@ -35,9 +35,9 @@ def read_with_gmsh(source: Path, h: float | None, refined: int, max_cells: float
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)
         gmsh.open(str(source))
-        if source.suffix == ".geo":
+        if source.suffix.lower() in DRAWINGS:
             generate(h, refined, max_cells)
-        return model_contents()
+        return model_contents(without_groups=source.suffix.lower() not in (".geo", ".msh"))
     except Exception as error:  # Gmsh raises plain exceptions
         words = " ".join((str(error) or gmsh.logger.getLastError()).split()) or "it does not say why"
         raise InputError(f"Gmsh cannot use it: {re.sub(re.escape(str(source)), source.name, words)}") from error
@@ -96,8 +96,13 @@ def node_rows(nodes: np.ndarray) -> np.ndarray:
     return order[place]
 
 
-def model_contents() -> Contents:
-    """Points, elements by entity and kind, and the physical groups."""
+def model_contents(*, without_groups: bool = False) -> Contents:
+    """Points, elements by entity and kind, and the physical groups.
+
+    Args:
+        without_groups: Whether the file's format knows no physical groups. If there are none, each solid, face and edge
+            is a group, with its label in the file or a number, such as "face3".
+    """
     _, points, _ = gmsh.model.mesh.getNodes()
     blocks: list[tuple[str, np.ndarray]] = []
     blocks_of: dict[tuple[int, int], list[int]] = {}
@@ -115,5 +120,16 @@ def model_contents() -> Contents:
         entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
         members = [block for entity in entities for block in blocks_of.get((dim, int(entity)), [])]
         groups.append((name, dim, [(block, np.arange(len(blocks[block][1]))) for block in members]))
+    if not groups and without_groups:
+        groups = [
+            (_label(dim, tag), dim, [(block, np.arange(len(blocks[block][1]))) for block in members])
+            for (dim, tag), members in blocks_of.items()
+            if dim > 0
+        ]
     straight = all(gmsh.model.getType(*entity) in STRAIGHT for entity in gmsh.model.getEntities())
     return Contents(points.reshape(-1, 3), blocks, groups, straight)
+
+
+def _label(dim: int, tag: int) -> str:
+    """The name of an entity: the last part of its label in the file, or its kind and number."""
+    return gmsh.model.getEntityName(dim, tag).rpartition("/")[2] or f"{('edge', 'face', 'solid')[dim - 1]}{tag}"

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import dolfinx.mesh
@@ -26,6 +27,7 @@ from signorini_fenicsx.meshes.domain import Domain, distribute, largest_diameter
 from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory
+from signorini_fenicsx.meshes.named_faces import Rule, named
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.meshes.uniform import refined_diameter, refined_uniformly
 from signorini_fenicsx.meshes.whole import handed_out
@@ -197,9 +199,10 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh file, or a `.geo` file, as the source of a mesh."""
+    """A mesh file, or a geometry for Gmsh, as the source of a mesh; `faces` are names for faces, see `named_faces`."""
 
     path: str
+    faces: Mapping[str, Rule] = MappingProxyType({})
 
     @property
     def name(self) -> str:
@@ -223,7 +226,7 @@ class MeshFile:
     def read(self, h: float | None) -> tuple[FileMesh, int]:
         """See `Source`."""
         levels, by_gmsh = _file_refinements(self.path, h)
-        return _coarse_enough(self.path, h, levels, by_gmsh), levels
+        return named(_coarse_enough(self.path, h, levels, by_gmsh), self.faces, self.path), levels
 
 
 def own_domain(
@@ -287,7 +290,7 @@ def usable(
 
 
 def _file_refinements(path: str, h: float | None) -> tuple[int, int]:
-    """How often the mesh of a `.geo` file is refined uniformly by us, and how often by Gmsh (rank 0).
+    """How often the mesh of a geometry is refined uniformly by us, and how often by Gmsh (rank 0).
 
     Gmsh knows where new points of a curved boundary are. In space its children would be flat.
     """

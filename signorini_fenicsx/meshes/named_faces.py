@@ -1,0 +1,71 @@
+"""Names for faces of a mesh by where they are, or for several parts together, as `[geometry] faces` gives them."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.checks import FileMesh, faces
+
+type Rule = str | tuple[str, ...]
+"""Such as "z min", "x = 0.5", or the names of parts."""
+PLACE = re.compile(r"\s*([xyz])\s*(?:(min|max)|=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?))\s*")
+ON = 1e-9
+"""A vertex is on a plane up to this share of the size of the mesh."""
+
+
+def check_rule(rule: object) -> Rule:
+    """A rule as it was typed.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    if isinstance(rule, str) and PLACE.fullmatch(rule):
+        return rule
+    if isinstance(rule, list | tuple) and rule and all(isinstance(part, str) for part in rule):
+        return tuple(rule)
+    raise ValueError("must be such as 'z min', 'x max' or 'y = 0.5', or a list of parts")
+
+
+def named(mesh: FileMesh, rules: Mapping[str, Rule], path: str) -> FileMesh:
+    """The mesh of a file with a part more for each rule (rank 0).
+
+    Raises:
+        InputError: If a rule finds no facet of the boundary, or its name is that of another part.
+    """
+    try:
+        return replace(mesh, parts={**mesh.parts, **{name: _found(mesh, name, rule) for name, rule in rules.items()}})
+    except InputError as error:
+        raise InputError(f"mesh {path}: [geometry] faces: {error}") from None
+
+
+def _found(mesh: FileMesh, name: str, rule: Rule) -> Indices:
+    """The facets of a rule, as ascending vertices."""
+    if name in mesh.parts:
+        raise InputError(f"'{name}' is a part of the file already; choose another name")
+    if isinstance(rule, str):
+        every, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
+        found = every[(times == 1) & _on_plane(mesh.points, rule)[every].all(axis=1)]
+        if len(found) == 0:
+            raise InputError(f"{name}: no facet of the boundary is at {rule}")
+        return found
+    for part in rule:
+        if part not in mesh.parts:
+            raise InputError(f"{name}: unknown part '{part}'; there are {', '.join(mesh.parts) or 'none'}")
+    return np.unique(np.concatenate([mesh.parts[part] for part in rule]), axis=0)
+
+
+def _on_plane(points: Array, rule: str) -> Mask:
+    """The points on the plane of a rule."""
+    match = PLACE.fullmatch(rule)
+    assert match is not None
+    axis, end = "xyz".index(match[1]), match[2]
+    if axis >= points.shape[1]:
+        raise InputError(f"a mesh in the plane has no z, which '{rule}' needs")
+    along = points[:, axis]
+    at = float(match[3]) if end is None else along.min() if end == "min" else along.max()
+    on: Mask = np.abs(along - at) <= ON * np.ptp(points, axis=0).max()
+    return on
