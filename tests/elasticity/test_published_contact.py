@@ -1,5 +1,7 @@
 """Bodies that touch against numbers of others: Hertz, Mindlin, also in space, a plate of Code_Aster, cracks in rock."""
 
+from pathlib import Path
+
 import dolfinx.mesh
 import numpy as np
 import pytest
@@ -53,6 +55,54 @@ def test_cattaneo_and_mindlin():
     assert force == pytest.approx(10, rel=1e-3)
     assert pushed == pytest.approx(2.0, rel=0.02)
     assert abs(push) < 0.1 < np.abs(solution.shear).max()
+
+
+BLOCK = """far = 3; near = {near}; s = {side}; y = {place};
+Point(1) = {{-8, y + 8*s, 0, far}}; Point(2) = {{8, y + 8*s, 0, far}}; Point(3) = {{8, y, 0, far}};
+Point(4) = {{-8, y, 0, far}}; Point(5) = {{-0.8, y, 0, near}}; Point(6) = {{0.8, y, 0, near}};
+Line(1) = {{1, 2}}; Line(2) = {{2, 3}}; Line(3) = {{3, 6}}; Line(4) = {{6, 5}}; Line(5) = {{5, 4}}; Line(6) = {{4, 1}};
+Curve Loop(1) = {{1, 2, 3, 4, 5, 6}}; Plane Surface(1) = {{1}};
+Physical Curve("far") = {{1}}; Physical Curve("sides") = {{2, 6}}; Physical Curve("face") = {{3, 4, 5}};
+Physical Surface("all") = {{1}};
+"""
+APART = """physics = "elasticity"
+[geometry]
+bodies = {up = "up.geo", low = "low.geo"}
+[boundary]
+neumann = ["up.sides", "low.sides"]
+[[pair]]
+slave = "up.face"
+master = "low.face"
+kind = "friction"
+mu = 0.3
+gap = "x^2/8"
+[problem]
+young = 200
+poisson = 0.3
+u_D = {"up.far" = ["0.06*(t - 1)", -0.1841], "low.far" = [0, 0]}
+[time]
+end = 2
+steps = 2
+"""
+
+
+def test_cattaneo_and_mindlin_with_bodies_apart(tmp_path: Path) -> None:
+    """Two blocks 0.1 apart whose facets do not match: pressure, shear and what sticks are those of half-planes."""
+    for name, about in (
+        ("up", {"near": 0.05, "side": 1, "place": 0.1}),
+        ("low", {"near": 0.04, "side": -1, "place": 0}),
+    ):
+        (tmp_path / f"{name}.geo").write_text(BLOCK.format(**about))
+    (tmp_path / "apart.toml").write_text(APART)
+    *_, last = (instant.solution for instant in evolve_case(load_case(tmp_path / "apart.toml")))
+    x, measure = on_contact(last)
+    push, force = last.resultants()["low.face"][0], last.norms()["contact_force"]
+    a, p0 = hertz(force, YOUNG / (2 * (1 - 0.3**2)))
+    c = a * np.sqrt(1 - push / (MU * force))
+    shear = -MU * p0 * (ellipse(x, a) - c / a * ellipse(x, c))
+    assert (measure * np.abs(last.pressure - p0 * ellipse(x, a))).sum() < 0.02 * force
+    assert (measure * np.abs(last.shear - shear)).sum() < 0.03 * MU * force
+    assert (measure * (last.touching & (last.states == 1))).sum() / 2 == pytest.approx(c, abs=0.03)
 
 
 def test_cylinders_of_unequal_materials():
