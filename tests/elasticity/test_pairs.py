@@ -30,6 +30,9 @@ from signorini_fenicsx.api import (
     solve,
 )
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.meshes.domain import distribute
+from signorini_fenicsx.meshes.own import domain_of
+from signorini_fenicsx.physics.elasticity.solve.residuals import energy_squares
 
 LAWS = [None, Tresca(0.2), Coulomb(0.3), Tied(), Wall((), beta=5.0)]
 
@@ -194,6 +197,62 @@ def on_circle(radius: float, x: np.ndarray) -> np.ndarray:
 def on_axis(axis: int, x: np.ndarray) -> np.ndarray:
     """Whether a coordinate is 0."""
     return np.isclose(x[axis], 0.0, atol=1e-12)
+
+
+def test_errors_of_stresses_are_those_of_matching_meshes() -> None:
+    """Random loads, ratios and laws: the error to a fine mesh is that of matching meshes, each body with its own."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform([0.02, -0.98], [0.98, 0.98], (1000, 2))
+    free = [Neumann([f"{body}0{end}" for body in "ul" for end in (0, 1)]), Neumann(["x0", "x1"])]
+    for _ in range(3):
+        (n, m), below, tilt, push = rng.integers(3, 9, 2), *rng.uniform([-0.2, -0.2, 0], [-0.02, 0.2, 0.05])
+        law = Tresca(rng.uniform(0.002, 0.05))
+        held = [Dirichlet("l10", 0), Dirichlet("u11", [f"{push}", f"{below} + {tilt}*x"])]
+
+        def stress(domain: Any, sides: Neumann, meeting: Any, held: Sequence[Dirichlet] = held) -> np.ndarray:
+            conditions = [sides, *held, meeting]
+            return np.asarray(solve(domain, Elasticity(young=1, poisson=0.3, conditions=conditions)).at(points).sigma)
+
+        fine = stress(joined((20, 20)), free[1], Contact("u10", friction=law))
+        found, of_upper, of_lower = (
+            ((stress(two(MPI.COMM_SELF, (i, i), (j, j)), free[0], Pair("u10", "l11", law)) - fine) ** 2).sum(
+                axis=(1, 2)
+            )
+            for i, j in ((n, m), (n, n), (m, m))
+        )
+        matching = np.where(points[:, 1] > 0, of_upper, of_lower)
+        assert np.sqrt(found.sum() / matching.sum()) < 1.05
+
+
+def test_a_body_against_itself() -> None:
+    """A block whose slot closes, with other facets on both edges; exchanged, they differ by less than both bounds."""
+    boxes = [((0, 0), (2, 0.4), (4, 2)), ((0, 0.6), (2, 1), (4, 2)), ((0, 0.4), (0.5, 0.6), (1, 1))]
+    bodies = [box_cells(numbers, low, high, seed=1) for low, high, numbers in boxes]
+    x = bodies[1][0][:, 0]
+    x[x > 0.5] = 0.5 + 1.5 * ((x[x > 0.5] - 0.5) / 1.5) ** 1.3
+    points, number = np.unique(np.round(np.concatenate([x for x, _ in bodies]), 12), axis=0, return_inverse=True)
+    firsts = np.cumsum([0, *(len(x) for x, _ in bodies)])
+    cells = number.ravel()[np.concatenate([t + first for (_, t), first in zip(bodies, firsts, strict=False)])]
+    parts = {"bottom": 0.0, "below": 0.4, "above": 0.6, "top": 1.0}
+    chosen = {
+        name: partial(on_edge, place, 0.5 if name in ("below", "above") else 0.0) for name, place in parts.items()
+    }
+    ends = {f"x{k}": partial(on_plane, 0, 2.0 * k) for k in (0, 1)}
+    domain, found = domain_of(distribute(MPI.COMM_SELF, points, cells, 2), {**chosen, **ends}), []
+    given = [Dirichlet("bottom", 0), Dirichlet("top", ["0", "-0.1 - 0.12*x"]), Neumann("x1")]
+    for slave, master in (("below", "above"), ("above", "below")):
+        problem = Elasticity(young=1, poisson=0.3, conditions=[*given, Neumann("x0"), Pair(slave, master)])
+        found.append(solve(domain, problem))
+        below, above = (np.array(found[-1].resultants()[part]) for part in ("below", "above"))
+        np.testing.assert_allclose(below[:2] + above[:2], 0, atol=1e-12)
+        assert below[1] < -1e-3
+    off = np.sqrt(energy_squares(found[0].spaces, found[0].data, found[0].stresses - found[1].stresses).sum())
+    assert 0 < off <= sum(certify(solution).bound for solution in found) < np.inf
+
+
+def on_edge(place: float, begin: float, x: np.ndarray) -> np.ndarray:
+    """Whether points have this height, from some x on."""
+    return np.isclose(x[1], place) & (x[0] > begin - 1e-9)
 
 
 def test_two_pairs_on_one_master() -> None:
