@@ -56,7 +56,8 @@ PATH = {"changed", "zero_trace", "no_flux", "sigma_change", "u_change"}
 """Names of numbers of steps on the way to the solution."""
 STRUCTURED = ("--set", "geometry.mesh=structured")
 BY_GMSH = ("example3", "example6", "crack", "ball", "clamp", "two_cylinders", "rock", "stack", "mindlin", "many")
-BY_GMSH += ("example1 --h 0.03", "example1 --h 0.06", "roller", "press_fit", "earth_dam")
+BY_GMSH += ("example1 --h 0.03", "example1 --h 0.06", "roller", "press_fit", "earth_dam", "sliding_block")
+BY_GMSH += ("lap_joint", "two_spheres", "cylinders")
 """Beginnings of names whose mesh Gmsh makes: on another machine it may be another mesh."""
 
 ENDED = "ended after step 2"
@@ -154,6 +155,11 @@ def _shipped() -> Iterator[Capability]:
     for case in ("two_obstacles", "saturation", "dead_core", "phases"):
         yield solved(case, *STRUCTURED, h="1/8", beside=STOPS if case == "two_obstacles" else frozenset())
     yield solved("clamp", "--h", "4")
+    yield solved("slip", *STRUCTURED, h="1/4")
+    yield solved("duct", *STRUCTURED, h="1", slow=True)
+    yield solved("cylinders")
+    yield solved("lap_joint", h="1", slow=True)
+    yield solved("two_spheres", h="40", slow=True)
     for case in ("two_cylinders", "rock", "stack", "roller", "press_fit", "earth_dam"):
         yield solved(case)
     yield solved("plate", *STRUCTURED, h="0.005")
@@ -227,6 +233,8 @@ def _rare() -> Iterator[Capability]:
     yield Capability("restart", ((ENDED, *steps), (*steps, "--restart")))
     steps = ("solve", "thawing", "--h", "1/8", "--set", "time.steps=4", "--output", "out")
     yield Capability("restart of a storage", ((ENDED, *steps), (*steps, "--restart")))
+    steps = ("solve", "sliding_block", "--output", "out")
+    yield Capability("solve sliding_block; restart", ((ENDED, *steps), (*steps, "--restart")))
     for case in ("example2", "hertz"):
         yield then(solved(case, *STRUCTURED, h="1/4"), "export", "out")
         twice = solved(case, *STRUCTURED, h="1/4")
