@@ -73,6 +73,14 @@ class Sides:
         image.destroy()
         return values
 
+    def unknowns(self, traces: Array) -> Array:
+        """The owned unknowns x from û there (collective)."""
+        if (inverse := self.inverse()) is None:
+            return traces
+        x = self._image(inverse.mult, traces)
+        inverse.destroy()
+        return x
+
     def inverse(self) -> PETSc.Mat | None:
         """I − P, the inverse of `basis`; None without such facets (collective)."""
         return None if self.basis is None else self._identity_with(-self._entries[2])

@@ -50,7 +50,7 @@ def row_of(
         "contact_facets": facets,
         "contact_measure": measure,
         **solution.of_step(),
-        **instant.steps.of_step(solution),
+        **instant.numbers,
         "iterations": len(history),
         "linear_iterations": sum(step.linear_iterations for step in history),
         "kkt": max(vars(solution.kkt).values()),

@@ -1,5 +1,7 @@
 """Times and steps of a problem in time, and what a physics says about its steps."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -8,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from ufl import Form
 
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.expressions.given import Given
 
@@ -103,8 +105,16 @@ class Steps(Protocol):
     def left_by(self, solution: Any) -> Any:
         """What the solution of a step leaves for those after it."""
 
-    def of_step(self, solution: Any) -> dict[str, float]:
-        """What the table of steps has of a step besides what the solution knows (collective)."""
+    def of_step(self, solution: Any, earlier: Mapping[str, float] | None = None) -> dict[str, float]:
+        """What the table of steps has of a step besides what the solution knows (collective).
+
+        Args:
+            solution: The solution after it, or after a part of a step that was halved.
+            earlier: The same of the parts before; None for none.
+        """
+
+    def halved(self, failure: NumericalFailure) -> Steps | None:
+        """The same with twice as many steps, for a step that has failed; None if that is no help."""
 
     def kept(self, solution: Any) -> dict[str, npt.NDArray]:
         """What is kept of a step: rows of the owned cells, or of the facets of Γ_S if the name begins with "facet_"."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from signorini_fenicsx.base.arguments import check_kind
@@ -20,6 +21,8 @@ MOST = 500
 """Most linear problems of a step whose laws are curves."""
 COLLECT = 50
 """Python's garbage is collected after so many steps; a step makes some hundred kilobytes."""
+HALVINGS = 10
+"""So often a step is halved that fails."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +34,68 @@ class Instant:
         t: The time.
         solution: The fields then, as the solution of the step's own problem.
         steps: The problem in time on its mesh.
+        numbers: What the table of steps has of it besides what the solution knows, see `Steps.of_step`.
     """
 
     step: int
     t: float
     solution: Any
     steps: Steps
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class _Stepper:
+    """Solves steps, and those that fail in halves of halves.
+
+    Attributes:
+        solve: Solves a problem, from segments, with what it takes from the steps before.
+        past: What the next step, or part of a step, needs; its `step` is that of the present one.
+        from_sets: Whether the method starts from segments.
+        numbers: What the table has of the parts of this step.
+    """
+
+    solve: Callable[..., Any]
+    past: Past
+    from_sets: bool = True
+    numbers: dict[str, float] = field(default_factory=dict)
+
+    def go(self, steps: Steps, step: int, halvings: int = HALVINGS) -> Any:
+        """Do a step, and give the solution after it (collective).
+
+        Raises:
+            NumericalFailure: If also its shortest parts fail.
+        """
+        left = self.past.left
+        try:
+            solution = self._done(steps, step)
+        except NumericalFailure as failure:
+            finer = steps.halved(failure) if halvings else None
+            if finer is None:
+                raise
+            self.go(finer, 2 * step - 1, halvings - 1)
+            return self.go(finer, 2 * step, halvings - 1)
+        self.numbers = steps.of_step(solution, self.numbers)
+        self.past = replace(self.past, left=[steps.left_by(solution), *left[:1]], segments=solution.segments())
+        return solution
+
+    def _done(self, steps: Steps, step: int) -> Any:
+        """The solution after a step, also for laws whose graph depends on it (collective).
+
+        Raises:
+            NumericalFailure: If a problem of it is not solved.
+        """
+        left, segments, history = self.past.left, self.past.segments, list[Step]()
+        posed, memory = steps.problem(step, left), steps.memory(step, left)
+        while posed is not None:
+            solved = self.solve(posed, start=segments if self.from_sets else None, memory=memory)
+            history += solved.outcome.history
+            posed, segments = steps.touching(posed, solved), solved.segments()
+            if posed is not None and len(history) > MOST:
+                raise NumericalFailure(
+                    f"the laws with memory are not on their curves after {MOST} linear problems", solved
+                )
+        return replace(solved, step=self.past.step, outcome=replace(solved.outcome, history=history))
 
 
 @collector_off_in_steps
@@ -98,23 +157,14 @@ def evolve(
     comm = solver.spaces.mesh.comm
     steps: Steps = solver.steps(problem, evolution, start, options)
     before = Past(0, [], start) if past is None else past(steps)
-    left, segments = [*before.left, steps.start()][:2], before.segments
-    about: dict[str, Any] = {"name": name, "title": title, "source": source, "on_step": on_step}
-    for step in range(before.step + 1, evolution.steps + 1):
-        posed, memory, history = steps.problem(step, left), steps.memory(step, left), list[Step]()
-        while posed is not None:
-            first = segments if options.method.starts_from_sets else None
-            solved = solver.solve(posed, options, start=first, memory=memory, **about)
-            history += solved.outcome.history
-            posed, segments = steps.touching(posed, solved), solved.segments()
-            if posed is not None and len(history) > MOST:
-                raise NumericalFailure(
-                    f"the laws with memory are not on their curves after {MOST} linear problems", solved
-                )
-        solution = replace(solved, step=step, outcome=replace(solved.outcome, history=history))
-        left = [steps.left_by(solution), *left[:1]]
-        yield Instant(step, evolution.time(step), solution, steps)
-        if step % COLLECT == 0:
+    about: dict[str, Any] = {"options": options, "name": name, "title": title, "source": source, "on_step": on_step}
+    past_of_first = replace(before, left=[*before.left, steps.start()][:2])
+    stepper = _Stepper(partial(solver.solve, **about), past_of_first, from_sets=options.method.starts_from_sets)
+    for number in range(before.step + 1, evolution.steps + 1):
+        stepper.past, stepper.numbers = replace(stepper.past, step=number), {}
+        solution = stepper.go(steps, number)
+        yield Instant(number, evolution.time(number), solution, steps, stepper.numbers)
+        if number % COLLECT == 0:
             collect_garbage(comm)  # UFL makes cycles when it estimates the degree of a new datum
-    del solver
+    del solver, stepper
     collect_garbage(comm)  # of the solver; when the mesh is freed, it is too late

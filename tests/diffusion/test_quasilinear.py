@@ -224,7 +224,7 @@ alpha = 2
         (("u_D = 3", "u_D = 3\nkappa = 1"), "leave out \\[problem\\] kappa"),
         (("u_D = 3", 'u_D = 3\nform = "suction"'), "unknown form 'suction'"),
         (("u_D = 3", 'u_D = 3\nform = "pressure"\nb = [0, 1]'), "leave out b"),
-        (("[soil.core]", "[time]\nend = 1\nsteps = 2\n[soil.core]"), "without \\[time\\]"),
+        (("[soil.core]", "[time]\nend = 1\nsteps = 2\ncapacity = 2\n[soil.core]"), "leave out \\[time\\] capacity"),
         (("[soil.core]", "[soil.all]"), "leave out the other soils"),
     ],
 )

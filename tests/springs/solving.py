@@ -172,8 +172,11 @@ class Settling:
     def left_by(self, solution: Rested):
         return solution.data
 
-    def of_step(self, solution: Rested):
+    def of_step(self, solution: Rested, earlier: Any = None):
         return {}
+
+    def halved(self, failure: Any):
+        return None
 
     def kept(self, solution: Rested):
         return {"load": solution.data}

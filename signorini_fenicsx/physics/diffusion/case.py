@@ -155,6 +155,15 @@ class ScalarPair(PairTexts):
     kind: Annotated[str, choice("kind of a pair", ("tied", *BETWEEN))]
 
 
+COLUMNS_OF_SOIL = {
+    "content": ("water", 11, ".5g"),
+    "mass_error": ("mass", 8, ".0e"),
+    "linear_solves": ("linear", 7, "d"),
+    "parts": ("parts", 6, "d"),
+}
+"""What is printed of a step with soils, see `CaseFile.columns_of_step`."""
+
+
 class Case(WithPairs):
     """One Signorini problem, its discretisation and its algorithm."""
 
@@ -194,8 +203,8 @@ class Case(WithPairs):
             raise ValueError(f"[problem] form: '{self.problem.form}' is for soils, see [soil]")
         if self.problem.form != FORMS[0] and self.problem.b is not None:
             raise ValueError("[problem] b: with the form 'pressure' gravity is the given flux; leave out b")
-        if self.soil and self.time is not None:
-            raise ValueError("[soil]: soils are for problems without [time], as their storage is not there")
+        if self.soil and self.time is not None and self.time.capacity is not None:
+            raise ValueError("[soil]: says what is stored; leave out [time] capacity")
         if EVERYWHERE in self.soil and len(self.soil) > 1:
             raise ValueError(f"[soil.{EVERYWHERE}]: is the soil everywhere; leave out the other soils")
         for i, texts in enumerate(self.law):
@@ -220,6 +229,8 @@ class Case(WithPairs):
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
         """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
+        if self.soil:
+            return COLUMNS_OF_SOIL | super().columns_of_step
         if self.problem.obstacle is None or self._stores or any(law.region for law in self.law):
             return super().columns_of_step
         return {"contact_cells": ("cells", 9, "d"), "cells_measure": ("measure", 11, ".5g")} | super().columns_of_step

@@ -7,7 +7,8 @@ With RT1 w_(n−k) is in P1 on each cell, the projection Π₁(Cu) by the quadra
 Laws with memory on Γ_S have their state at the beginning of the step, see `discrete/remembered.py`.
 
 θ is a monotone graph, a law of storage; at jumps of it θ is not known from u. What a step leaves is the θ that its
-balance has selected, so that nothing is lost. At the start θ is the least value that u_0 allows.
+balance has selected, so that nothing is lost. At the start θ is the least value that u_0 allows. With soils steps are
+those of `soil_steps.py`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import basix
 import numpy as np
@@ -24,7 +26,7 @@ from mpi4py import MPI
 from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
@@ -43,7 +45,7 @@ from signorini_fenicsx.expressions.given import Given, Rows, at_time, is_fixed, 
 from signorini_fenicsx.expressions.tree import Comparison, Conditional
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, part_in, plus
-from signorini_fenicsx.physics.diffusion.discrete.data import cell_means
+from signorini_fenicsx.physics.diffusion.discrete.coefficients import cell_means
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
@@ -89,8 +91,6 @@ class DiffusionSteps:
             InputError: If a text cannot be read, or C or u_0 is not what it has to be.
         """
         dim = spaces.mesh.geometry.dim
-        if has_soils(problem.kappa):
-            raise InputError("[time]: with soils there is none, as the storage θ(h − z) is not there; leave out [time]")
         if start is not None:
             evolution = replace(evolution, initial=_carried(start, spaces))
         self.spaces, self._evolution = spaces, evolution
@@ -114,7 +114,8 @@ class DiffusionSteps:
         comm = spaces.mesh.comm
         if (least := comm.allreduce(float(self.capacity.min(initial=np.inf)), MPI.MIN)) < 0:
             raise InputError(f"[time] capacity: must not be negative; its smallest mean over a cell is {least:.3g}")
-        if not self.storage and not self.remembered.laws and not comm.allreduce(bool(self.capacity.any()), MPI.LOR):
+        stores = self.storage or self.remembered.laws or has_soils(problem.kappa)
+        if not stores and not comm.allreduce(bool(self.capacity.any()), MPI.LOR):
             raise InputError("[time] capacity: is 0 everywhere; leave out [time]")
 
     def _jumps(self) -> bool:
@@ -223,13 +224,17 @@ class DiffusionSteps:
             content[rows] += others[rows] / a if alone else np.clip(others[rows] / a, least, most)
         return content
 
-    def of_step(self, solution: Solution) -> dict[str, float]:
+    def of_step(self, solution: Solution, _earlier: Mapping[str, float] | None = None) -> dict[str, float]:
         """The integral of the content, where there is storage, and sizes of states (collective)."""
         of_states = {f"{name} {what}": size for name, of in sizes(solution).items() for what, size in of.items()}
         if not self.storage:
             return of_states
         local = float(self.spaces.cell_measures @ owned_values(self.left_by(solution).content))
         return {"content": self.spaces.mesh.comm.allreduce(local)} | of_states
+
+    def halved(self, _failure: NumericalFailure) -> DiffusionSteps | None:
+        """None: each step is a convex problem."""
+        return None
 
     def kept(self, solution: Solution) -> dict[str, npt.NDArray]:
         """u_h, the segments on which the step has ended, and θ if there is storage."""
@@ -254,7 +259,7 @@ class DiffusionSteps:
         keys = ("facet_own", "own") if self._problem.has_laws_inside else ("facet_own",)
         return Past(step, left, Segments(self.spaces, np.concatenate([kept(step, key).ravel() for key in keys])))
 
-    def memory(self, step: int, before: Sequence[Left]) -> fem.Function:
+    def memory(self, step: int, before: Sequence[Left]) -> Any:
         """The sum Σ_k w_k w_(n−k) in the space of u, from the last content and those before it."""
         memory = fem.Function(self.spaces.scalar_space, name="memory")
         weights = self.weights(step)
@@ -340,7 +345,8 @@ def with_storage(problem: Problem, evolution: Evolution, dim: int) -> Problem:
 def _capacity(evolution: Evolution, problem: Problem) -> Given | Mapping[str, Given]:
     """The factor C: its default is 0 where there are laws of storage, or with memory."""
     if evolution.capacity is None or (isinstance(evolution.capacity, Mapping) and "corners" in evolution.capacity):
-        return 0.0 if any(isinstance(law, Storage | LawWithMemory) for law in problem.laws) else 1.0
+        others = any(isinstance(law, Storage | LawWithMemory) for law in problem.laws)
+        return 0.0 if others or has_soils(problem.kappa) else 1.0
     return evolution.capacity
 
 

@@ -21,6 +21,7 @@ from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import linear_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import linear_spaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.storing import Water
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -54,6 +55,8 @@ OF_LINEAR: Layout = {
 means by the hats of theirs; with laws in Ω the segment at each vertex of a cell."""
 OF_KAPPA: Layout = {"kappa": (np.float64, "cells"), "kappa_at": (np.float64, "cells", "corners")}
 """And where κ depends on u the one that was found, on cells or at their vertices."""
+OF_SOIL: Layout = {"storing": (np.float64, "cells")}
+"""And in time what soils store for a change of u."""
 OF_STEP: Layout = {"memory_at": (np.float64, "cells", "corners")}
 """And in time."""
 OF_MEMORY: Layout = {"facet_remembered": (np.float64, "facets", "remembered")}
@@ -68,6 +71,7 @@ def _in_cells(solution: Solution) -> Arrays:
     if solution.data.quasilinear is not None:
         kappa = solution.data.kappa_values
         rows |= {"kappa_at": kappa} if solution.spaces.degree else {"kappa": kappa[:, 0]}
+        rows |= {} if solution.data.stored is None else {"storing": solution.data.stored[0]}
     return rows | ({} if memory is None else {"memory": solution.data.means_of_memory})
 
 
@@ -141,10 +145,16 @@ def _read(problem: Problem, spaces: Spaces, stored: Stored) -> Solution:
             raise InputError("not a readable solution (it holds no facet_remembered)")
         problem = replace(problem, laws=remembered.in_step(problem.laws, *stored.on_facets(mesh.comm, "remembered")))
     data = project_data(spaces, problem)
+    soils = None
     if stored.step is not None:
-        data = data.after(function_of(spaces.Q, stored.in_cells(spaces, "memory"), "memory"))
+        memory = stored.in_cells(spaces, "memory")
+        if "storing" in stored.arrays:
+            soils = stored.in_cells(spaces, "storing"), memory
+            data = data.after(Water(function_of(spaces.Q, 0 * means), means[:, None]))
+        else:
+            data = data.after(function_of(spaces.Q, memory, "memory"))
     if data.quasilinear is not None:
-        data = data.with_kappa(spaces, stored.in_cells(spaces, "kappa")[:, None])
+        data = data.with_kappa(spaces, stored.in_cells(spaces, "kappa")[:, None], soils)
     trace, flux = p.x.array[: len(spaces.facets)] - data.psi_h, spaces.normal_flux(sigma) - data.q_Sh
     law = data.laws.chains.with_penalty(options.method.penalty, options.eps)
     iterate = Iterate(p=trace, flux=flux, linear_iterations=0, sigma=sigma, u=u)
@@ -169,6 +179,6 @@ KEEPING = Keeping(
     in_cells=_in_cells,
     on_facets=_on_facets,
     read=_read,
-    of_some={**OF_LINEAR, **OF_KAPPA, **OF_STEP, **OF_MEMORY},
+    of_some={**OF_LINEAR, **OF_KAPPA, **OF_SOIL, **OF_STEP, **OF_MEMORY},
     of_step={"memory": (np.float64, "cells")},  # a load
 )

@@ -31,11 +31,13 @@ from signorini_fenicsx.methods.registry import those
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces, linear_spaces
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
+from signorini_fenicsx.physics.diffusion.soil_steps import SoilSteps
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
@@ -158,7 +160,8 @@ class System:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
         spaces = self.linear_spaces if self._linear(options) else self.spaces
-        return DiffusionSteps(spaces, problem, evolution, start)
+        kind = SoilSteps if has_soils(problem.kappa) else DiffusionSteps
+        return kind(spaces, problem, evolution, start)
 
 
 @dataclass
@@ -242,7 +245,10 @@ class DiffusionRun:
         """The data, where κ depends on u with the one that was found (collective)."""
         if not self.task.last:
             return self.data
-        return self.data.with_kappa(self.task.spaces, self.task.present.kappa_values)
+        present, data = self.task.present, self.data
+        if data.quasilinear is not None and present.quasilinear is not None:
+            data = replace(data, quasilinear=replace(data.quasilinear, storing=present.quasilinear.storing))
+        return data.with_kappa(self.task.spaces, present.kappa_values, present.stored)
 
     def solution(self, outcome: Outcome, **about: Any) -> Solution:
         """The solution (collective)."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ufl import Form
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -68,9 +69,13 @@ class ElasticSteps:
         """The slip at the end of this step."""
         return solution.slips
 
-    def of_step(self, _solution: ElasticSolution) -> dict[str, float]:
+    def of_step(self, _solution: ElasticSolution, _earlier: Mapping[str, float] | None = None) -> dict[str, float]:
         """No number: all are of the solution itself."""
         return {}
+
+    def halved(self, _failure: NumericalFailure) -> None:
+        """None: a step without time is not easier if it is shorter."""
+        return
 
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
         """For each vertex of Γ_C its segments, its slip as a vector and the bound of the shear."""

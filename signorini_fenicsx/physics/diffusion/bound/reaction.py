@@ -41,6 +41,7 @@ from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LOAD
 from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST, Resolution
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 SQUARE = 8
@@ -219,7 +220,11 @@ def _coefficient(
 
     `size` is that of u on each cell; the upper bound of c is sharp in cells that are `near`.
     """
-    pieces, nothing = resolution.pieces("c", data.c), np.zeros(len(metric.volume))
+    nothing = np.zeros(len(metric.volume))
+    if isinstance(data.c, OnCells):
+        ends = enclosing(data.c.on_cells[:, 0])
+        return None if data.c_h is None else _Coefficient(data.c.values, nothing, enclosing(nothing), ends)
+    pieces = resolution.pieces("c", data.c)
     if not pieces:
         zero = enclosing(nothing)
         return None if data.c_h is None else _Coefficient(data.c.values, nothing, zero, zero)

@@ -8,7 +8,8 @@ its bound. With u_(n−k) itself, which jumps from cell to cell, the problem wou
 four times larger. With a law of storage the content of the steps before is C times that plus a θ with the right means,
 which is linear on each cell, like the η of their certificates. For k = n it is the content of u_0 as it is given, in
 each point: Cu_0 and the least θ that u_0 allows. In the place of a C that varies are quadratics, and a bound of what
-they leave.
+they leave. A step with soils is the problem with the last κ and with what soils store linear around the last u, cu less
+a load that is constant on each cell, as is what it takes.
 """
 
 from __future__ import annotations
@@ -27,7 +28,13 @@ from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import CellPoints, Points, cell_quadrature
 from signorini_fenicsx.expressions.quadratics import constant
-from signorini_fenicsx.physics.diffusion.bound.certify import OF_PAIRS, Admissible, gap_parts, summed
+from signorini_fenicsx.physics.diffusion.bound.certify import (
+    OF_PAIRS,
+    Admissible,
+    certificate_of,
+    gap_parts,
+    summed,
+)
 from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection
@@ -112,6 +119,8 @@ class StepBounds:
         steps, solution = cast(DiffusionSteps, instant.steps), instant.solution
         if solution.spaces.joints:
             return no_bound(solution, OF_PAIRS)
+        if solution.data.stored is not None:  # what it takes, less what it stores, is constant on each cell
+            return certificate_of(solution)
         if instant.step == 1:
             self._start = steps.start_given()
             self._before = [_Content(_at_start(steps, self._start), term=_start_term(self._start, len(steps.capacity)))]

@@ -22,13 +22,11 @@ from signorini_fenicsx.discrete.data_values import (
     check_nodes,
     extent,
     facet_means,
-    least_value,
     total,
 )
-from signorini_fenicsx.discrete.datum import Datum, conductivity_of, datum_of, quadrature_degree, regional_datum
+from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
-from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.expressions import TREES, Tree, exactly
 from signorini_fenicsx.expressions.given import Given, Rows
@@ -36,14 +34,16 @@ from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux, b
 from signorini_fenicsx.physics.diffusion.discrete.boundary_laws import BoundaryLaws, boundary_laws
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws, cell_laws, with_reactions
+from signorini_fenicsx.physics.diffusion.discrete.coefficients import (
+    cell_means,
+    conductivity,
+    mean_eigenvalues,
+    reaction,
+)
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells, Quasilinear, depends_on_u, quasilinear_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, Water
 from signorini_fenicsx.physics.diffusion.problem import Problem
-
-ROUNDING = 1e-12
-"""Relative asymmetry of κ, or size of a c < 0, that counts as rounding."""
-TINY = 1e-6
-"""Points where κ ≤ 0 are looked for where κ may be below this share of its mean."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Data:
 
     def conductivities(self, spaces: Spaces) -> Array:
         """Mean eigenvalue of κ_h on each owned cell."""
-        return _mean_eigenvalues(spaces, self.kappa, self.kappa_h)
+        return mean_eigenvalues(spaces, self.kappa, self.kappa_h)
 
     def same_operator(self, other: Data, spaces: Spaces) -> bool:
         """Whether κ_h and c_h are those of other data on this mesh (collective)."""
@@ -128,8 +128,11 @@ class Data:
             same = same and np.array_equal(self.c_h.x.array, other.c_h.x.array)
         return bool(spaces.mesh.comm.allreduce(same, MPI.LAND))
 
-    def with_kappa(self, spaces: Spaces, values: Array) -> Self:
+    def with_kappa(self, spaces: Spaces, values: Array, stored: tuple[Array, Array] | None = None) -> Self:
         """The data with another κ, by its values on each owned cell, see `Quasilinear` (collective).
+
+        In a step in time what soils store is cu − load, with these two on the owned cells: c is that of the data, and
+        the load is a part of `memory`.
 
         Raises:
             InputError: If κ is not positive.
@@ -144,7 +147,56 @@ class Data:
         function = kappa_h if values.shape[1] == 1 else spaces.scalar(values)
         integral = comm.allreduce(float(spaces.cell_measures @ means))
         conductance = integral / spaces.length ** (spaces.mesh.geometry.dim + 1)
-        return replace(self, kappa=OnCells(function, values), kappa_h=kappa_h, conductance=conductance)
+        data = replace(self, kappa=OnCells(function, values), kappa_h=kappa_h, conductance=conductance)
+        return data if stored is None else data._storing(spaces, *stored)
+
+    def _storing(self, spaces: Spaces, c: Array, load: Array) -> Self:
+        """The data with what soils store (collective)."""
+        of_u = self.quasilinear
+        assert of_u is not None
+        assert of_u.storing is not None
+        memory, c_h = of_u.storing.before + load, function_of(spaces.Q, c, "c_h")
+        f_h = function_of(spaces.Q, of_u.storing.f + memory - of_u.constant * c, "f_h")
+        stores = spaces.mesh.comm.allreduce(bool(c.any()), MPI.LOR)
+        return replace(
+            self,
+            c=OnCells(c_h, c[:, None]),
+            c_h=c_h if stores else None,
+            f_h=f_h,
+            memory=function_of(spaces.Q, memory, "memory"),
+            trees={name: tree for name, tree in self.trees.items() if name != "c"},
+        )
+
+    def at_traces(self, spaces: Spaces, traces: Array) -> Self:
+        """The data with the κ of û on the facets of the owned cells, and with what is stored then (collective).
+
+        Raises:
+            InputError: If κ is not positive.
+        """
+        of_u = self.quasilinear
+        assert of_u is not None
+        return self.with_stored(spaces, of_u.of_traces(traces)[0], traces)
+
+    def with_stored(self, spaces: Spaces, kappa: Array, traces: Array) -> Self:
+        """The data with this κ, and with what is stored for û on the facets of the owned cells (collective).
+
+        Raises:
+            InputError: If κ is not positive.
+        """
+        data, of_u = self.with_kappa(spaces, kappa), self.quasilinear
+        if of_u is None or of_u.storing is None:
+            return data
+        z = data.jumps(spaces)
+        means = (traces if z is None else traces + z).mean(axis=1) + of_u.constant
+        return data._storing(spaces, *of_u.storing.linear(means, kappa.mean(axis=1)))
+
+    @property
+    def stored(self) -> tuple[Array, Array] | None:
+        """What soils store, see `with_kappa`; None if that is nothing."""
+        if self.quasilinear is None or self.quasilinear.storing is None:
+            return None
+        assert isinstance(self.c, OnCells)
+        return self.c.on_cells[:, 0], self.means_of_memory - self.quasilinear.storing.before
 
     @property
     def kappa_values(self) -> Array:
@@ -156,10 +208,16 @@ class Data:
         """Whether u is unique where σ·n is given on all of Γ_S: there is a Γ_D, or c > 0 somewhere."""
         return spaces.has_dirichlet or self.c_h is not None
 
-    def after(self, memory: fem.Function | None) -> Data:
+    def after(self, memory: fem.Function | Water | None) -> Data:
         """The data of a step of a problem in time, with what it takes from those before; None for nothing."""
         if memory is None:
             return self
+        if isinstance(memory, Water):
+            of_u, before = self.quasilinear, owned_values(memory.content)
+            assert of_u is not None
+            storing = Storing(of_u.spaces, of_u.content, memory.rate, owned_values(self.f_h), before, memory.traces)
+            data = replace(self, quasilinear=replace(of_u, storing=storing))
+            return data.at_traces(of_u.spaces, memory.traces)
         f_h = function_of(self.f_h.function_space, owned_values(self.f_h) + means_in_cells(memory), "f_h")
         return replace(self, f_h=f_h, memory=memory)
 
@@ -273,9 +331,9 @@ def project_data(spaces: Spaces, problem: Problem, known: Known | None = None) -
     of_u = quasilinear_of(spaces, problem.kappa, problem.form) if depends_on_u(problem.kappa) else None
     b = b_of(spaces, problem, known)
     problem = problem if of_u is None else replace(problem, kappa=exactly(1.0))
-    kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: _conductivity(spaces, problem))
+    kappa, kappa_h, conductance = known.get("kappa", problem.kappa, lambda: conductivity(spaces, problem))
     f, f_h = known.get("f", problem.f, lambda: _load(spaces, problem, known))
-    c, c_h = known.get("c", problem.c, lambda: _reaction(spaces, problem))
+    c, c_h = known.get("c", problem.c, lambda: reaction(spaces, problem))
     of_laws = [(id(type(law)), law.parts, law.region, law.data()) for law in problem.laws]
     on_boundary = [problem.u_D, problem.g_N, problem.psi, problem.q_S, problem.obstacle, of_laws]
     boundary = known.get("boundary", on_boundary, lambda: _boundary(spaces, problem))
@@ -375,73 +433,3 @@ def _trees(problem: Problem) -> dict[str, Tree | Rows]:
         of_regions = {f"{name}.{key}": value for key, value in whole.items()} if isinstance(whole, Mapping) else None
         given |= {name: whole} if of_regions is None else of_regions
     return {name: value for name, value in given.items() if isinstance(value, TREES | tuple | list)}
-
-
-def _mean_eigenvalues(spaces: Spaces, kappa: Datum, kappa_h: fem.Function | fem.Constant) -> Array:
-    """Mean eigenvalue of κ_h on each owned cell."""
-    if kappa.number is not None:
-        return np.full(len(spaces.cell_measures), kappa.number)
-    shape = kappa.shape or (1, 1)
-    return np.trace(owned_values(kappa_h).reshape(-1, *shape), axis1=1, axis2=2) / shape[0]
-
-
-def _conductivity(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | fem.Constant, float]:
-    """The datum κ, κ_h and the conductance (collective)."""
-    kappa = conductivity_of(spaces, problem.kappa)
-    kappa_h = _projected_conductivity(spaces, kappa)
-    integral = spaces.cell_measures @ _mean_eigenvalues(spaces, kappa, kappa_h)
-    return kappa, kappa_h, spaces.mesh.comm.allreduce(integral) / spaces.length ** (spaces.mesh.geometry.dim + 1)
-
-
-def _projected_conductivity(spaces: Spaces, kappa: Datum) -> fem.Function | fem.Constant:
-    """κ_h (collective)."""
-    means = cell_means(spaces, kappa)
-    check_means("kappa", "in the domain", means, spaces)
-    matrices = means.reshape(len(means), *(kappa.shape or (1, 1)))
-    size = np.abs(matrices).max(axis=(1, 2))
-    symmetric = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2)) <= ROUNDING * size
-    comm = spaces.mesh.comm
-    if not comm.allreduce(bool(symmetric.all()), MPI.LAND):
-        raise InputError("[problem] kappa: is not symmetric everywhere")
-    positive = np.linalg.eigvalsh(matrices)[:, 0]
-    smallest, what = comm.allreduce(float(positive.min(initial=np.inf)), MPI.MIN), "a mean over a cell"
-    place: tuple[float, ...] = ()
-    if smallest > 0 and kappa.number is None:
-        smallest, place = least_value(spaces, kappa, TINY * positive)
-        what = "its value"
-    if not smallest > 0:
-        what = f"{what} has the eigenvalue" if kappa.shape else f"{what} is"
-        raise InputError(f"[problem] kappa: must be positive; {what} {smallest:.3g}{_near(place)}")
-    if kappa.number is not None:
-        return fem.Constant(spaces.mesh, kappa.number)
-    return function_of(spaces.Q_matrix if kappa.shape else spaces.Q, means.ravel(), "kappa_h")
-
-
-def _reaction(spaces: Spaces, problem: Problem) -> tuple[Datum, fem.Function | None]:
-    """The datum c, and c_h or None if it is 0 (collective)."""
-    c = regional_datum(spaces, "c", problem.c)
-    if c.number == 0:
-        return c, None
-    comm = spaces.mesh.comm
-    means = cell_means(spaces, c)
-    c_h = function_of(spaces.Q, means, "c_h")
-    check_means("c", "in the domain", means, spaces)
-    rounding = ROUNDING * comm.allreduce(float(np.abs(means).max(initial=0.0)), MPI.MAX)
-    least, place = least_value(spaces, c, np.full(len(means), -rounding))
-    if least < -rounding:
-        raise InputError(f"[problem] c: must not be negative; it is {least:.3g}{_near(place)}")
-    return c, c_h if comm.allreduce(bool(means.any()), MPI.LOR) else None
-
-
-def _near(place: tuple[float, ...]) -> str:
-    """A place in the words of a message."""
-    return f" near ({', '.join(f'{x:.4g}' for x in place)})" if place else ""
-
-
-def cell_means(spaces: Spaces, datum: Datum, degree: int | None = None) -> Array:
-    """Mean on each cell of this rank, shape (cells, *shape), by quadrature of this degree or its own (collective)."""
-    cells = owned_cells(spaces.mesh)
-    if datum.number is not None:
-        return np.full(len(cells), datum.number)
-    blocks = cell_quadrature(spaces.mesh, cells, degree or quadrature_degree(datum))
-    return np.concatenate([points.means(datum.values(points)) for points in blocks])

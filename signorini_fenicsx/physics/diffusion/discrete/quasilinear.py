@@ -25,6 +25,7 @@ from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions import TREES, Tree, depends_on, values_and_gradient
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.storing import Storing
 from signorini_fenicsx.physics.diffusion.soils import FLOOR, FORMS, Soil
 
 type Curve = Callable[[Array, Array], tuple[Array, Array]]
@@ -77,6 +78,7 @@ class Quasilinear:
         constant: What is taken from u, see `Data.less`.
         power: s of κ^s κ_0^(1 − s), with κ_0 that of the beginning; 1 is κ.
         form: What u is in soils, see `soils.FORMS`.
+        storing: What soils store in a step in time; None if that is nothing.
     """
 
     spaces: Spaces
@@ -85,6 +87,7 @@ class Quasilinear:
     constant: float = 0.0
     power: float = 1.0
     form: str = FORMS[0]
+    storing: Storing | None = None
 
     @cached_property
     def _places(self) -> tuple[Array, Array]:
@@ -114,6 +117,19 @@ class Quasilinear:
         count = self._places[0].shape[1] // on_facets.shape[1]
         return self.of_traces(np.repeat(on_facets, count, axis=1) - self.constant)[0]
 
+    def content(self, u: Array) -> tuple[Array, Array]:
+        """The water in a unit volume of soil and its derivative, with these u on the owned cells; 0 elsewhere."""
+        x, content, slope = corners(self.spaces.mesh).mean(axis=1), np.zeros(len(u)), np.zeros(len(u))
+        head = self.head(x, u)
+        for inside, soil in self.soils:
+            content[inside], slope[inside] = soil.content(x[inside], head[inside])
+        return content, slope
+
+    @property
+    def soils(self) -> list[tuple[Mask, Soil]]:
+        """The soils, with masks of owned cells."""
+        return [(inside, curve) for inside, curve in self.parts if isinstance(curve, Soil)]
+
     def on_floor(self, kappa: Array) -> Mask:
         """The owned cells, with these values of κ, where soil is so dry that k_r cannot fall further."""
         least = np.zeros(len(kappa))
@@ -124,15 +140,14 @@ class Quasilinear:
     @property
     def has_soils(self) -> bool:
         """Whether there is a soil somewhere."""
-        return any(isinstance(curve, Soil) for _, curve in self.parts)
+        return bool(self.soils)
 
     def saturation(self, x: Array, u: Array, cells: Entities | slice = slice(None)) -> Array:
         """The saturation for u in points, each in an owned cell; 1 where there is no soil."""
         saturation, head = np.ones(len(u)), self.head(x, u)
-        for inside, curve in self.parts:
-            if isinstance(curve, Soil):
-                rows = inside[cells]
-                saturation[rows] = curve.saturation(x[rows], head[rows])
+        for inside, soil in self.soils:
+            rows = inside[cells]
+            saturation[rows] = soil.saturation(x[rows], head[rows])
         return saturation
 
     def head(self, x: Array, u: Array) -> Array:
@@ -176,9 +191,8 @@ class Quasilinear:
     @cached_property
     def _first(self) -> Array:
         value = self._middle.copy()
-        for inside, curve in self.parts:
-            if isinstance(curve, Soil):
-                value[inside] = curve.K
+        for inside, soil in self.soils:
+            value[inside] = soil.K
         return value
 
     @property

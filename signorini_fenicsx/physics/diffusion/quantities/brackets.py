@@ -127,6 +127,7 @@ class _Beside(Beside[Admissible]):
         self._given: Problem = solution.problem.parsed(self.spaces.mesh.geometry.dim)
         if solution.data.quasilinear is not None:
             fixed: dict[str, Any] = {"kappa": solution.data.kappa, "b": solution.data.b, "form": FORMS[0]}
+            fixed |= {} if solution.data.stored is None else {"c": solution.data.c}
             self._given = replace(self._given, **fixed)
         self.kappa: float = solution.data.conductance * self.spaces.length
 

@@ -236,6 +236,8 @@ DETAILS = {
     "kappa_change": "last change of κ",
     "kappa_energy_change": "of κ∇u in energy",
     "dry_cells": "cells with the least k_r that there is",
+    "linear_solves": "linear problems",
+    "content_change": "last change of the content",
 }
 
 

@@ -176,17 +176,28 @@ class FacetSystem:
         """û on the facets of the owned cells, shape (cells, d + 1) (collective)."""
         return np.asarray(self._with_lift(x).x.array[cell_dofs(self.space)])
 
+    def begin(self, traces: Array) -> None:
+        """Let x be that of û on the facets of the owned cells, with u_D where that is given (collective)."""
+        nodes, numbers = cell_dofs(self.space), self.space.dofmap.index_map
+        sums, count = (sums_at(numbers, nodes, each)[: len(self._load)] for each in (traces, np.ones_like(traces)))
+        owned = sums / count - self._data.u_lift.x.array[: len(sums)]
+        owned[self.dirichlet_dofs] = 0.0
+        self.x.array_w[:] = self.sides.unknowns(owned)
+
     def by_kappa(self, x: PETSc.Vec) -> Array:
         """The derivatives of ∫σ·n on the facets of each cell by its κ, shape (cells, d + 1, 1) (collective).
 
-        That of m_T, with which u_T depends on sources, is left out.
+        With a source y also u_T depends on κ, by m_T.
         """
-        b, u_cr = self._data.b, self._with_lift(x)
+        b, u_cr, spaces = self._data.b, self._with_lift(x), self.spaces
         if b is not None and b.by_kappa:
             of_cells = self._flow(u_cr.x.array[cell_dofs(self.space)] + self._jumps)
         else:
-            through = assembled(self.spaces.kept(_outflow, self._data.kappa_h, fem.Function(self.spaces.Q), u_cr))
-            of_cells = through[cell_dofs(self.spaces.broken_crouzeix_raviart)]
+            through = assembled(spaces.kept(_outflow, self._data.kappa_h, fem.Function(spaces.Q), u_cr))
+            of_cells = through[cell_dofs(spaces.broken_crouzeix_raviart)]
+        if self.sources.s is not None:
+            y = self.sources.values(u_cr)[1] * owned_values(self.sources.s) * self.sources.moments
+            of_cells = of_cells - (y * spaces.cell_measures / of_cells.shape[1])[:, None]
         return np.asarray((of_cells / self._data.kappa_values)[:, :, None])
 
     def of_cells(self, matrices: Array) -> PETSc.Mat:

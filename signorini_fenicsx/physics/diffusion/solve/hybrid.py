@@ -45,10 +45,12 @@ class HybridBackend(FacetBackend):
 
     Attributes:
         tangent: Where κ depends on u, whose steps take the place of solves; None for solves with the present κ.
+        solves: How many linear systems it has been asked to solve.
     """
 
     name = "hybrid"
     tangent: Tangent | None = None
+    solves: int = 0
 
     def __init__(
         self,
@@ -174,6 +176,7 @@ class HybridBackend(FacetBackend):
             LinearSolveFailure: If the linear solver does not converge.
         """
         if self.tangent is None:
+            self.solves += 1
             self._solve(conditions)
         else:
             self.tangent.step(conditions)

@@ -115,6 +115,7 @@ class LinearBackend(VertexBackend, TraceBackend):
     system: FluxSystem
     data: LinearData
     tangent: Tangent | None = None
+    solves: int = 0
 
     def __init__(self, spaces: LinearSpaces, data: LinearData, tuning: Tuning | None = None):
         """Assemble and choose the solver (collective).
@@ -163,6 +164,7 @@ class LinearBackend(VertexBackend, TraceBackend):
         if self.tangent is not None:
             self.tangent.step(conditions)
             return self._recovered(conditions, refine=False)
+        self.solves += 1
         self._impose_in_cells(conditions)
         return super().solve(conditions)
 

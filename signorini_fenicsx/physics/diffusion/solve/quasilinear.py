@@ -6,6 +6,9 @@ under a fixed κ again, so that its balance is exact; it is the solution if its 
 Anderson's steps follow, and then κ to powers from 0 to 1, each from the last ones. A u that is known from another mesh
 comes first, and the u at rest last.
 
+In a step in time Newton's method begins at once with û of the last step, and what soils store is linear around its u
+as κ is fixed. Where that fails Anderson's steps and Newton's follow; `evolve` then halves the step.
+
 What is judged is the largest change of κ, and the energy norm of (κ(x, u) − κ)∇u; a flux may repeat long before.
 """
 
@@ -21,6 +24,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
+from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.loop import LINEAR
 from signorini_fenicsx.methods.task import Loop
@@ -39,7 +43,8 @@ RANK = 1e-12
 NEWTON = 40
 """Newton's steps at most."""
 EXACT = 1e-13
-"""Newton's method ends where no residual is above this share of u, or where they do not fall below `CHANGE` of it."""
+"""Newton's method ends where no residual is above this share of u, in time above `CHANGE` of it, or where they do not
+fall below `CHANGE` of it."""
 KEPT = "u gives the κ of its problem"
 """Why it ends."""
 POWERS, SHORTEST, GROWS = 5, 1e-3, 1.5
@@ -55,10 +60,12 @@ class Change:
     Attributes:
         largest: The largest share of κ by which it differs from κ(x, u).
         energy: The energy norm of (κ(x, u) − κ)∇u beside that of κ∇u.
+        content: The largest amount by which the water of the balance in a unit volume differs from that of u.
     """
 
     largest: float
     energy: float
+    content: float = 0.0
 
 
 @dataclass
@@ -77,25 +84,35 @@ class QuasiLinear:
     changes: list[Change]
     near: Array | None = None
     _tried: list[tuple[Array, Array]] = field(default_factory=list)
+    _solves: int = 0
     _by_newton: bool = False
 
     def solved(self) -> Outcome:
         """The solution whose u gives its κ (collective)."""
-        of_u: Quasilinear = self.backend.data.quasilinear
-        ways = [self._under(of_u.first), self._anderson(), self._newton(), self._anderson(), self._newton()]
-        ways += [self._by_powers(), self._under(of_u.at_rest), self._newton()]
-        if self.near is not None:
-            ways = [self._under(of_u.of_means(self.near)), self._newton(), *ways]
-        for way in ways:
+        self._solves, outcome = -self.backend.solves, None
+        for way in self._ways():
             with contextlib.suppress(LinearSolveFailure):  # as where κ differs by too many orders
                 for outcome in way:
                     if self._found or not outcome.converged:
                         return self._told(outcome)
+        if outcome is None:
+            raise LinearSolveFailure("no problem with a fixed κ can be solved")
         last = self.changes[-1]
         return self._told(outcome).ended(
             f"after {len(self.changes)} problems with a fixed κ the last u still changes κ by {last.largest:.1e} of "
             f"itself, and κ∇u by {last.energy:.1e} in the energy norm"
         )
+
+    def _ways(self) -> list[Iterator[Outcome]]:
+        """How it is sought, one way after another (collective)."""
+        of_u: Quasilinear = self.backend.data.quasilinear
+        if of_u.storing is not None:
+            traces = of_u.storing.traces - of_u.constant
+            self.backend.system.begin(traces)
+            return [self._newton(), self._again(traces), self._anderson(), self._newton()]
+        ways = [self._under(of_u.first), self._anderson(), self._newton(), self._anderson(), self._newton()]
+        ways += [self._by_powers(), self._under(of_u.at_rest), self._newton()]
+        return ways if self.near is None else [self._under(of_u.of_means(self.near)), self._newton(), *ways]
 
     def _told(self, outcome: Outcome) -> Outcome:
         """The outcome with what there is to tell of κ (collective)."""
@@ -103,13 +120,20 @@ class QuasiLinear:
         dry = int(np.count_nonzero(data.quasilinear.on_floor(data.kappa_values)))
         about = {"kappa_problems": len(self.changes), "kappa_change": last.largest, "kappa_energy_change": last.energy}
         about["dry_cells"] = self.backend.comm.allreduce(dry)
+        about["linear_solves"] = self._solves + self.backend.solves
+        if (storing := data.quasilinear.storing) is not None:
+            about["content_change"] = last.content
+            traces = self.backend.system.on_cells(self.backend.x) + data.quasilinear.constant
+            data = replace(data, quasilinear=replace(data.quasilinear, storing=replace(storing, traces=traces)))
+            self.backend.data = data
         reason = KEPT if outcome.reason == LINEAR else f"{outcome.reason}, and {KEPT}"
         return replace(outcome, details=outcome.details | about, reason=reason if outcome.converged else outcome.reason)
 
     @property
     def _found(self) -> bool:
         """Whether the last u gives its κ."""
-        return self.changes[-1].largest <= (ENOUGH if self._by_newton else CHANGE) and self._power == 1
+        last = max(self.changes[-1].largest, self.changes[-1].content)
+        return last <= (ENOUGH if self._by_newton else CHANGE) and self._power == 1
 
     @property
     def _power(self) -> float:
@@ -122,13 +146,16 @@ class QuasiLinear:
         system, of_u = backend.system, backend.data.quasilinear
         traces, kappa = system.on_cells(backend.x), backend.data.kappa_values
         following = of_u.of_traces(traces)[0]
-        energy = np.einsum("cn,cnv->cv", traces, system.by_kappa(backend.x))
+        around = traces - traces.mean(axis=1, keepdims=True)
+        energy = np.einsum("cn,cnv->cv", around, system.by_kappa(backend.x))
         squares = np.array([((following - kappa) ** 2 / kappa * energy).sum(), (kappa * energy).sum()])
         change, whole = np.maximum(backend.comm.allreduce(squares), 0.0).tolist()
         largest = float(np.abs(following / kappa - 1).max(initial=0.0))
-        self.changes.append(
-            Change(backend.comm.allreduce(largest, MPI.MAX), float(np.sqrt(change / whole)) if whole > 0 else 0.0)
-        )
+        largest, energy = backend.comm.allreduce(largest, MPI.MAX), float(np.sqrt(change / whole)) if whole > 0 else 0.0
+        content, stored = 0.0, backend.data.stored
+        if stored is not None:
+            content = of_u.storing.change(owned_values(outcome.iterate.u) + of_u.constant, *stored)
+        self.changes.append(Change(largest, energy, content))
         with np.errstate(all="ignore"):
             self._tried = [*self._tried, (np.log(kappa), np.log(following))][-DEPTH - 1 :]
         return outcome
@@ -136,6 +163,11 @@ class QuasiLinear:
     def _under(self, kappa: Array) -> Iterator[Outcome]:
         """The problem under a κ, by its values on each cell (collective)."""
         self.backend.take_kappa(self.backend.data.with_kappa(self.backend.spaces, kappa))
+        yield self._frozen()
+
+    def _again(self, traces: Array) -> Iterator[Outcome]:
+        """The problem under the κ and with what is stored for û on the facets of the owned cells (collective)."""
+        self.backend.take_kappa(self.backend.data.at_traces(self.backend.spaces, traces))
         yield self._frozen()
 
     def _anderson(self) -> Iterator[Outcome]:
@@ -156,14 +188,15 @@ class QuasiLinear:
             with np.errstate(over="ignore"):
                 kappa = np.exp(x[-1] + step).reshape(backend.data.kappa_values.shape)
             try:
-                backend.take_kappa(backend.data.with_kappa(backend.spaces, kappa))
+                traces = backend.system.on_cells(backend.x)
+                backend.take_kappa(backend.data.with_stored(backend.spaces, kappa, traces))
             except InputError:
                 return
             yield self._frozen()
 
     def _newton(self) -> Iterator[Outcome]:
         """Newton's method from the last solution, and the problem under the κ that it finds (collective)."""
-        if not self._settled(EXACT):
+        if not self._settled(EXACT if self.backend.data.stored is None else CHANGE):
             return
         self._by_newton = True
         yield self._frozen()

@@ -35,6 +35,7 @@ class Tangible(Protocol):
     comm: MPI.Comm
     data: Any
     spaces: Any
+    solves: int
 
     @property
     def x(self) -> PETSc.Vec:
@@ -124,10 +125,9 @@ class Tangent:
 
     def _take_kappa(self) -> bool:
         """Let κ be that of the present x; whether it is positive (collective)."""
-        backend, of_u = self._backend, self._backend.data.quasilinear
+        backend = self._backend
         try:
-            values = of_u.of_traces(backend.system.on_cells(backend.x))[0]
-            backend.take_kappa(backend.data.with_kappa(backend.spaces, values))
+            backend.take_kappa(backend.data.at_traces(backend.spaces, backend.system.on_cells(backend.x)))
         except InputError:
             return False
         return True
@@ -160,6 +160,7 @@ class Tangent:
         right = load - self._times(matrix, free) + self._times(tangent, of_fixed)
         tangent.axpy(1.0, matrix, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         right[fixed] = -of_fixed[fixed]
+        backend.solves += 1
         tangent.zeroRowsColumns((fixed + tangent.getOwnershipRange()[0]).astype(PETSc.IntType))
         return self._solved(tangent, right)
 

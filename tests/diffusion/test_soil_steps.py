@@ -1,0 +1,150 @@
+"""Water in soil over time: storage and its balance, published and exact columns, levels in t, restarts, ranks."""
+
+import itertools
+from pathlib import Path
+
+import dolfinx
+import numpy as np
+import pytest
+from commands import read_rows
+from in_time import run, run_in_two
+from mpi4py import MPI
+
+from signorini_fenicsx import (
+    Diffusion,
+    Dirichlet,
+    Evolution,
+    InputError,
+    Neumann,
+    Options,
+    domain_of,
+    evolve,
+    load_case,
+    load_solution,
+)
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.meshing import build_domain
+from signorini_fenicsx.physics.diffusion.soils import Gardner, Soil, VanGenuchten
+from signorini_fenicsx.quantities import Flux
+
+COMM = MPI.COMM_WORLD
+CELIA = VanGenuchten(0.00922, 0.0335, 2, 0.102, 0.368)
+
+
+def column(n: int, height: float, comm: MPI.Intracomm = COMM) -> Domain:
+    """A column of two cells of squares in width."""
+    width, diagonal = 2 * height / n, dolfinx.mesh.DiagonalType.crossed
+    mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (width, height)], [2, n], diagonal=diagonal)
+    sides = {"bottom": (1, 0.0), "top": (1, height), "left": (0, 0.0), "right": (0, width)}
+    return domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()})
+
+
+def by_finite_volumes(
+    soil: Soil, height: float, n: int, steps: int, end: float, *, first: float, top: float, bottom: float
+) -> tuple[np.ndarray, float]:
+    """The pressure heads of n cells from the bottom at the end, and the water taken up, by Celia's iteration.
+
+    At both ends the pressure head is given. κ between cells is the mean of both.
+    """
+    dz, tau = height / n, end / steps
+    z = (np.arange(n) + 0.5) * dz
+    x, ends = np.column_stack([np.zeros(n), z]), np.array([[0, 0.0], [0, height]])
+    psi = np.full(n, first)
+    began = theta = soil.content(x, psi + z)[0]
+    k_ends = soil(ends, np.array([bottom, top + height]))[0]
+    for _ in range(steps):
+        for _ in range(100):
+            k, (content, slope) = soil(x, psi + z)[0], soil.content(x, psi + z)
+            through = np.concatenate([[2 * k_ends[0]], (k[1:] + k[:-1]) / 2, [2 * k_ends[1]]]) / dz**2
+            matrix = np.diag(slope / tau + through[1:] + through[:-1])
+            matrix -= np.diag(through[1:-1], 1) + np.diag(through[1:-1], -1)
+            right = (slope * (psi + z) - content + theta) / tau
+            right[0] += through[0] * bottom
+            right[-1] += through[-1] * (top + height)
+            change, psi = psi, np.linalg.solve(matrix, right) - z
+            if np.abs(psi - change).max() < 1e-7 * np.abs(psi).max():
+                break
+        theta = theta + slope * (psi - change) + content - theta
+    return psi, float((theta - began).sum() * dz)
+
+
+def test_celias_infiltration():
+    """Infiltration into dry soil has the front and the water of a finer solution in one dimension; no mass is lost."""
+    conditions = [Neumann(["left", "right"], 0), Dirichlet("top", 100 - 75), Dirichlet("bottom", -1000)]
+    problem = Diffusion(kappa=CELIA, f=0, conditions=conditions)
+    steps = list(evolve(column(20, 100), problem, Evolution(end=43200, steps=12, initial="y - 1000")))
+    psi, taken = by_finite_volumes(CELIA, 100, 100, 48, 43200, first=-1000, top=-75, bottom=-1000)
+    assert max(step.numbers["mass_error"] for step in steps) < 1e-11
+    assert max(step.numbers["content_change"] for step in steps) < 1e-11
+    assert {step.numbers["parts"] for step in steps} == {1}
+    inflow = sum(step.numbers["inflow"] for step in steps)
+    assert inflow == pytest.approx(steps[-1].numbers["content"] - (10 * 100 * 0.10994), rel=2e-3)
+    assert inflow == pytest.approx(10 * taken, rel=0.02)
+    z = np.arange(100) + 0.5
+    found = steps[-1].solution.at(np.column_stack([np.full(100, 5.1), z]))[0] - z
+    assert np.interp(-500, found, z) == pytest.approx(np.interp(-500, psi, z), abs=2)
+    assert found[80:] == pytest.approx(psi[80:], rel=0.02)
+
+
+def test_specific_storage_of_saturated_soil_is_a_capacity():
+    """Where soil stays saturated the numbers are those of a linear problem with that capacity."""
+    square = build_domain(COMM, "square", 0.3, mesh="structured")
+    conditions = [Dirichlet("left", "9 + t"), Dirichlet("right", 8), Neumann(["top", "bottom"], 0)]
+    evolution = Evolution(end=1, steps=3, initial="9 - x")
+    wet, plain = (
+        list(evolve(square, Diffusion(kappa=kappa, f=0, conditions=conditions), how))
+        for kappa, how in (
+            (VanGenuchten(2.0, 1.0, 2.0, specific_storage=0.7), evolution),
+            (2.0, Evolution(end=1, steps=3, initial="9 - x", capacity=0.7)),
+        )
+    )
+    for one, other in itertools.zip_longest(wet, plain):
+        assert one.solution.norms() == pytest.approx(other.solution.norms(), rel=1e-10)
+
+
+SMALL = {"geometry.shape": "[0, 20] x [0, 100]", "solve.h": 20, "time.steps": 4, "time.end": 14400}
+
+
+def test_a_case_ends_and_goes_on(tmp_path: Path):
+    """A run that ended after a step has the results of one that did not; its bound and quantity are for the last κ."""
+    case = load_case("celia").with_values(SMALL)
+    run(case, tmp_path / "whole", plot=True)
+    run_in_two(case, tmp_path / "two", 2)
+    whole, two = (read_rows(tmp_path / name / "steps.csv") for name in ("whole", "two"))
+    assert len(whole) == 4
+    for key in ("content", "inflow", "linear_solves", "parts"):
+        assert [float(row[key]) for row in two] == pytest.approx([float(row[key]) for row in whole], rel=1e-12)
+    assert all(float(row["bound"]) > 0 and "last κ" in row["bound_is"] for row in whole)
+    one, other = (load_solution(tmp_path / name, COMM) for name in ("whole", "two"))
+    assert one.norms() == pytest.approx(other.norms(), rel=1e-11)
+    assert one.certify().bound == pytest.approx(float(whole[-1]["bound"]), rel=1e-10)
+    inflow = one.quantity(Flux(["top"]))
+    assert inflow.lower < inflow.value < inflow.upper
+
+
+@pytest.mark.parallel(3)
+def test_ranks():
+    """The numbers do not depend on the ranks, of which some have few cells."""
+    conditions = [Neumann(["left", "right"], 0), Dirichlet("top", "0.3 + t"), Dirichlet("bottom", 0)]
+    problem = Diffusion(kappa=Gardner(1.0, 3.0, theta_s=0.4), f=0, conditions=conditions)
+    found = []
+    for comm in (COMM, MPI.COMM_SELF):
+        *_, last = evolve(column(6, 1.0, comm), problem, Evolution(end=0.3, steps=3))
+        found.append(last.solution.norms() | {key: last.numbers[key] for key in ("content", "inflow", "linear_solves")})
+    assert found[0] == pytest.approx(found[1], rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("evolution", "options", "more", "told"),
+    [
+        (Evolution(1, 2, capacity=2), Options(), {}, "soils say what is stored"),
+        (Evolution(1, 2), Options(element="RT1"), {}, "there is no RT1 for soils in time"),
+        (Evolution(1, 2), Options(), {"c": 1}, "with soils in time there is none"),
+        (Evolution(1, 2), Options(), {"obstacle": -1}, "no laws in Ω"),
+    ],
+)
+def test_refusals(evolution: Evolution, options: Options, more: dict, told: str):
+    """What does not go with soils in time is refused in a sentence."""
+    square = build_domain(COMM, "square", 0.5, mesh="structured")
+    with pytest.raises(InputError, match=told):
+        next(evolve(square, Diffusion(kappa=Gardner(1.0, 1.0), f=0, **more), evolution, options))
