@@ -54,9 +54,9 @@ def draw(name: str) -> None:
             kept = {"restart": False, "certify_steps": False}
             solve_in_time(case, MPI.COMM_WORLD, EvolutionReport(quiet=True), Path(folder, "x"), **kept, plot=True)
             picture = Path(folder) / "x" / "contact.png"
-            if not picture.exists():  # in space
+            if getattr(case, "soil", None) or not picture.exists():  # or in space
                 write_solution(load_solution(picture.parent), folder, plot=True, fields=False)
-                picture = Path(folder) / "deformed.png"
+                picture = Path(folder) / ("u.png" if case.PHYSICS == "diffusion" else "deformed.png")
         else:
             solution = solve_case(case)
             sys.stdout.write(f"{name}: {solution.contact.facets} in contact\n")

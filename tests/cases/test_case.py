@@ -33,6 +33,7 @@ def test_examples_are_shipped():
             *examples,
             *exact,
             "bar",
+            "celia",
             "earth_dam",
             "hillslope",
             "soil_column",
