@@ -102,6 +102,18 @@ def test_specific_storage_of_saturated_soil_is_a_capacity():
         assert one.solution.norms() == pytest.approx(other.solution.norms(), rel=1e-10)
 
 
+def test_the_pressure_form_has_the_water_of_the_head_form():
+    """With the pressure head as u and gravity as a given flux a step stores and moves the same water."""
+    soil, sides = VanGenuchten(1.0, 2.0, 1.8, 0.05, 0.4), Neumann(["left", "right"], 0)
+    found = []
+    for form, top, first in (("head", 0.9, "-1"), ("pressure", -0.1, "-1 - y")):
+        problem = Diffusion(kappa=soil, f=0, form=form, conditions=[sides, Dirichlet("top", top), Neumann("bottom", 0)])
+        *_, last = evolve(column(6, 1.0), problem, Evolution(end=0.2, steps=2, initial=first))
+        found.append({key: last.numbers[key] for key in ("content", "inflow")})
+        assert last.numbers["mass_error"] < 1e-11
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
 SMALL = {"geometry.shape": "[0, 20] x [0, 100]", "solve.h": 20, "time.steps": 4, "time.end": 14400}
 
 
