@@ -55,14 +55,61 @@ def test_a_large_pressure_changes_nothing(large: int):
         assert leaving(solver, found) < 1e-13
 
 
-SLIDING = [("y*(1 - y)", Slip("y1", g=1.01 * MU)), (f"(2 - {0.3 / MU})*y - y^2", Slip("y1", g=0.3))]
+def sheared(shear: float) -> str:
+    """The flow y(a − y) in a channel between pressures that differ by 2μ, with this σ_t on the wall y = 1."""
+    return f"(2 + {shear / MU!r})*y - y^2"
 
 
-@pytest.mark.parametrize(("u", "wall"), [*SLIDING, ("y*(2 - y)", Slip("y1"))])
+def navier(g: float, beta: float, w: float) -> str:
+    """That with σ_t = −g − β(u − w), where u = a − 1 > w at the wall, or with g and β for −g and β where it is less."""
+    return sheared(-(g + beta * (1 - w)) / (1 + beta / MU))
+
+
+SLIDING = [
+    ("y*(1 - y)", Slip("y1", g=1.01 * MU)),
+    (sheared(-0.3), Slip("y1", g=0.3)),
+    ("y*(2 - y)", Slip("y1")),
+    (navier(0.3, 0.5, 0.0), Slip("y1", g=0.3, beta=0.5)),
+    (navier(0.0, 0.5, 0.1), Slip("y1", beta=0.5, velocity=[0.1, 7])),
+    (navier(-0.3, 0.5, 2.0), Slip("y1", g=0.3, beta=0.5, velocity=["2*x + 2*(1 - x)", 0])),
+    ("1.1*y - y^2", Slip("y1", g=5, beta=0.5, velocity=[0.1, 0])),
+]
+
+
+@pytest.mark.parametrize(("u", "wall"), SLIDING)
 def test_a_threshold_of_slip(u: str, wall: Slip):
-    """The shear at the wall is μu' = μ below its bound, and the bound above; without a bound the wall is smooth."""
-    found = channel(straight(0.0, wall), [u, "0"])
+    """The shear at the wall is μu' = μ below its bound, and the bound above; without a bound the wall is smooth.
+
+    Where it is more than its bound, it grows with the slip on a wall that may move along itself.
+    """
+    found = channel(straight(0.0, wall), [u, "0"], n=2)
     assert found.errors()["energy"] < 1e-9
+    assert (found.certify().bound < 1e-4) == (wall.beta == 0)
+
+
+def test_slip_that_varies():
+    """Navier's slip in a flow with σ_t = −βu_t on the upper wall, where u_t is sin(πx): order two."""
+    c, errors = -1.0 / MU, []
+    q, slope = f"(y - 1 + {c!r}*(y - 1)^2)", f"(1 + {2 * c!r}*(y - 1))"
+    u = [f"sin(pi*x)*{slope}", f"-pi*cos(pi*x)*{q}"]
+    f = [f"{MU}*pi^2*sin(pi*x)*{slope}", f"-{MU}*pi*cos(pi*x)*(pi^2*{q} - {2 * c!r})"]
+    for n in (4, 8):
+        problem = Stokes(MU, f=f, exact=u, u_D=u, conditions=[Slip("y1", beta=2.0)])
+        errors.append(solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), problem).errors()["energy"])
+    assert errors[1] < 0.12
+    assert errors[1] < 0.34 * errors[0]
+
+
+@pytest.mark.parallel([1, 3])
+def test_slip_in_space():
+    """By CG, on a wall that moves obliquely, between two walls that are symmetric; σ_t is opposite to the slip."""
+    wall = Slip("y1", g=0.3, beta=0.5, velocity=[0.05, 0, 0.02])
+    ends = [Pressure("x0", 2 * MU), Pressure("x1", 0), Dirichlet(["x0", "x1"], 0, components="t")]
+    sides = Dirichlet(["z0", "z1"], 0, components="n")
+    for more, u in ((wall, None), (Slip("y1", g=0.3, beta=0.5), navier(0.3, 0.5, 0.0))):
+        found = channel([*ends, sides, more], [u or "0", "0", "0"], n=2, dim=3, tuning=Tuning(direct_up_to=0))
+        assert max(vars(found.kkt).values()) < 1e-9
+        assert u is None or found.errors()["energy"] < 1e-9
 
 
 def test_an_outlet_lets_poiseuille_out():
@@ -154,6 +201,21 @@ def test_what_comes_in_has_to_go_out():
     for beside, told in ((Slip("x1"), "nothing lets"), (Outflow("x1", least=0.2), "0.2 to inf can leave")):
         with pytest.raises(InputError, match=f"0.166667 more comes in than goes out, and .*{told}"):
             channel([inlet, beside, Slip(["y0", "y1"])], ["0", "0"])
+
+
+def test_walls_that_move():
+    """Beside a law u_t may be given; of a wall with slip it is linear, and β a number that is not negative."""
+    moved = [*straight(0.0), Dirichlet("y1", [1, 0], components="t"), Leak("y1", g=5)]
+    found = channel(moved, ["y*(2 - y)", "0"], n=2)
+    assert found.errors()["energy"] < 1e-9
+    assert found.certify().bound < 1e-6
+    for wall, told in (
+        (Slip("y1", velocity=["x^2", 0]), "u_D.y1: the velocity of a wall with slip must be linear"),
+        (Slip("y1", beta=-1), "slip on 'y1', beta: must not be negative"),
+        (Slip("y1", beta="x"), "slip on 'y1', beta: must be a number"),
+    ):
+        with pytest.raises(InputError, match=told):
+            channel(straight(0.0, wall), ["0", "0"], n=2)
 
 
 def test_bodies_have_them_as_well():

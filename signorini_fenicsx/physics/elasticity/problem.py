@@ -349,7 +349,8 @@ class ElasticProblem(Body):
                 raise InputError(
                     f"fixed: part '{part}' has laws; beside them {told}, not '{self.boundary.fixed[part]}'"
                 )
-            if isinstance(self.u_D, Mapping) and self.u_D.get(part) is not None:
+            moves = isinstance(self.u_D, Mapping) and self.u_D.get(part) is not None
+            if moves and part not in self.boundary.turned:
                 raise InputError(f"u_D.{part}: beside a law u is fixed as 0")
             if part in self.boundary.inner or part in paired:
                 raise InputError(f"fixed: '{part}' is where two bodies meet, and has laws alone")

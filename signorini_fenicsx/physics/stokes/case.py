@@ -23,7 +23,7 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import LAWS, Corners
 from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
 from signorini_fenicsx.physics.elasticity.solving import rule_of
-from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, StokesProblem, of_laws
+from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, StokesProblem, of_laws, velocities
 from signorini_fenicsx.solving.options import Options
 
 COSTS = {2: Cost(4, 1e4, 4.8e3, 2.4e3), 3: Cost(9, 4.5e4, 390, 170)}
@@ -51,7 +51,7 @@ class FlowLaw(KindSection):
     word = "law"
     of_kind: ClassVar[Mapping[str, type[DataSection]]] = {
         "outflow": data_section(Outflow, OF_LAWS, ("tangential",), parts=None, region=None, side=None, tangential=str),
-        "slip": data_section(Slip, OF_LAWS, parts=None, side=None),
+        "slip": data_section(Slip, OF_DATA, parts=None, side=None),
         "leak": data_section(Leak, OF_LAWS, parts=None, region=None, side=None),
         Corners.word: OF_KIND[Corners.word],
     }
@@ -100,7 +100,7 @@ class StokesCase(CaseFile):
     )
     first_laws: ClassVar[Mapping[str, tuple[str, list[str]]]] = {
         "outflow": ("u_n ≥ least and σ_nn ≥ −pressure, one of them equal.", ["least = 0", "pressure = 0"]),
-        "slip": ("u_n = 0, |σ_t| ≤ g, opposite to u_t.", ["g = 1"]),
+        "slip": ("u_n = 0, |σ_t| ≤ g + beta |u_t|, opposite to u_t.", ["g = 1", "beta = 0"]),
         "leak": ("u_t = 0, |σ_nn| ≤ g, opposite to u_n.", ["g = 1"]),
     }
     held = "u = u_D"
@@ -151,5 +151,9 @@ class StokesCase(CaseFile):
     def posed(self, dim: int, step: int | None = None) -> StokesProblem:
         """The parts and the data, see `CaseFile.posed`."""
         values: dict[str, Any] = dict(self.problem)
-        laws = of_laws([law.made() for law in self.law], self.boundary.neumann, self.boundary.fixed)
+        made = [law.made() for law in self.law]
+        laws, walls = of_laws(made, self.boundary.neumann, self.boundary.fixed), velocities(made)
+        if walls:
+            u_D = values["u_D"]
+            values["u_D"] = {**(u_D if isinstance(u_D, dict) else {"": u_D}), **walls}
         return StokesProblem(**values, **laws, exact=self.exact.u, exact_p=self.exact.p)

@@ -84,14 +84,20 @@ class Leak(Law):
 
 @dataclass(frozen=True)
 class Slip(OnParts):
-    """u_n = 0 and |σ_t| ≤ g; u_t = 0 where it is less, else σ_t is opposite to u_t: a wall on which fluid may slip.
+    """u_n = 0 and |σ_t| ≤ g + β|u_t − w|; u_t = w where it is less than g, else σ_t is opposite to u_t − w.
+
+    A wall on which fluid may slip, which moves along itself with w.
 
     Attributes:
         parts: Name of a part, or a list of names.
-        g: g ≥ 0; with 0 the wall is smooth.
+        g: g ≥ 0; with 0 and β = 0 the wall is smooth.
+        beta: β ≥ 0, a number: Navier's slip, with g = 0.
+        velocity: w, linear, of which the part along the wall counts; None for 0.
     """
 
     g: Given = 0.0
+    beta: Given = 0.0
+    velocity: GivenVector | None = None
 
 
 @dataclass(frozen=True)
@@ -158,17 +164,24 @@ class Stokes(Flow):
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
         loaded = dict.fromkeys(part for each in loads for part in each.parts)
+        walls = velocities(laws)
         sorted_laws = of_laws(laws, [part for part in loaded if part not in fixed], fixed)
         return StokesProblem(
             viscosity=self.viscosity,
             f=self.f,
             exact=self.exact,
             exact_p=self.exact_p,
-            u_D=one_value(u_D | dict.fromkeys(sorted(set(sorted_laws["boundary"].fixed) - set(fixed))), None),
+            u_D=one_value(dict.fromkeys(sorted(set(sorted_laws["boundary"].fixed) - set(fixed))) | u_D | walls, None),
             g_N={part: nothing_for_0(each.value) for each in loads if isinstance(each, Neumann) for part in each.parts},
             pressure={part: each.value for each in loads if isinstance(each, Pressure) for part in each.parts},
             **sorted_laws,
         )
+
+
+def velocities(laws: Sequence[Slip | Law]) -> dict[str, GivenVector]:
+    """The velocities of walls with slip that move, by part."""
+    slips = [law for law in laws if isinstance(law, Slip) and law.velocity is not None]
+    return {part: law.velocity for law in slips for part in law.parts if law.velocity is not None}
 
 
 def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[str, str]) -> dict[str, Any]:
@@ -183,6 +196,7 @@ def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[s
             raise InputError(f"fixed: part '{part}' has a law, by which '{more[part]}' is fixed, not '{fixed[part]}'")
     parts = [part for law in laws for part in law.parts]
     return {
+        "support": {part: [0, law.beta] for law in slips if law.beta != 0 for part in law.parts},
         "laws": tuple(law if isinstance(law, Law) else Friction(law.parts, law.g) for law in laws),
         "boundary": StokesBoundary(
             contact=parts,

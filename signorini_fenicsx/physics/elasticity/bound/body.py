@@ -67,7 +67,8 @@ def why_no_constant(spaces: ElasticSpaces) -> str:
     """Why no constant is looked for, in words; empty if what is given of u alone holds each body (collective)."""
     unknowns = spaces.dim**2 * spaces.facets_of_mesh
     no_facets = spaces.boundary_facets(np.empty(0, dtype=np.int32))
-    none = Supports(no_facets, np.empty((0, spaces.dim, spaces.dim)))
+    empty = np.empty((0, spaces.dim**2, spaces.dim**2))
+    none = Supports(no_facets, np.empty((0, spaces.dim, spaces.dim)), empty, np.zeros(len(spaces.rough.facets)))
     if Bodies.of(spaces, ()).not_given(none).shape[1] > 0:
         return "as what is given of u does not hold each body"
     return "as the mesh is large" if unknowns > MOST[spaces.dim] else ""

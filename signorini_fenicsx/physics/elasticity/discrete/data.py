@@ -119,11 +119,15 @@ class ElasticData:
         """What of û_t at the sites with friction is no slip: that of the last step, and of tools."""
         return self.slipped + self.moved[len(self.laws.p_h) :]
 
-    def reactions(self, spaces: ElasticSpaces, stresses: Array) -> Array:
-        """What foundations, or other bodies, do: −σ_nn at the sites from the references of the laws, then σ_t."""
+    def reactions(self, spaces: ElasticSpaces, stresses: Array, slip: Array | None = None) -> Array:
+        """What foundations, or other bodies, do: −σ_nn at the sites from the references of the laws, then σ_t.
+
+        With the means of u_t − w at the sites with friction σ_t is the part of it that friction has.
+        """
         pulls = spaces.tractions(spaces.contact, stresses) - self.pulled
         normal = -np.einsum("nai,ni->na", pulls, spaces.contact.normals).ravel() - self.laws.flux_h
-        return np.append(normal, spaces.in_frames(pulls[spaces.rough_rows]))
+        shear = spaces.in_frames(pulls[spaces.rough_rows])
+        return np.append(normal, shear if slip is None else shear + self.supports.of_slip(slip))
 
     def after(self, spaces: ElasticSpaces, rho: Array) -> ElasticData:
         """The data after a further motion of the tools (collective)."""
@@ -234,7 +238,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     pulled = add_pulls(spaces, pulls, tractions)
     add_tractions(spaces, tractions, pulled, load)
     load.array[normal.unknown] -= normal.measure * laws.flux_h
-    slipped = np.zeros(len(slip)) if before.slipped is None else before.slipped
+    slipped = _velocity_of_walls(spaces, problem, u_D) if before.slipped is None else before.slipped
     lift.x.array[slip.unknown] = slipped
     lift.x.scatter_forward()
     data = ElasticData(
@@ -261,6 +265,26 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     )
     _check_cells(spaces, data)
     return data.moved_by(spaces, before.moved)
+
+
+def _velocity_of_walls(spaces: ElasticSpaces, problem: ElasticProblem, u_D: VectorDatum) -> Array:
+    """W, with which walls move along themselves, in the means at the sites with friction (collective).
+
+    Raises:
+        InputError: If it is not linear.
+    """
+    given = problem.u_D if isinstance(problem.u_D, Mapping) else {}
+    slipped = np.zeros((len(spaces.rough.facets), spaces.dim, spaces.dim))
+    for part in problem.rough if spaces.boundary.turned else []:
+        if (value := given.get(part)) is not None:
+            degree = vector_datum_of(spaces, f"u_D.{part}", value).polynomial
+            if degree is None or degree > 1:
+                raise InputError(f"[problem] u_D.{part}: the velocity of a wall with slip must be linear in x, y, z")
+            rows = np.flatnonzero(np.isin(spaces.rough.facets, spaces.domain.facets[part]))
+            facets = spaces.rough.take(rows)
+            moments = facet_moments(spaces, "u_D", u_D, facets, f"on part '{part}'")
+            slipped[rows] = moments * spaces.dim / facets.measure[:, None, None]
+    return spaces.in_frames(slipped)
 
 
 def _check_where_given(spaces: ElasticSpaces, u_D: Any) -> None:

@@ -1,8 +1,11 @@
-"""Elastic supports of parts of Γ_N.
+"""Elastic supports of parts of Γ_N, and of walls on which a fluid slips.
 
 A support is a part whose traction is σn = g_N − Ku with a stiffness K per area, symmetric and without negative
 eigenvalues: springs that push and pull along n, across it, or both. Its energy ½∫ Ku·u is added. On a facet K is
 constant and û linear, and so is σn. What û is there follows from σn, but for what K does not hold.
+
+On a wall with slip K is β across n. Friction there is −σ_t − β(u_t − w), with the velocity w of the wall; the springs
+pull on what of û_t the unknowns have, which is that without w.
 
 In the gap identity of `forms/elasticity.py` −y n = Kw − g_N with some w, and a support adds
 
@@ -19,15 +22,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, linear_values
 from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import GivenStiffness
 
+NO_BOUND = "none is there with slip of beta > 0"
 HELD = 1e-12
 """Directions in which a stiffness is less than this share of its largest are not held."""
 
@@ -39,18 +44,28 @@ class Supports:
     Attributes:
         facets: Their facets.
         stiffness: K on each of them, shape (facets, d, d).
+        frames: The values at the vertices that their unknowns stand for, see `ElasticSpaces.frames`.
+        slip: β on each facet with friction, in the order of `ElasticSpaces.rough`.
     """
 
     facets: BoundaryFacets
     stiffness: Array
+    frames: Array
+    slip: Array
 
     @property
     def masses(self) -> Array:
-        """∫ Kq·q' for the hats of each vertex and component of q and q', shape (facets, d², d²)."""
+        """∫ Kq·q' for all pairs of unknowns q and q' of each facet, shape (facets, d², d²)."""
         dim = self.stiffness.shape[1]
         hats = (1 + np.eye(dim)) / (dim * (dim + 1))
-        masses = np.einsum("n,ab,nij->naibj", self.facets.measure, hats, self.stiffness)
-        return np.asarray(masses.reshape(-1, dim**2, dim**2))
+        masses = np.einsum("n,ab,nij->naibj", self.facets.measure, hats, self.stiffness).reshape(-1, dim**2, dim**2)
+        return np.asarray(self.frames.swapaxes(1, 2) @ masses @ self.frames)
+
+    def of_slip(self, slip: Array) -> Array:
+        """What the springs of walls add to σ_t at the sites with friction, from the means of u_t − w there."""
+        dim = self.stiffness.shape[1]
+        rows = slip.reshape(-1, dim, dim - 1)
+        return np.asarray((self.slip[:, None, None] * linear_from_means(rows)).ravel())
 
     @property
     def share(self) -> Array:
@@ -64,7 +79,12 @@ class Supports:
             spaces: The spaces.
             tractions: ∫ g_N φ_a over the facets of `spaces.neumann`.
             stresses: Values of σ as in `SplitMesh.values`.
+
+        Raises:
+            InputError: If there is slip with β > 0.
         """
+        if spaces.mesh.comm.allreduce(bool(self.slip.any()), MPI.LOR):
+            raise InputError(NO_BOUND)
         rows = np.searchsorted(spaces.neumann.facets, self.facets.facets)
         pulls = linear_values(tractions[rows], self.facets.measure)
         softness = np.linalg.pinv(self.stiffness, rcond=HELD, hermitian=True)
@@ -82,18 +102,26 @@ def supports_of(spaces: ElasticSpaces, given: Mapping[str, GivenStiffness]) -> S
     Raises:
         InputError: If a part is not in Γ_N, or a stiffness is not numbers, symmetric, and of no negative eigenvalue.
     """
-    supports = [np.zeros((0, spaces.dim, spaces.dim))]
-    numbers = [np.zeros(0, dtype=np.int32)]
+    dim, boundary = spaces.dim, spaces.boundary
+    supports, frames = [np.zeros((0, dim, dim))], [np.zeros((0, dim**2, dim**2))]
+    numbers, slip = [np.zeros(0, dtype=np.int32)], np.zeros(len(spaces.rough.facets))
     for part, value in given.items():
-        name = f"[problem] support.{part}"
-        if part not in spaces.boundary.neumann:
+        walls = part in boundary.turned and part not in boundary.neumann
+        name = f"slip on '{part}', beta" if walls else f"[problem] support.{part}"
+        if not walls and part not in boundary.neumann:
             raise InputError(f"{name}: a support is on a part in neumann")
         facets = spaces.part(part)
         numbers.append(facets.facets)
-        supports.append(_stiffness(name, parsed(value, "xyz"[: spaces.dim], name), facets.normals))
-    all_numbers, stiffness = np.concatenate(numbers), np.concatenate(supports)
+        supports.append(_stiffness(name, parsed(value, "xyz"[:dim], name), facets.normals))
+        frames.append(np.tile(np.eye(dim**2), (len(facets.facets), 1, 1)))
+        if walls:
+            frames[-1] = spaces.frames[0][1][np.searchsorted(spaces.contact.facets, facets.facets)]
+            along = np.einsum("nii->n", supports[-1]) / (dim - 1)
+            slip[np.searchsorted(spaces.rough.facets, facets.facets)] = along
+    all_numbers = np.concatenate(numbers)
     order = np.argsort(all_numbers)
-    return Supports(spaces.boundary_facets(all_numbers[order]), stiffness[order])
+    stiffness, all_frames = np.concatenate(supports)[order], np.concatenate(frames)[order]
+    return Supports(spaces.boundary_facets(all_numbers[order]), stiffness, all_frames, slip)
 
 
 def _stiffness(name: str, given: Any, normals: Array) -> Array:

@@ -267,7 +267,8 @@ class ElasticBackend(TraceBackend):
     def iterate(self, conditions: SiteConditions, sigma: Array, u: Array) -> Iterate:
         """The iterate from the values of σ and u (collective)."""
         spaces = self.spaces
-        p, flux = self.cleaned(conditions, self.openings(self._x), self.data.reactions(spaces, sigma))
+        means = self.openings(self._x)
+        p, flux = self.cleaned(conditions, means, self.data.reactions(spaces, sigma, self._slip.of(means)))
         return Iterate(p, flux, self._iterations, spaces.split.stress(sigma), spaces.displacement(u))
 
     def left_at_sites(self, posed: Posed, x: PETSc.Vec, left: Array) -> None:

@@ -76,7 +76,7 @@ def elastic_kkt(spaces: ElasticSpaces, data: ElasticData, stresses: Array, p: Ar
     if norm == 0:
         return ElasticKKT(0.0, 0.0, 0.0, 0.0, 0.0)
     k = np.repeat(stiffness[spaces.contact.cells], dim) / length
-    (normal, slip), flux = spaces.site_kinds, data.reactions(spaces, stresses)
+    (normal, slip), flux = spaces.site_kinds, data.reactions(spaces, stresses, spaces.site_kinds["slip"].of(p))
     squares = squares_off(data.laws.chains, (normal.of(p), normal.of(flux)), k, normal.measure, 1.0)[:, 0]
     unit, weights = k[slip.pressing], (spaces.rough.measure / dim)[:, None]
     off = data.friction.residuals(slip.rows_of(p), slip.rows_of(flux), unit)
