@@ -25,8 +25,7 @@ NOTHING = 1e-12
 WHOLE = 1e-9
 """A facet is covered up to this share of it."""
 NEARLY = 0.05
-"""In the plane up to this share of a facet may stand out at its ends, as chords of one arc do: its last pieces are
-stretched."""
+"""Up to this share of a facet may stand out at its ends, as chords of one arc do: its last pieces are stretched."""
 NEAR = 1.5
 """Facets whose balls may meet a line are looked for in balls around it that are so many times as large."""
 CLASS = 2
@@ -136,8 +135,7 @@ def overlay(slave: Surface, master: Surface, directions: Array, within: float) -
     pieces = _joined(found)
     pieces = pieces.take(np.abs(pieces.gap).max(axis=1, initial=0.0) <= within)
     pieces = _nearest(pieces, number)
-    if dim == 2:
-        pieces = _to_the_ends(pieces, number)
+    pieces = _to_the_ends(pieces, number)
     along = np.einsum("ni,ni->n", directions, slave.normals)
     pieces = pieces.take(np.lexsort([pieces.master, pieces.slave]))
     size = np.abs(np.linalg.det(pieces.on_master)) * master.measure[pieces.master]
@@ -299,17 +297,44 @@ def _parts_of(pieces: Pieces, corners: Array) -> Pieces:
 
 
 def _to_the_ends(pieces: Pieces, slaves: int) -> Pieces:
-    """In the plane, stretch the last pieces of facets that stand out a little, see `NEARLY`."""
-    first = pieces.on_slave[..., 1]  # from the first vertex of the facet on
-    share = np.bincount(pieces.slave, np.ptp(first, axis=1), slaves)
-    standing_out = (share < 1 - WHOLE) & (share > 1 - NEARLY)
+    """Stretch the last pieces of facets that stand out a little, see `NEARLY`."""
+    share = np.bincount(pieces.slave, np.abs(np.linalg.det(pieces.on_slave)), slaves)
     on_slave = pieces.on_slave.copy()
-    for facet in np.flatnonzero(standing_out):
+    for facet in np.flatnonzero((share < 1 - WHOLE) & (share > 1 - NEARLY)):
         own = np.flatnonzero(pieces.slave == facet)
-        for choose, end in ((np.argmin, 0.0), (np.argmax, 1.0)):
-            one, corner = np.unravel_index(choose(first[own]), (len(own), 2))
-            on_slave[own[one], corner] = [1 - end, end]
-    return replace(pieces, on_slave=on_slave)
+        stretched = _stretched(on_slave[own])
+        sizes = np.linalg.det(stretched) * np.sign(np.linalg.det(on_slave[own]))
+        if abs(sizes.sum() - 1) <= WHOLE and (sizes > -NOTHING).all():
+            on_slave[own] = stretched
+    pieces = replace(pieces, on_slave=on_slave)
+    return pieces.take(np.abs(np.linalg.det(on_slave)) > NOTHING)  # one between an end and the side may be flat now
+
+
+def _stretched(corners: Array) -> Array:
+    """The pieces of a facet whose vertices where they end inside it are moved to its corners and its sides.
+
+    A vertex near each corner without one moves there, if it can be one that is on no side, and all others to the nearest
+    side.
+    """
+    dim = corners.shape[2]
+    flat = corners.reshape(-1, dim)
+    _, first, number = np.unique(np.round(flat, 9), axis=0, return_index=True, return_inverse=True)
+    vertices, of_pieces = flat[first], number.reshape(-1, dim)
+    sides = np.sort(np.concatenate([np.delete(of_pieces, k, axis=1) for k in range(dim)]), axis=1)
+    sides, times = np.unique(sides, axis=0, return_counts=True)
+    inside = ~(vertices[sides] <= WHOLE).all(axis=1).any(axis=1)
+    ends = np.isin(np.arange(len(vertices)), sides[(times == 1) & inside])
+    for corner, unit in enumerate(np.eye(dim)):
+        away = 1 - vertices[:, corner]
+        if ends.any() and away.min() > WHOLE:
+            near = ends & (away <= 2 * away[ends].min())
+            on_side = (vertices <= WHOLE).any(axis=1)
+            nearest = np.argmin(np.where(near, away + on_side, np.inf))
+            vertices[nearest], ends[nearest] = unit, False
+    rows = np.flatnonzero(ends & (vertices > WHOLE).all(axis=1))
+    vertices[rows, vertices[rows].argmin(axis=1)] = 0.0
+    vertices[rows] /= vertices[rows].sum(axis=1, keepdims=True)
+    return np.asarray(vertices[of_pieces])
 
 
 def common_parts(simplices: Array, others: Array) -> tuple[Indices, Array]:

@@ -106,6 +106,34 @@ def test_chords_of_one_arc() -> None:
     assert np.abs(pieces.gap - 0.01).max() < 0.02
 
 
+def octant(n: int, radius: float, out: int) -> Surface:
+    """Triangles over an octant of a sphere, whose normals point out or in."""
+    steps = [(i, j) for i in range(n) for j in range(n - i)]
+    numbers = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in steps]
+    numbers += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in steps if i + j < n - 1]
+    x = np.array(numbers, dtype=float)
+    x = np.concatenate([x, n - x.sum(axis=2, keepdims=True)], axis=2)
+    x *= radius / np.linalg.norm(x, axis=2, keepdims=True)
+    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normals /= out * np.linalg.norm(normals, axis=1, keepdims=True)
+    return Surface(x, normals * np.sign((normals * x[:, 0]).sum(axis=1) * out)[:, None])
+
+
+@pytest.mark.parametrize(("slaves", "masters"), [(4, 4), (5, 7), (8, 5), (8, 11)])
+@pytest.mark.parametrize("out", [1, -1])
+def test_facets_of_one_sphere(slaves: int, masters: int, out: int) -> None:
+    """Polyhedra of one octant along the normals of the slave: covered, with corners and sides that are stretched."""
+    slave, master = octant(slaves, 1.0, out), octant(masters, 1.0 + 0.02 * out, -out)
+    pieces = overlay(slave, master, slave.normals, 0.5)
+    np.testing.assert_allclose(pieces.covered(len(slave.corners)), 1.0, atol=1e-9)
+    sums = np.zeros((len(slave.corners), 3))
+    np.add.at(sums, pieces.slave, pieces.weights.sum(axis=2))
+    np.testing.assert_allclose(sums, 1.0, atol=1e-9)
+    assert (pieces.on_slave > -1e-11).all()
+    assert (pieces.on_master > -1e-11).all()
+    assert pieces.share[np.abs(pieces.stretch - 1) > 0.6].sum() < 0.01 * len(slave.corners)
+
+
 def test_many_facets_far_away() -> None:
     """The search does not compare all with all: 4000 and 3000 facets of very different sizes, far apart."""
     x = np.append(0.0, np.geomspace(1e-4, 1, 4000))
