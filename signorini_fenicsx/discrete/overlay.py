@@ -313,8 +313,8 @@ def _to_the_ends(pieces: Pieces, slaves: int) -> Pieces:
 def _stretched(corners: Array) -> Array:
     """The pieces of a facet whose vertices where they end inside it are moved to its corners and its sides.
 
-    A vertex near each corner without one moves there, if it can be one that is on no side, and all others to the nearest
-    side.
+    A vertex near each corner without one moves there, if it can be one that is on no side, and all others to the side
+    that is nearest.
     """
     dim = corners.shape[2]
     flat = corners.reshape(-1, dim)
