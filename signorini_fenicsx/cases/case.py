@@ -109,7 +109,7 @@ class CaseFile(Section):
     first_listed: ClassVar[Sequence[str]] = ()
     """Those whose parts `[boundary]` lists under the first one, if others than that."""
     first_data: ClassVar[Sequence[tuple[str, str, str]]]
-    """The lines of `[problem]` of a first case, what they are, and the word of a part that needs them, if one does."""
+    """The lines of `[problem]` of a first case, what they are, and the words of parts that need them, if some do."""
     first_laws: ClassVar[Mapping[str, tuple[str, list[str]]]] = {}
     """What laws in a first case say, and the lines of their data, for those that are no `Law`."""
     first_pairs: ClassVar[Sequence[str]] = ()

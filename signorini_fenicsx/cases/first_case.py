@@ -31,7 +31,7 @@ VALUES: Mapping[str, Any] = {
     "corners": [[-1, 1], [1, -1]],
 }
 """Data of laws; for others their defaults are written, or 0."""
-HELD, GIVEN, SYMMETRIC, CONTACT = "dirichlet", "neumann", "symmetry", "contact"
+HELD, GIVEN, SYMMETRIC = "dirichlet", "neumann", "symmetry"
 
 
 @dataclass(frozen=True)
@@ -79,14 +79,15 @@ class Place:
         entries = ", ".join(f"{name} = {_path(file, folder)}" for name, file in files.items())
         return cls(f"bodies = {{{entries}}}", list(mesh.parts), [], mesh.dim, facing(mesh))
 
-    def of_pairs(self, conditions: Mapping[str, str]) -> dict[Facing, str]:
-        """The pairs whose parts have no condition of their own, with their kinds: contact, if no other is given.
+    def of_pairs(self, conditions: Mapping[str, str], usual: str) -> dict[Facing, str]:
+        """The pairs whose parts have no condition of their own, with their kinds: the usual one, if no other is given.
 
         Args:
             conditions: Words for parts; that of a pair is given for one of its sides.
+            usual: The usual kind.
         """
         given = {pair: {conditions.get(pair.slave), conditions.get(pair.master)} - {None} for pair in self.pairs}
-        kinds = {pair: words.pop() if words else CONTACT for pair, words in given.items() if len(words) < 2}
+        kinds = {pair: words.pop() if words else usual for pair, words in given.items() if len(words) < 2}
         return {pair: str(kind) for pair, kind in kinds.items() if kind not in (HELD, GIVEN, SYMMETRIC)}
 
 
@@ -132,9 +133,10 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
         raise InputError(
             f"unknown physics '{physics}'; use one of {', '.join(PHYSICS)}{did_you_mean(physics, PHYSICS)}"
         )
-    pairs, kinds = place.of_pairs(conditions), PHYSICS[physics].case.first_pairs
-    if pairs and not kinds:
+    kinds = PHYSICS[physics].case.first_pairs
+    if place.pairs and not kinds:
         raise InputError(f"init: bodies with meshes of their own have no pairs in {physics}")
+    pairs = place.of_pairs(conditions, next(iter(kinds), ""))
     paired = {part: kind for pair, kind in pairs.items() for part in (pair.slave, pair.master)}
     for part, word in conditions.items():
         if part not in place.parts:
@@ -152,7 +154,7 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
     sections = [
         "\n".join(head),
         f"[geometry]\n{place.geometry}",
-        *_sections(PHYSICS[physics].case, outer, inner, place.dim),
+        *_sections(PHYSICS[physics].case, outer, inner, place),
     ]
     sections[-1:-1] = [_pair_section(pair, kind, PHYSICS[physics].case.first_laws) for pair, kind in pairs.items()]
     if place.geometry.startswith("shape") and place.dim == 3:
@@ -160,21 +162,21 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
     return "\n\n".join(sections) + "\n"
 
 
-def _sections(case: Any, outer: Mapping[str, str], inner: Mapping[str, str], dim: int) -> list[str]:
+def _sections(case: Any, outer: Mapping[str, str], inner: Mapping[str, str], place: Place) -> list[str]:
     """The sections of a case file, with words for the parts of the boundary and for those inside."""
     plain = case.first_words[0]
     lists = {plain: parts_with(outer, *(case.first_listed or [plain])), GIVEN: parts_with(outer, GIVEN)}
     keys = case.model_fields["boundary"].annotation.model_fields
-    lines = [f"{key} = {_json(parts)}" for key, parts in lists.items() if key in keys]
+    lines = [f"{key} = {_json(parts)}" for key, parts in lists.items() if key in keys and (parts or not place.pairs)]
     lines += [f"inner = {_json(list(inner))}"] if inner else []
     lines.append(f"# u is given on the rest: {', '.join(parts_with(outer, HELD)) or 'nothing'}")
     if fixed := parts_with(outer, SYMMETRIC):
         axes = ", ".join(f'{_json(part)} = "n"' for part in fixed)
         lines.append(f"fixed = {{{axes}}}  # u·n is given there; also letters of xyz")
     laws = {part: word for part, word in outer.items() if word not in (HELD, GIVEN, SYMMETRIC, plain)} | {**inner}
-    numbers = {"down": [0] * (dim - 1) + [-0.01], "zero": [0] * dim}
+    numbers = {"down": [0] * (place.dim - 1) + [-0.01], "zero": [0] * place.dim}
     in_time = ["[time]\nend = 1\nsteps = 10"] if any(_has_memory(word) for word in laws.values()) else []
-    needed = [(line, about) for line, about, word in case.first_data if not word or parts_with(outer, word)]
+    needed = [(line, about) for line, about, word in case.first_data if not word or parts_with(outer, *word.split())]
     data = [(line.format(**numbers), about.format()) for line, about in needed]
     width = max(len(line) for line, _ in data)
     problem = [f"{line:<{width}}  # {about}" if about else line for line, about in data]

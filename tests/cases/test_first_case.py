@@ -14,6 +14,7 @@ from signorini_fenicsx.base.shipped import case_names, data_folder
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.first_case import words
 from signorini_fenicsx.cases.solving import evolve_case, solve_case
+from signorini_fenicsx.solving.physics import PHYSICS
 
 FIRST = [
     ("--on", "bottom=signorini", "--on", "left,right=neumann"),
@@ -62,15 +63,16 @@ def box_file(path: Path, low: list[float], high: list[float]) -> None:
     )
 
 
-@pytest.mark.parametrize("kind", ["contact", "tied"])
-def test_parts_of_bodies_that_face_each_other_are_pairs(tmp_path: Path, kind: str):
+@pytest.mark.parametrize(("physics", "kind"), [("elasticity", "contact"), ("diffusion", "friction")])
+def test_parts_of_bodies_that_face_each_other_are_pairs(tmp_path: Path, physics: str, kind: str):
     """The part that is covered is the slave; a condition on a part that is in no pair takes it out of one."""
     for name, low, high in (("low", [0, 0], [1, 1]), ("up", [0.2, 1.01], [0.8, 1.5]), ("side", [1.02, 0], [2, 1])):
         box_file(tmp_path / f"{name}.msh", low, high)
     bodies = [word for name in ("low", "up", "side") for word in ("--body", f"{name}={name}.msh")]
+    bodies += ["--physics", physics]
     done = signorini(tmp_path, "init", "all.toml", *bodies)
     assert (done.returncode, done.stderr) == (0, "")
-    assert len(load_case(tmp_path / "all.toml").pair) == 2
+    assert {pair.kind for pair in load_case(tmp_path / "all.toml").pair} == {PHYSICS[physics].case.first_pairs[0]}
     options = ["--on", f"low.top={kind}", "--on", "side.left=dirichlet", "--on", "up.left,up.right=neumann"]
     assert signorini(tmp_path, "init", "mine.toml", *bodies, *options).returncode == 0
     (pair,) = load_case(tmp_path / "mine.toml").pair

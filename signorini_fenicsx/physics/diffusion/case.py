@@ -170,6 +170,7 @@ class Case(WithPairs):
     PHYSICS: ClassVar[str] = "diffusion"
     first_words = tuple(LAWS)
     first_data = FIRST_DATA
+    first_pairs = ("tied", *BETWEEN)
     boundary: Boundary = Boundary()
     law: Annotated[list[LawTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: ProblemTexts

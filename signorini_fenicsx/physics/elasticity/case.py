@@ -219,7 +219,7 @@ FIRST_DATA = (
     ("f = {down}", "the load", ""),
     ("u_D = {zero}", "the displacement on the rest", HELD),
     ("g_N = {zero}", "the traction σn on the parts in neumann; also by part: {{top = […]}}", GIVEN),
-    ("gap = 0", "to what the body touches, along the outer normal", ""),
+    ("gap = 0", "to what the body touches, along the outer normal", " ".join(WITH_CONTACT)),
 )
 """See `CaseFile.first_data`."""
 

@@ -40,7 +40,8 @@ def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
 
 def direction_of_gap(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
     """Along what the gap is measured, if it varies and a part in contact is curved (collective)."""
-    curved = [name for name in curved_parts(spaces) if name in spaces.part_names]
+    slaves = [part for joint in spaces.joints for part in joint.pair.slave]
+    curved = [name for name in curved_parts(spaces) if name in spaces.part_names and name not in slaves]
     if not curved or all(part.number is not None for _, part in data.gap.by_facets(spaces.contact.facets)):
         return []
     return [
