@@ -48,6 +48,15 @@ def _outwards(kind: Flow) -> Integral:
     return Integral(parts=kind.parts)
 
 
+class _Flows(of_bodies.Integrals):
+    """What flows out."""
+
+    def discrete(self) -> float:
+        """That of û, whose sum over the whole boundary is 0 (collective)."""
+        flows = self.solution.flows()
+        return float(sum(flows[part] for part in self.kind.parts))
+
+
 class _Power:
     """The dissipation."""
 
@@ -88,7 +97,7 @@ def _of_fluxes(solution: StokesSolution, kind: Any) -> Any:
     if isinstance(kind, Dissipation):
         return _Power(solution)
     if isinstance(kind, Flow):
-        return of_bodies.Integrals(solution, _outwards(kind))
+        return _Flows(solution, _outwards(kind))
     return of_bodies.Fluxes(solution, kind)
 
 

@@ -36,7 +36,8 @@ def field_bound(solution: ElasticSolution, v: fem.Function) -> FieldBound:
     corners = np.vstack([np.zeros(dim), np.eye(dim), np.full(dim, 1 / (dim + 1))])
     points = CellPoints(mesh, cells, corners, np.empty(0))
     strain = to_entries(points.of_ufl(ufl.grad(v))) - material.strain(points)
-    stress = to_matrices(np.linalg.solve(material.compliance(points), strain[..., None])[..., 0])
+    stiffness = np.linalg.pinv(material.compliance(points), hermitian=True)  # of a fluid without what has no energy
+    stress = to_matrices((stiffness @ strain[..., None])[..., 0])
     in_order = np.take_along_axis(stress, spaces.order[:, :, None, None], axis=1)
     at_subcells = np.empty((len(cells), dim + 1, dim + 1, dim, dim))
     at_subcells[:, :, :dim] = in_order[:, opposite(dim)]
