@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.points import CellPoints
@@ -31,14 +30,6 @@ class StokesSolution(ElasticSolution):
     def approach(self) -> str:
         """The problem and its method, in words."""
         return f"viscous flow, {self.options.algorithm_name}"
-
-    def linearised(self, tolerance: float) -> Any:
-        """There are no derivatives.
-
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("solutions of viscous flow have no derivatives")
 
     def own_notes(self) -> list[str]:
         """A velocity of any size is right: nothing is said."""

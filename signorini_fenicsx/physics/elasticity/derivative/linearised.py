@@ -143,7 +143,7 @@ class LinearisedElasticity(HybridLinearised):
             load[:] = 0.0
             load[slip.unknown] = sides * slip.measure * more
             x.axpy(1.0, backend.solve_homogeneous(actual, load))
-        flux, x = backend.flux(x, numbers["load"]), np.array(x.array_r)
+        flux, x = backend.flux(x, numbers["load"] - backend.pulled), np.array(x.array_r)
         slip.of(flux)[:] -= more * np.subtract(1.0, 2 * slip.of(self._segment + np.minimum(self._beside, 0)))
         p = np.append(gap - x[normal.unknown], x[slip.unknown] - numbers["lift"][slip.unknown])
         return *conditions.clean(p, flux, np.inf), x

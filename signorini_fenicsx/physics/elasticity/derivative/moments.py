@@ -90,7 +90,7 @@ def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Arra
             kind, places, matrices = "mu", dim * rows[:, None] + np.arange(dim), _to_values(facets)
             if name == "g":
                 kind, places = "line", sites[rows]
-                matrices = shear[rows].reshape(len(rows), -1, dim) @ matrices
+                matrices = shear[rows].reshape(len(rows), dim * (dim - 1), dim) @ matrices
             yield from _of_datum(spaces, f"{key}.{part}", kind, datum, facets, places, matrices)
 
 

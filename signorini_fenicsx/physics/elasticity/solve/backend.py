@@ -12,7 +12,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.tolerances import STEP
+from signorini_fenicsx.base.errors import LinearSolveFailure
+from signorini_fenicsx.base.tolerances import KKT, STEP
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
@@ -46,6 +47,7 @@ class ElasticBackend(TraceBackend):
     """
 
     name = "elastic"
+    pulled: Array | float = 0.0
     spaces: ElasticSpaces
     system: ElasticSystem
     data: ElasticData
@@ -161,7 +163,7 @@ class ElasticBackend(TraceBackend):
     def after_solve(self, posed: Posed, *, ended: bool) -> bool:
         """Let the tools move, and the body with them; keep the volume of an incompressible one (collective)."""
         if self.system.mean is not None and ended:
-            self._keep_volume(posed)
+            self.system.take_means(*self._keep_volume(self._x, posed, self.data.lift)[:2])
         if not self.tools:
             return True
         self._respond(posed)
@@ -169,17 +171,37 @@ class ElasticBackend(TraceBackend):
         self._x.array_w[:] = self._x.array_r + self.tools.take(forces)
         return self._solver.share == 0.0
 
-    def _keep_volume(self, posed: Posed) -> None:
-        """Take the mean pressures from solve to solve until no cell loses volume, see `mean_pressure` (collective)."""
-        change, before = self._x.duplicate(), np.inf
+    def _keep_volume(self, x: PETSc.Vec, posed: Posed, lift: Array | float = 0.0) -> tuple[Array, Array, float]:
+        """Move x by the mean pressures from solve to solve until no cell loses volume, see `mean_pressure`.
+
+        These, their pulls, and what is still lost as a share (collective).
+        """
+        change, before = x.duplicate(), np.inf
+        sums, pulls = np.zeros(len(self.spaces.order)), np.zeros(len(self.system.load))
         for _ in range(MOST):
-            means, share = self.system.means(self.system.everywhere(self._x.array_r) + self.data.lift)
+            means, share = self.system.means(self.system.everywhere(x.array_r) + lift)
             if share <= ENOUGH or share > before / 2:
                 break
+            more = self.system.pulls_of_means(means)
             change.set(0.0)
-            self._factors.solve_by_any(-self.system.take_means(means), change, posed.imposed)
-            self._x.axpy(1.0, change)
-            before = share
+            self._factors.solve_by_any(-more, change, posed.imposed)
+            x.axpy(1.0, change)
+            sums, pulls, before = sums + means, pulls + more, share
+        change.destroy()
+        return sums, pulls, share
+
+    def _at_rest(self, posed: Posed, load: Array, lift: Array | float, start: Array | None = None) -> PETSc.Vec:
+        """`TraceBackend._at_rest` with the volume of cells kept; `pulled` has what mean pressures do (collective).
+
+        Raises:
+            LinearSolveFailure: If the linear solver fails, or no such x exists.
+        """
+        x = super()._at_rest(posed, load, lift, start)
+        if self.system.mean is not None:
+            self.system.mean.of_response, self.pulled, lost = self._keep_volume(x, posed)
+            if lost > KKT:
+                raise LinearSolveFailure("a pressure that is known up to a constant only has no derivative")
+        return x
 
     def posed(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
         """The problem under these conditions; weak springs are left out if the body is held (collective)."""

@@ -34,6 +34,8 @@ class MeanPressure:
 
     Attributes:
         values: m_T of each owned cell, that part of it which û does not give.
+        wanted: ∫_∂T û·n, which is 0 but for the adjoint of a functional of pressures.
+        of_response: The means of the last response, which is no solution for the data.
     """
 
     def __init__(self, comm: MPI.Comm, out: Array, stiffness: Array):
@@ -45,7 +47,7 @@ class MeanPressure:
             stiffness: 2μK/|T| of each.
         """
         self._comm, self._out, self._stiffness = comm, out, stiffness
-        self.values = np.zeros(len(out))
+        self.values, self.wanted, self.of_response = np.zeros((3, len(out)))
 
     @classmethod
     def of_traces(cls, spaces: ElasticSpaces, softness: Array, measure: Array) -> Self:
@@ -68,9 +70,10 @@ class MeanPressure:
             values: û in the unknowns of each cell, shape (cells, n).
         """
         flows = self._out * values
-        out = flows.sum(axis=1)
-        left, most = (self._comm.allreduce(float(np.abs(each).max(initial=0.0)), MPI.MAX) for each in (out, flows))
-        return self._stiffness * out, left / most if most > 0 else 0.0
+        out = flows.sum(axis=1) - self.wanted
+        sizes = [float(np.abs(each).max(initial=0.0)) for each in (out, flows, self.wanted)]
+        left, *most = (self._comm.allreduce(size, MPI.MAX) for size in sizes)
+        return self._stiffness * out, left / max(most) if max(most) > 0 else 0.0
 
     def pulls(self, means: Array) -> Array:
         """∫ m q·n over the boundary of each cell for its unknowns q, shape (cells, n)."""

@@ -5,7 +5,7 @@ See `forms/elasticity.py` for what is eliminated on each cell.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from hashlib import blake2b
 
 import numpy as np
@@ -78,7 +78,7 @@ class ElasticSystem(HybridSystem):
         self.tractions = data.load[:owned]
         self.load = self.load_of(self._blocks, data.lift) + self.tractions
         if self.mean is not None:
-            self.load -= self._pulls_of_means(self.mean.values)
+            self.load -= self.pulls_of_means(self.mean.values)
         given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
         self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
 
@@ -96,7 +96,7 @@ class ElasticSystem(HybridSystem):
         """The mean of 1/2μ on cells (collective)."""
         return mean_compliances(self._data.compliances(self.spaces, numbers))[0].mean(axis=1)
 
-    def _pulls_of_means(self, means: Array) -> Array:
+    def pulls_of_means(self, means: Array) -> Array:
         """⟨mn, q⟩ summed over the cells for each owned unknown (collective)."""
         assert self.mean is not None
         pulls = la.vector(self._numbers, self._size)
@@ -111,13 +111,21 @@ class ElasticSystem(HybridSystem):
         cells = np.arange(len(self.spaces.order), dtype=np.int32)
         return self.mean.of(self._sides.values(x)[self._unknowns(cells)])
 
-    def take_means(self, means: Array) -> Array:
-        """Take means of pressures as given besides; what they take from the right side (collective)."""
+    def take_means(self, means: Array, pulls: Array) -> None:
+        """Take means of pressures as given besides, with what they take from the right side."""
         assert self.mean is not None
-        pulls = self._pulls_of_means(means)
         self.mean.values += means
         self.load = self.load - pulls
-        return pulls
+
+    def respond(self, *loads: Array, solve: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
+        """σ, u and x as `HybridSystem.respond` gives them, with the mean pressures of the response (collective)."""
+        if self.mean is None:
+            return super().respond(*loads, solve=solve)
+        self.mean.wanted = -np.einsum("nsaii->n", loads[0])
+        sigma, u, x = super().respond(*loads, solve=solve)
+        sigma += self.mean.of_response[:, None, None, None, None] * np.eye(self.spaces.dim)
+        self.mean.wanted = np.zeros_like(self.mean.wanted)
+        return sigma, u, x
 
     def recover(
         self, x: Array, *, with_f: bool = True, blocks: Sequence[Eliminated] | None = None
