@@ -176,6 +176,7 @@ def _draw(
     def write() -> None:
         if scene is not None:
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
-            drawing.draw_steps(folder, scene, Steps(times, tables, rows, kept))
+            readings = {name: [steps.readings(row, name) for row in rows] for name in solution.readings}
+            drawing.draw_steps(folder, scene, Steps(times, tables, rows, kept, readings))
 
     on_root(comm, write)

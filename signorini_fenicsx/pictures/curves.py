@@ -16,6 +16,8 @@ from signorini_fenicsx.quantities.bracket import QUANTITY, VALUE
 
 FEW = 25
 """Up to this many points have markers."""
+MOST_PROBES = 10
+"""Most points of probes that are drawn, in as many colours."""
 
 
 def moves(history: list[Step]) -> bool:
@@ -66,4 +68,20 @@ def draw_quantities(path: Path, rows: Sequence[Mapping[str, Any]], title: str) -
         passes = f", in the end {100 * share:.3g} % of it at negative pressure" if share else ""
         axes.set(xlabel="$t$", title=name + passes)
     sheet.legend_below([])
+    sheet.save(path)
+
+
+@mpl.rc_context(style.STYLE)
+def draw_probes(path: Path, times: Sequence[float], tables: Sequence[Mapping[str, Any]], title: str) -> None:
+    """Draw u, or the pressure head of water, at the first points of probes over time (rank 0)."""
+    columns = [key for key in tables[0] if key.startswith("u")]
+    columns = ["pressure"] if "pressure" in tables[0] else columns
+    sheet, handles = Sheet([5.4], [2.6] * len(columns), bars=False, title=title), []
+    for place, column in enumerate(columns):
+        axes = sheet.panel(place, 0)
+        for i, name in enumerate(tables[0]["probe"][:MOST_PROBES]):
+            values = [table[column][i] for table in tables]
+            handles += axes.plot(times, values, marker="." if len(times) <= FEW else "", color=f"C{i}", label=str(name))
+        axes.set(xlabel="$t$", title="pressure head" if column == "pressure" else column)
+    sheet.legend_below(handles[:MOST_PROBES])
     sheet.save(path)

@@ -7,7 +7,7 @@ import matplotlib as mpl
 
 from signorini_fenicsx.base.extras import check_installed
 from signorini_fenicsx.pictures import style
-from signorini_fenicsx.pictures.curves import draw_quantities
+from signorini_fenicsx.pictures.curves import draw_probes, draw_quantities
 from signorini_fenicsx.pictures.panels import Steps, error_panel
 from signorini_fenicsx.pictures.plane import Plane
 from signorini_fenicsx.pictures.scene import Scene
@@ -37,6 +37,8 @@ def draw_steps(folder: Path, scene: Scene, steps: Steps) -> None:
     """Draw the pictures of a run in time (rank 0)."""
     scene.pictures.in_time(folder, scene, steps)
     draw_quantities(folder / "quantities.png", steps.rows, scene.title)
+    if probes := steps.readings.get("probes"):
+        draw_probes(folder / "probes.png", steps.times, probes, scene.title)
 
 
 def write_page(path: Path, scene: Scene) -> None:

@@ -145,26 +145,31 @@ def _draw_views(
 
 
 @mpl.rc_context(style.STYLE)
-def draw_fronts(path: Path, scene: Scene, states: Mapping[float, Indices]) -> None:
-    """Draw the edges between cells in different states at some times in one map, coloured by time (rank 0).
+def draw_fronts(path: Path, scene: Scene, lines: Mapping[float, Sequence[Array]], title: str) -> None:
+    """Draw lines at some times in one map, coloured by time (rank 0).
 
     Args:
         path: The file.
         scene: The scene of the last step, in the plane.
-        states: The states of the cells by time.
+        lines: The points of the lines by time, each of shape (points, 2).
+        title: What they are.
     """
     plane = Plane(scene)
     sheet, axes = plane.one_map()
-    colours = mpl.cm.ScalarMappable(mpl.colors.Normalize(0, max(states)), style.U_MAP)
+    colours = mpl.cm.ScalarMappable(mpl.colors.Normalize(0, max(lines)), style.U_MAP)
     axes.add_collection(LineCollection(scene.fields.points[scene.boundary.vertices], colors="black", linewidths=1.0))
-    for t, of_cells in states.items():
-        then = replace(scene, fields=replace(scene.fields, in_cells={"states": of_cells}))
-        lines = scene.fields.points[then.free_boundary()]
-        axes.add_collection(LineCollection(lines, colors=[colours.to_rgba(t)], linewidths=1.8))
-    style.shape_axes(axes, scene.edges, plane.frame)
+    for t, then in lines.items():
+        axes.add_collection(LineCollection(then, colors=[colours.to_rgba(t)], linewidths=1.8))
+    style.shape_axes(axes, title, plane.frame)
     sheet.bar(axes, colours, "$t$")
     sheet.legend_below([])
     sheet.save(path)
+
+
+def fronts_of(scene: Scene, states: Indices) -> Array:
+    """The edges between cells that are in different states then, shape (edges, 2, 2)."""
+    then = replace(scene, fields=replace(scene.fields, in_cells={"states": states}))
+    return scene.fields.points[then.free_boundary()]
 
 
 def chosen_for_fronts(steps: int) -> list[int]:

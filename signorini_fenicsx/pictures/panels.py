@@ -141,9 +141,11 @@ class Steps:
         tables: Its table of sites.
         rows: Its numbers.
         kept: What steps kept in cells, by name and number of the step.
+        readings: What was read off after each step, by the name of its table.
     """
 
     times: Sequence[float]
     tables: Sequence[Any]
     rows: Sequence[Mapping[str, Any]]
     kept: Mapping[str, Mapping[int, Any]]
+    readings: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)

@@ -1,8 +1,8 @@
 """The phreatic line, in space a surface: where the pressure of water is 0, between what is dry and what is not.
 
 The pressure is linear on each cell between its means around the vertices. A vertex of a boundary facet on which the
-pressure is known not to be negative, as on a seepage face, is not dry: so the line ends where water begins to leave,
-and does not follow the face. Of Baiocchi's dam, whose pressure is 0 in all that is dry, it is that of `seepage`.
+pressure is known to be 0, as on a seepage face, is not dry: so the line ends where water begins to leave, and does not
+follow the face. Of Baiocchi's dam, whose pressure is 0 in all that is dry, it is that of `seepage`.
 """
 
 from __future__ import annotations
@@ -62,14 +62,14 @@ def phreatic(solution: Solution) -> list[Array]:
 
 
 def _wetted(solution: Solution, near: float) -> Indices:
-    """The nodes of boundary facets on which a pressure that is not negative is known (collective)."""
+    """The nodes of boundary facets on which the pressure is known to be 0 (collective)."""
     mesh, water = solution.spaces.mesh, solution.water_kind
     assert water is not None
     dim = mesh.topology.dim
     found = [np.empty((0, dim), dtype=np.int32)]
     for facets, values in solution.traces().values():
         middle = dolfinx.mesh.compute_midpoints(mesh, dim - 1, facets).reshape(-1, 3)[:, :dim]
-        wet = facets[np.nan_to_num(water.pressure(middle, values), nan=-np.inf) >= -near]
+        wet = facets[np.abs(np.nan_to_num(water.pressure(middle, values), nan=np.inf)) <= near]
         if len(wet):
             found.append(dolfinx.mesh.entities_to_geometry(mesh, dim - 1, wet).reshape(-1, dim))
     return np.flatnonzero(sums_at(mesh.geometry.index_map(), np.concatenate(found)) > 0)
@@ -101,6 +101,12 @@ def _joined(numbers: Indices, pressure: Array, x: Array) -> list[Array]:
     lines = [points[vertices] for _, vertices in chains(pieces_of)]
     lines = [line if tuple(line[0]) <= tuple(line[-1]) else line[::-1] for line in lines]
     return sorted(lines, key=lambda line: tuple(line[0]))
+
+
+def lines_in(columns: Columns) -> list[Array]:
+    """The lines of the plane whose points are in a table."""
+    points, number = np.column_stack([columns["x"], columns["y"]]), columns["line"]
+    return [line for line in np.split(points, np.flatnonzero(np.diff(number)) + 1) if len(line)]
 
 
 def table(solution: Solution) -> Columns:

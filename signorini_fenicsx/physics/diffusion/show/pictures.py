@@ -7,12 +7,20 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.physics.diffusion.show.phreatic import lines_in
 from signorini_fenicsx.physics.diffusion.show.pools import Pools, water_lines, wet
 from signorini_fenicsx.physics.diffusion.show.shown import STATE
 from signorini_fenicsx.physics.diffusion.show.states import titles
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.curves import moves
-from signorini_fenicsx.pictures.evolution import animate, chosen_for_fronts, draw_fronts, draw_over_time, shown
+from signorini_fenicsx.pictures.evolution import (
+    animate,
+    chosen_for_fronts,
+    draw_fronts,
+    draw_over_time,
+    fronts_of,
+    shown,
+)
 from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel
 from signorini_fenicsx.pictures.plane import levels_between
 from signorini_fenicsx.pictures.scene import Scene
@@ -155,7 +163,16 @@ def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
         {size: in_cells} if in_cells else {},
     )
     if fronts := steps.kept.get("own"):
-        draw_fronts(folder / "fronts.png", scene, {steps.times[step - 1]: each for step, each in fronts.items()})
+        lines = {steps.times[step - 1]: fronts_of(scene, each) for step, each in fronts.items()}
+        draw_fronts(folder / "fronts.png", scene, lines, scene.edges)
+    if scene.dim == 2 and (tables := steps.readings.get("phreatic")):
+        chosen = chosen_for_fronts(len(tables))
+        draw_fronts(
+            folder / "phreatic.png",
+            scene,
+            {steps.times[step - 1]: lines_in(tables[step - 1]) for step in chosen},
+            "phreatic lines",
+        )
     if fields := steps.kept.get("u"):
         animate(folder / "animation.gif", scene, steps, {step: each.ravel() for step, each in fields.items()})
 

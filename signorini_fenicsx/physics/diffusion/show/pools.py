@@ -68,7 +68,8 @@ def _pools(scene: Scene, water: Water) -> list[Array]:
     for each in np.unique(np.round(level[np.isfinite(level)] / size, 9)) * size:
         for _, vertices in chains(boundary.vertices[np.isclose(level, each, rtol=0, atol=SAME * size)]):
             wall = points[vertices]
-            if np.ptp(wall[:, 1]) > WALL * size and wall[:, 1].max() <= each + SAME * size:
+            wall = wall[wall[:, 1] <= each + SAME * size]
+            if len(wall) and np.ptp(wall[:, 1]) > WALL * size:
                 pools.append(_pool(wall, each, points))
     return pools
 

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, sums_at
-from signorini_fenicsx.base.tolerances import ROUNDING
+from signorini_fenicsx.base.tolerances import LINEAR, ROUNDING
 from signorini_fenicsx.contact.laws import River, Seepage
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.points import in_facets
@@ -49,7 +49,7 @@ def discharges(solution: Solution) -> dict[str, dict[str, float]]:
     inside |= {part for pair in boundary.pairs for part in (*pair.slave, *pair.master)}
     parts = [part for part in solution.spaces.domain.facets if part not in inside]
     inflows = {part: water.inflow * solution.flux_through(part) for part in parts}
-    rounding = ROUNDING * max(map(abs, inflows.values()), default=0.0)
+    rounding = LINEAR * max(map(abs, inflows.values()), default=0.0)
     found = {part: {"inflow": each if abs(each) > rounding else 0.0} for part, each in inflows.items()}
     for part in _parts_of_water(solution):
         found[part]["above_table"] = share_above_table(solution, [part]) or 0.0
