@@ -199,21 +199,14 @@ def _methods() -> Iterator[Capability]:
 
 def _rare() -> Iterator[Capability]:
     """Paths that are taken seldom."""
-    yield own("two_parts")
+    for case in ("two_parts", "crossed", "reaction", "block", "springs", "held", "many", "read_off", "space"):
+        yield own(case)
     yield own("two_parts", "--backend", "mixed", "--algorithm", "alg2")
-    yield own("crossed")
-    yield own("reaction")
-    yield own("block")
     yield own("tresca", FRICTION="g = 0.01")
     yield replace(own("tresca", FRICTION="mu = 0.3"), name="solve coulomb")
     yield replace(own("pushed"), beside=FREE)
     yield replace(own("pushed", "--certify-steps"), beside=FREE)
-    yield own("springs")
-    yield own("held")
     yield own("blocks", LAW='kind = "friction", mu = 0.3, gap = "0.2*(x - 0.5)^2"', LOAD="-0.1")
-    yield own("many")
-    yield own("read_off")
-    yield own("space")
     for obstacle, h in ((None, "0.03"), ("-0.1", "0.06")):  # residuals of CG and rounding of forces, not in the bound
         more = () if obstacle is None else ("--set", f"problem.obstacle={obstacle}")
         yield solved("example1", "--set", "problem.f=-10 if x < 0.317 else 2", *more, h=h, beside=PATH)
