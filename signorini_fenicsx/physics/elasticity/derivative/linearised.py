@@ -273,8 +273,6 @@ def linearised(solution: ElasticSolution, tolerance: float) -> LinearisedElastic
     """
     if solution.data.tools:
         raise InputError("derivatives are not there where a tool moves under a given force")
-    if solution.spaces.joints:
-        raise InputError("derivatives are not there where surfaces that share no nodes are paired")
     backend = solution.kept_backend(ElasticBackend)
     if backend is None:
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning)
