@@ -30,6 +30,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     UNBALANCED,
     gap_of_cells,
     not_in_the_spaces,
+    pairs_without_bound,
     with_surface,
 )
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
@@ -76,8 +77,6 @@ def check(domain: Domain, problem: ElasticProblem, kind: Kind) -> None:
     """
     if isinstance(kind, Energy):
         return
-    if problem.boundary.pairs:
-        raise InputError(f"{type(kind).__name__}: where surfaces that share no nodes are paired there is Energy alone")
     if isinstance(kind, Force):
         check_parts(domain, problem.boundary, kind)
         moved(domain, problem, kind, 0.0)
@@ -117,6 +116,8 @@ def _pulls(domain: Domain, boundary: ElasticBoundary, kind: Integral, tau: float
     pulls: dict[str, Any] = {}
     for part in kind.parts:
         check_part(domain, boundary, part, OPPOSITE)
+        if any(part in pair.slave for pair in boundary.pairs):
+            raise InputError(f"integrals of displacements are not over slaves such as '{part}'; take the master")
         if part not in (*boundary.contact, *boundary.neumann, *boundary.fixed):
             raise InputError(f"integrals of displacements are over parts in contact or loaded; on '{part}' u is given")
         sides = [(part, tau), *([(other_side(part), -tau)] if part in boundary.inner else [])]
@@ -154,7 +155,16 @@ class _Side:
 
 
 class _Beside(Beside[_Side]):
-    """Elastic problems beside that of a solution."""
+    """Elastic problems beside that of a solution.
+
+    Raises:
+        InputError: If there is no bound for a pair of surfaces (collective).
+    """
+
+    def __init__(self, solution: ElasticSolution, kind: Kind):
+        if why := pairs_without_bound(solution.spaces):
+            raise InputError(f"{type(kind).__name__}: {why}")
+        super().__init__(solution, kind)
 
     def memory(self, tau: float) -> FromBefore:
         """The slip of the last step in time, and Coulomb's bounds of the shear."""

@@ -79,10 +79,17 @@ def check_parts(domain: Domain, boundary: ElasticBoundary, kind: Force) -> None:
     """Refuse parts that hold no body.
 
     Raises:
-        InputError: If a part is unknown, a traction is given on it, or it is the other side of one inside the domain.
+        InputError: If a part is unknown, a traction is given on it, it is the other side of one inside the domain, a
+            master, or tied.
     """
     for part in kind.parts:
         check_part(domain, boundary, part, OPPOSITE)
+        for pair in boundary.pairs:
+            if pair.tied and part in (*pair.slave, *pair.master):
+                raise InputError(f"'{part}' is tied; there are forces on what else holds its body")
+            if part in pair.master:
+                slaves = ", ".join(pair.slave)
+                raise InputError(f"'{part}' is a master; the force on it is opposite to that on {slaves}")
         if part in boundary.neumann and part not in boundary.contact:
             raise InputError(f"the traction on the part '{part}' is given")
 
