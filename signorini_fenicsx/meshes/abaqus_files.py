@@ -11,17 +11,24 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.contents import SECOND
+from signorini_fenicsx.meshes.other_cells import simplices_of
 
 LIKE = {
     "CPS3": "CPS3|CPE3|CAX3|CGAX3|DC2D3|DCAX3|AC2D3|M3D3|SFM3D3",
     "STRI65": "CPS6|CPE6|CAX6|CGAX6|DC2D6|DCAX6|AC2D6|M3D6|SFM3D6",
+    "CPS4": "CPS4|CPE4|CAX4|CGAX4|DC2D4|DCAX4|AC2D4|M3D4|SFM3D4",
     "C3D4": "C3D4|DC3D4|AC3D4",
+    "C3D6": "C3D6|DC3D6|AC3D6",
+    "C3D8": "C3D8|DC3D8|AC3D8",
     "C3D10": "C3D10|DC3D10|AC3D10",
 }
 """An element that meshio knows, and others with the same points; letters may follow their names."""
 SIDES: dict[str, list[tuple[int, ...]]] = {
     "triangle": [(0, 1), (1, 2), (2, 0)],
+    "quad": [(0, 1), (1, 2), (2, 3), (3, 0)],
     "tetra": [(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)],
+    "wedge": [(0, 1, 2), (3, 5, 4), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)],
+    "hexahedron": [(0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)],
 }
 """The corners of the faces S1, S2, … of an element."""
 FLAGS = re.MULTILINE | re.IGNORECASE
@@ -77,7 +84,8 @@ def _surfaces(mesh: meshio.Mesh, text: str) -> Iterator[tuple[str, Indices]]:
                 block, number = mesh.cells[index], int(side[1])
                 sides = SIDES.get(SECOND.get(block.type, block.type), [])
                 if len(rows) and 0 < number <= len(sides):
-                    found.append(np.asarray(block.data, dtype=np.int64)[rows][:, list(sides[number - 1])])
+                    facets = np.asarray(block.data, dtype=np.int64)[rows][:, list(sides[number - 1])]
+                    found.append(simplices_of("quad", facets).reshape(-1, 3) if facets.shape[1] == 4 else facets)
         if found:
             yield name, np.concatenate(found)
 

@@ -14,6 +14,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import joined, rows_of
 from signorini_fenicsx.meshes.contents import SIMPLICES, Contents, check_widths, straightened
 from signorini_fenicsx.meshes.domain import other_side
+from signorini_fenicsx.meshes.other_cells import in_simplices
 
 FLAT = 1e-14
 """A cell whose volume is below this share of diameter^dim is degenerate."""
@@ -33,6 +34,7 @@ class FileMesh:
         straight: Whether uniform refinement of the mesh keeps the geometry.
         together: Pairs of cells at the two sides of a cut, which have to be on one rank; None if there is no cut.
         values: Values of the file at the points by their names.
+        cut: Which cells of the file are cut into simplices, in words; nothing for none.
     """
 
     points: Array
@@ -42,6 +44,7 @@ class FileMesh:
     straight: bool = False
     together: Indices | None = None
     values: Mapping[str, Array] = field(default_factory=dict)
+    cut: str = ""
 
     @property
     def dim(self) -> int:
@@ -55,6 +58,7 @@ def checked(contents: Contents) -> FileMesh:
     Raises:
         InputError: If it is not a conforming mesh of straight triangles in a plane or straight tetrahedra.
     """
+    contents, cut = in_simplices(contents)
     blocks = [straightened(contents.points, *block) for block in contents.blocks]
     contents = replace(contents, blocks=blocks)
     for kind, elements in blocks:
@@ -93,6 +97,7 @@ def checked(contents: Contents) -> FileMesh:
         {name: np.unique(_joined(rows)) for name, rows in regions.items()},
         contents.straight,
         values={name: values[used] for name, values in contents.values.items() if len(values) == len(contents.points)},
+        cut=cut,
     )
     _check_cells(mesh)
     return mesh
@@ -108,7 +113,8 @@ def _refusal(kind: str, count: int) -> str:
         elements = _count(count, "curved element")
         return f"holds {elements} ('{kind}'); make a first-order mesh (in Gmsh, Mesh.ElementOrder = 1)"
     elements = _count(count, "element")
-    return f"holds {elements} of kind '{kind}'; only triangles and tetrahedra are allowed (in Gmsh, without Recombine)"
+    others = "quadrilaterals, hexahedra, wedges and pyramids"
+    return f"holds {elements} of kind '{kind}'; only triangles, tetrahedra, {others} are read, with their corners alone"
 
 
 def _in_its_space(points: Array, dim: int) -> Array:

@@ -12,6 +12,12 @@ SIMPLICES = {"vertex": 0, "line": 1, "triangle": 2, "tetra": 3}
 """Accepted kinds of elements and their dimensions."""
 SECOND = {"line3": "line", "triangle6": "triangle", "tetra10": "tetra"}
 """Elements of second order, accepted if they are straight, and those with their corners, which come first."""
+DIMENSION = (
+    SIMPLICES
+    | {kind: SIMPLICES[corners] for kind, corners in SECOND.items()}
+    | {"quad": 2, "hexahedron": 3, "wedge": 3, "pyramid": 3}
+)
+"""The dimension of each kind that is read."""
 DRAWINGS = (".geo", ".step", ".stp", ".brep")
 """Endings of files with a geometry, which Gmsh meshes."""
 OF_GMSH = (*DRAWINGS, ".msh", ".unv", ".bdf")

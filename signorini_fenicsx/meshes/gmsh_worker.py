@@ -11,7 +11,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.meshes.contents import DRAWINGS, Contents
 
 KINDS = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra", 8: "line3", 9: "triangle6", 11: "tetra10"}
-"""Gmsh's numbers of simplices of first and second order, and meshio's names."""
+KINDS |= {3: "quad", 5: "hexahedron", 6: "wedge", 7: "pyramid"}
+"""Gmsh's numbers of elements that are read, and meshio's names."""
 FARTHEST = 3e7
 """Gmsh adds points in a surface only if coordinates are at most about so many times as large as the cells."""
 STRAIGHT = ("Point", "Line", "Plane", "Volume")

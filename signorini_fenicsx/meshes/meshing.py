@@ -4,7 +4,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -254,17 +254,17 @@ def own_domain(
     if h is not None:
         check_memory(comm, f"{source.words}, h = {h:g}", *on_root(comm, lambda: source.size(h)), h)
 
-    def about() -> tuple[int, int, int]:
+    def about() -> tuple[int, int, int, str]:
         mesh, levels = source.read(h)
         read.append(usable(source, mesh, conditions, sides or {}))
-        return mesh.dim, len(mesh.cells), levels
+        return mesh.dim, len(mesh.cells), levels, mesh.cut
 
-    dim, size, levels = on_root(comm, about)
+    dim, size, levels, cut = on_root(comm, about)
     check_memory(comm, source.words, dim, size * 2 ** (dim * levels))
     domain = handed_out(comm, read[0] if read else None, source.name, source.made, pairs)
     for _ in range(levels):
         domain = refined_uniformly(domain)
-    return domain
+    return replace(domain, cut=cut)
 
 
 def usable(

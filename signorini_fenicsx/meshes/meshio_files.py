@@ -17,7 +17,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import rows_of
 from signorini_fenicsx.meshes.abaqus_files import read_abaqus
 from signorini_fenicsx.meshes.checks import faces
-from signorini_fenicsx.meshes.contents import SECOND, SIMPLICES, Contents, check_widths
+from signorini_fenicsx.meshes.contents import DIMENSION, Contents, check_widths
+from signorini_fenicsx.meshes.other_cells import in_simplices
 from signorini_fenicsx.meshes.references import check_references
 
 
@@ -58,7 +59,7 @@ def read_with_meshio(path: Path) -> Contents:
 
 def _elements(block: meshio.CellBlock) -> Indices:
     """Points of each element; for kinds that are not accepted only the number of elements counts."""
-    if block.type in (*SIMPLICES, *SECOND):
+    if block.type in DIMENSION:
         return np.asarray(block.data, dtype=np.int64)
     return np.empty((len(block.data), 0), dtype=np.int64)
 
@@ -81,7 +82,7 @@ def _numbered(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[
         members: dict[str, list[tuple[int, Indices]]] = {}
         names = {int(tag): [name] for name, (tag, at) in mesh.field_data.items() if at == dim}
         for index, (kind, _) in enumerate(blocks):
-            if SIMPLICES.get(SECOND.get(kind, kind)) == dim:
+            if DIMENSION.get(kind) == dim:
                 for number in np.unique(numbers[index]).tolist():
                     for name in names.get(number) or families.get(number) or [str(number)]:
                         members.setdefault(name, []).append((index, np.flatnonzero(numbers[index] == number)))
@@ -97,7 +98,7 @@ def _named(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tup
             rows = [
                 (index, np.asarray(member, dtype=np.int64))
                 for index, ((kind, _), member) in enumerate(zip(blocks, members, strict=True))
-                if SIMPLICES.get(SECOND.get(kind, kind)) == dim and member is not None and len(member) > 0
+                if DIMENSION.get(kind) == dim and member is not None and len(member) > 0
             ]
             if rows:
                 yield name, dim, rows
@@ -105,7 +106,8 @@ def _named(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> Iterator[tup
 
 def _facets_of_points(mesh: meshio.Mesh, blocks: list[tuple[str, Indices]]) -> dict[str, Indices]:
     """The facets of the boundary all of whose corners are in a set of points, by the names of such sets."""
-    corners = [(SIMPLICES[SECOND.get(kind, kind)], rows) for kind, rows in blocks if kind in (*SIMPLICES, *SECOND)]
+    cut = in_simplices(Contents(np.empty((0, 3)), blocks, []))[0].blocks
+    corners = [(DIMENSION[kind], rows) for kind, rows in cut if kind in DIMENSION]
     dim = max((dim for dim, rows in corners if len(rows)), default=0)
     if not mesh.point_sets or dim < 2:
         return {}
@@ -125,6 +127,7 @@ def _dolfinx_xdmf(path: Path) -> Contents | None:
     if len(grids) < 2 or any(grid.find("Topology") is None for grid in grids):
         return None
     kinds = {"PolyLine": "line", "Triangle": "triangle", "Tetrahedron": "tetra"}
+    kinds |= {"Quadrilateral": "quad", "Hexahedron": "hexahedron"}
     points, blocks, groups = np.empty((0, 3)), [], []
     for index, grid in enumerate(grids):
         topology = grid.find("Topology")
@@ -133,7 +136,7 @@ def _dolfinx_xdmf(path: Path) -> Contents | None:
         blocks.append((kind, _array(path, topology).astype(np.int64)))
         if index == 0:
             points = _array(path, grid.find("Geometry")).astype(np.float64)
-        elif kind in SIMPLICES:
+        elif kind in DIMENSION:
             numbers = _array(path, grid.find("Attribute")).ravel()
             if len(numbers) != len(blocks[index][1]):
                 raise InputError(
@@ -141,10 +144,10 @@ def _dolfinx_xdmf(path: Path) -> Contents | None:
                     "each element needs one"
                 )
             for number in np.unique(numbers).tolist():
-                groups.append((f"{number:.0f}", SIMPLICES[kind], [(index, np.flatnonzero(numbers == number))]))
+                groups.append((f"{number:.0f}", DIMENSION[kind], [(index, np.flatnonzero(numbers == number))]))
     check_widths(points, blocks)
-    cells = SIMPLICES.get(blocks[0][0])
-    repeated = [i for i, (kind, _) in enumerate(blocks) if i > 0 and SIMPLICES.get(kind) == cells]
+    cells = DIMENSION.get(blocks[0][0])
+    repeated = [i for i, (kind, _) in enumerate(blocks) if i > 0 and DIMENSION.get(kind) == cells]
     return Contents(points, *_as_cells_of_the_first(blocks, groups, repeated))
 
 

@@ -241,7 +241,7 @@ MESSAGES = {
     "_coinciding_nodes": "without volume",
     "_folded": "overlap",
     "_out_of_plane": "z = const",
-    "_quadrilateral": "only triangles and tetrahedra",
+    "_quadrilateral": "overlap|more than two cells|more than once",
     "_second_order": "make a first-order mesh",
     "_doubled_cell": "listed more than once",
     "_third_cell": "more than two cells meet",
