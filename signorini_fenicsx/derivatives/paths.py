@@ -12,9 +12,12 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.expressions import TREES, is_polynomial, values
 from signorini_fenicsx.expressions.given import parsed
+
+SECTIONS = {"law": ["laws"], "soil": ["kappa"]}
+"""Where a problem has the sections of a case file other than `[problem]`."""
 
 
 def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[Any]]:
@@ -35,8 +38,10 @@ def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[An
     for control in controls:
         if isinstance(control, str):
             section, *names = control.split(".")
+            if section == "soil" and names[:1] == [EVERYWHERE]:
+                names = names[1:]
             make = partial(_constant, control, solution.spaces.mesh, constants)
-            problem = _replaced(problem, [*{"law": ["laws"]}.get(section, []), *names], make, control)
+            problem = _replaced(problem, [*SECTIONS.get(section, []), *names], make, control)
         else:
             constants.append(control)
     return solution if problem is solution.problem else solution.of_problem(problem), constants

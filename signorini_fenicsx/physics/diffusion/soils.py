@@ -9,9 +9,9 @@ van Genuchten, Soil Sci. Soc. Am. J. 44, 1980, with Mualem's k_r; Gardner, Soil 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Real
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -29,6 +29,8 @@ TINY = 1e-14
 @dataclass(frozen=True)
 class Soil(ABC):
     """κ and the water content of a soil as functions of the head u. `Diffusion(kappa=soil)` takes it as κ.
+
+    Its numbers may be Constants of DOLFINx, by which derivatives are taken; `plain` has the numbers.
 
     >>> Gardner(K=2.0, alpha=1.0)(np.array([[0.0, 1.0]]), np.array([0.0]))[0].round(4)
     array([0.7358])
@@ -58,6 +60,9 @@ class Soil(ABC):
 
     def __post_init__(self) -> None:
         """Refuse numbers out of their ranges."""
+        if self.constants:
+            self.plain  # noqa: B018 whose numbers are checked
+            return
         for each in fields(self):
             value = getattr(self, each.name)
             if each.name == "n" and value is None and self.least_n is None:
@@ -76,6 +81,16 @@ class Soil(ABC):
             raise InputError(
                 f"theta_s: must be above theta_r and at most 1; it is {self.theta_s:g}, theta_r {self.theta_r:g}"
             )
+
+    @property
+    def constants(self) -> dict[str, Any]:
+        """Its Constants, by the names of the numbers."""
+        return {each.name: value for each in fields(self) if hasattr(value := getattr(self, each.name), "value")}
+
+    @property
+    def plain(self) -> Self:
+        """The soil with the present values of its Constants."""
+        return replace(self, **{name: float(constant.value) for name, constant in self.constants.items()})
 
     @abstractmethod
     def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:

@@ -39,7 +39,7 @@ from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.discrete.seen_on_facets import values_seen
 from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import law_points, lines_by_data
-from signorini_fenicsx.physics.diffusion.derivative.linearised import check_fixed_kappa
+from signorini_fenicsx.physics.diffusion.derivative.linearised import check_differentiable
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
@@ -222,7 +222,9 @@ def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
     Raises:
         InputError: If κ depends on u, or surfaces are paired.
     """
-    check_fixed_kappa(solution)
+    check_differentiable(solution)
+    if solution.data.quasilinear is not None:
+        raise InputError("derivatives: with RT1 there are none where κ depends on u; take RT0")
     if solution.spaces.joints:
         raise InputError("derivatives are not there where surfaces that share no nodes are paired")
     backend = solution.kept_backend(LinearBackend)

@@ -30,7 +30,8 @@ from ufl.core.expr import Expr
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
+from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values, set_owned, sums_at
+from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
 from signorini_fenicsx.contact.memory import LawWithMemory
@@ -41,6 +42,7 @@ from signorini_fenicsx.discrete.part_laws import PartLaw, means_of
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_cells
 from signorini_fenicsx.forms.mixed import flux_product
 from signorini_fenicsx.physics.diffusion.derivative.law_lines import moved_lines
+from signorini_fenicsx.physics.diffusion.discrete.quasilinear import OnCells
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.facet_system import Loads
@@ -77,7 +79,7 @@ class LinearisedDiffusion(Linearised):
         """The means of f, κ, c, u_D and g_N (collective)."""
         spaces, data = self._spaces, self._data
         for name, datum in (("f", data.f), ("kappa", data.kappa), ("c", data.c)):
-            if datum.pieces is None:
+            if datum.pieces is None and not isinstance(datum, OnCells):
                 space, cells = spaces.Q_matrix if datum.shape else spaces.Q, np.arange(len(spaces.cell_measures))
                 yield name, seen_in_cells(space, datum, cells.astype(np.int32), spaces.cell_measures)
         dofs = cells_and_dofs(spaces.V, spaces.dirichlet_facets)[1]
@@ -160,8 +162,11 @@ class LinearisedDiffusion(Linearised):
         jumps = self._jumps(flux) + traces.x.array[cell_dofs(space)]
         return Loads(jumps, source + np.zeros_like(u), np.zeros_like(u), forces)
 
-    def by(self, J: Form, more: tuple[Array, Array] | None) -> dict[str, Array]:
-        """See `Linearised.by`; besides J there are derivatives by u and by the s of laws in Ω of each cell."""
+    def by(self, J: Form, more: tuple[Array, Array] | None, of_traces: Array | None = None) -> dict[str, Array]:
+        """See `Linearised.by`; besides J there are derivatives by u and by the s of laws in Ω of each cell.
+
+        `of_traces` has those of a functional of û on the facets, one for each owned unknown.
+        """
         spaces, data, u, (facets, _) = self._spaces, self._data, owned_values(self._solution.u), self._spaces.site_kinds
         flux, by_u, by_p = (
             derivative_by(function, J, spaces.entity_maps)
@@ -170,7 +175,7 @@ class LinearisedDiffusion(Linearised):
         on_gamma, on_neumann = (
             cells_and_dofs(spaces.crouzeix_raviart, listed)[1] for listed in (spaces.facets, spaces.neumann_facets)
         )
-        on_p, on_u = by_p.x.array[: len(facets)], owned_values(by_u).copy()
+        on_p, on_u = by_p.x.array[: len(facets)].copy(), owned_values(by_u).copy()
         held = self._held[len(facets) :] if data.inside is not None else np.zeros(len(u), dtype=bool)
         of_s = np.zeros_like(u)  # in held cells, where s = ∇·σ + f − cu
         if more is not None:
@@ -180,6 +185,9 @@ class LinearisedDiffusion(Linearised):
                 on_u += np.where(held, 0.0, slope) * more[1]
                 of_s = np.where(held, more[1], 0.0)
         forces = np.zeros(spaces.crouzeix_raviart.dofmap.index_map.size_local)
+        if of_traces is not None:
+            on_p += of_traces[on_gamma]
+            forces -= of_traces
         forces[on_gamma] = -on_p
         volumes, none = spaces.cell_measures, np.zeros_like(u)
         jumps = self._jumps(flux) + (of_s / volumes)[:, None]
@@ -191,18 +199,20 @@ class LinearisedDiffusion(Linearised):
         in_cells = np.where(held, on_u - self._out_of(of_sigma), of_f)
         by = {"f": of_f, "c": -u * of_f, "g_N": -traces[on_neumann] * spaces.neumann_measure}
         by["line"] = np.append(on_facets, in_cells)
-        if "kappa" in self.seen:
-            form = spaces.kept(_by_kappa, data.kappa_h, self._driving, of_sigma)
-            by["kappa"] = -assembled(form)[self.seen["kappa"].dofs]
+        if "kappa" in self.seen or data.quasilinear is not None:
+            of_cells = -assembled(spaces.kept(_by_kappa, data.kappa_h, self._driving, of_sigma))
+            by["kappa"] = of_cells[: len(u)] if data.quasilinear is not None else of_cells[self.seen["kappa"].dofs]
         if "u_D" in self.seen:
             by["u_D"] = self.seen["u_D"].scale * of_sigma.x.array[self.seen["u_D"].dofs]
+            if of_traces is not None:
+                by["u_D"] += of_traces[cells_and_dofs(spaces.crouzeix_raviart, spaces.dirichlet_facets)[1]]
         return by
 
     @cached_property
     def _driving(self) -> fem.Function:
         """σ, less a given flux b (collective)."""
         solution, b = self._solution, self._data.b
-        return solution.sigma if b is None else b.less_projected(solution.cell_flux)
+        return solution.sigma if b is None or b.by_kappa else b.less_projected(solution.cell_flux)
 
     def _jumps(self, functional: fem.Function) -> Array:
         """The z whose ⟨z, τ·n⟩ is the value at τ of a functional, given by its values at the basis functions."""
@@ -247,8 +257,77 @@ def _with_kappa(spaces: Spaces, kappa: Expr, sigma: Expr, change: Expr) -> Form:
     return ufl.derivative(flux_product(sigma, ufl.TestFunction(spaces.V), ufl.dx, kappa), kappa, change)
 
 
-def check_fixed_kappa(solution: Solution) -> None:
-    """Refuse a κ that depends on u, laws with memory, and a given flux in UFL.
+class LinearisedByU(LinearisedDiffusion):
+    """The same where κ depends on u, by the derivative of the whole problem, Newton's matrix.
+
+    Let g be the derivatives of J by κ on the cells, as if κ did not depend on u; B those of ∫σ·n by κ, S those of κ by
+    û, K the matrix and x the unknowns. Where the data change κ by dκ₀ the change of κ is dκ = dκ₀ + S dx with
+    dx = −K⁻¹B dκ + …, so the derivatives by dκ₀ are μ = (I + BᵀK⁻¹Sᵀ)⁻¹g = g − Bᵀ(K + BS)⁻ᵀSᵀg. All others are those of
+    J + (Sᵀμ)·û under a fixed κ.
+    """
+
+    def __init__(self, solution: Solution, backend: HybridBackend, law: Chains, tolerance: float):
+        """See `Linearised` (collective).
+
+        Raises:
+            InputError: For terms cu and laws in Ω.
+        """
+        data = solution.data
+        if data.c_h is not None or data.inside is not None:
+            raise InputError("derivatives: there are none where κ depends on u with terms cu or laws in Ω")
+        inverse = np.asarray(inverses(data.matrices(solution.spaces)))
+        traces = owned_values(solution.u)[:, None] + solution.cell_flux.tested(inverse)
+        of_b, of_u = data.jumps(solution.spaces), data.quasilinear
+        assert of_u is not None
+        self._of_u, self._traces = of_u, traces - of_u.constant - (0.0 if of_b is None else of_b)
+        super().__init__(solution, backend, law, tolerance)
+
+    def plain(self) -> Iterator[tuple[str, Seen]]:
+        """The means of f, u_D and g_N, and of κ by the numbers of soils (collective)."""
+        yield from super().plain()
+        spaces = self._spaces
+        by_numbers = self._of_u.by_controls(self._traces)
+        terms = [number * function_of(spaces.Q, derivative) for number, derivative in by_numbers]
+        if terms:
+            dofs = np.arange(len(spaces.cell_measures), dtype=np.int32)
+            yield "kappa", Seen(lambda v: sum(terms) * v * ufl.dx, spaces.Q, dofs, spaces.cell_measures)
+
+    def change(self, changes: Mapping[str, Array]) -> dict[str, fem.Function]:
+        """Not there.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError("derivative: where κ depends on u there are gradients alone; take gradient")
+
+    def by(self, J: Form, more: tuple[Array, Array] | None, of_traces: Array | None = None) -> dict[str, Array]:
+        """See `LinearisedDiffusion.by` (collective)."""
+        backend, slopes = self._backend, self._of_u.of_traces(self._traces)[1][:, 0]
+        through = backend.system.by_kappa_for(self._traces)[:, :, 0]
+        g = super().by(J, more)["kappa"]
+        matrices = through[:, :, None] * slopes[:, None]
+        w = backend.new_tangent().transposed(self._conditions, matrices, self._sums(slopes, g))
+        mu = g - np.einsum("cn,cn->c", through, self._in_cells(w))
+        # λ_σ·n jumps where û has a functional, so that it is not in RT0, and μ is known
+        return super().by(J, more, self._sums(slopes, mu)) | {"kappa": mu}
+
+    def _sums(self, slopes: Array, of_cells: Array) -> Array:
+        """Sᵀ times numbers of the owned cells, for the owned unknowns (collective)."""
+        space = self._spaces.crouzeix_raviart
+        sums = sums_at(space.dofmap.index_map, cell_dofs(space), slopes * of_cells[:, None])
+        owned: Array = self._backend.system.sides.forces(sums[: space.dofmap.index_map.size_local])
+        return owned
+
+    def _in_cells(self, x: Array) -> Array:
+        """The values of unknowns on the facets of the owned cells (collective)."""
+        values = fem.Function(self._spaces.crouzeix_raviart)
+        values.x.array[: len(x)] = self._backend.system.sides.values(x)
+        values.x.scatter_forward()
+        return np.asarray(values.x.array[cell_dofs(values.function_space)])
+
+
+def check_differentiable(solution: Solution) -> None:
+    """Refuse laws with memory, and a given flux in UFL.
 
     Raises:
         InputError: If there is one.
@@ -256,8 +335,6 @@ def check_fixed_kappa(solution: Solution) -> None:
     b = solution.data.b
     if b is not None and any(component.pieces is None for component in b.components):
         raise InputError("derivatives: there are none with a given flux b in UFL, or with numbers in it as controls")
-    if solution.data.quasilinear is not None:
-        raise InputError("derivatives: there are none where κ depends on u")
     if any(isinstance(law, LawWithMemory) for law in solution.problem.laws):
         raise InputError("derivatives: there are none with laws with memory")
 
@@ -272,8 +349,9 @@ def linearised(solution: Solution, tolerance: float) -> LinearisedDiffusion:
         raise InputError(
             f"{solution.options.algorithm_name} solves another discrete problem; alg1 to alg4 have derivatives"
         )
-    check_fixed_kappa(solution)
+    check_differentiable(solution)
     backend = solution.kept_backend(HybridBackend) or HybridBackend(
         solution.spaces, solution.data, tuning=solution.options.tuning
     )
-    return LinearisedDiffusion(solution, backend, solution.law, tolerance)
+    kind = LinearisedDiffusion if solution.data.quasilinear is None else LinearisedByU
+    return kind(solution, backend, solution.law, tolerance)

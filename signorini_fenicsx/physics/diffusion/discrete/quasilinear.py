@@ -7,8 +7,8 @@ cell, at a vertex the mean over the facets there. From u_T instead fewer soils w
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,6 +23,8 @@ from signorini_fenicsx.discrete.datum import Datum, conductivity_of
 from signorini_fenicsx.discrete.points import Points
 from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions import TREES, Tree, depends_on, values_and_gradient
+from signorini_fenicsx.expressions.evaluation import interval
+from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import Storing
@@ -32,6 +34,8 @@ type Curve = Callable[[Array, Array], tuple[Array, Array]]
 """κ and its derivative by u in points, whose coordinates are the last axis, for u there."""
 CLOSE = 1e-9
 """A step of this share of û is too short for a difference of κ."""
+RANGES = 64
+"""Parts of the range of u on a cell, on each of which κ is enclosed."""
 NUDGE = 6e-6
 """The share of u, or of 1, by which u is moved for the derivative of a function of the user."""
 
@@ -79,6 +83,7 @@ class Quasilinear:
         power: s of κ^s κ_0^(1 − s), with κ_0 that of the beginning; 1 is κ.
         form: What u is in soils, see `soils.FORMS`.
         storing: What soils store in a step in time; None if that is nothing.
+        controls: Masks of owned cells, and the soils there whose numbers are Constants.
     """
 
     spaces: Spaces
@@ -88,6 +93,7 @@ class Quasilinear:
     power: float = 1.0
     form: str = FORMS[0]
     storing: Storing | None = None
+    controls: Sequence[tuple[Mask, Soil]] = ()
 
     @cached_property
     def _places(self) -> tuple[Array, Array]:
@@ -109,6 +115,19 @@ class Quasilinear:
         shares, (value, slope) = self._places[1], self._at(traces)
         return value @ shares.T, shares * slope[:, None]
 
+    def by_controls(self, traces: Array) -> Iterator[tuple[Any, Array]]:
+        """Each Constant in a soil, and the derivative of κ of the owned cells by it; of RT0 (collective)."""
+        x, shares = self._places
+        head = self.head(x, traces + self.constant)
+        for inside, soil in self.controls:
+            for name, constant in soil.constants.items():
+                step = NUDGE * abs(float(constant.value))
+                moved = [replace(soil.plain, **{name: float(constant.value) + by}) for by in (step, -step)]
+                of_points = [each(x[inside], head[inside])[0] for each in moved]
+                derivative = np.zeros(len(x))
+                derivative[inside] = (of_points[0] - of_points[1]) @ shares[0] / (2 * step)
+                yield constant, derivative
+
     def of_means(self, u: Array) -> Array:
         """κ of each cell for a u with these means over the owned cells (collective)."""
         space = self.spaces.crouzeix_raviart
@@ -129,6 +148,22 @@ class Quasilinear:
     def soils(self) -> list[tuple[Mask, Soil]]:
         """The soils, with masks of owned cells."""
         return [(inside, curve) for inside, curve in self.parts if isinstance(curve, Soil)]
+
+    def unsure(self, traces: Array) -> Mask:
+        """The owned cells on which κ is not enclosed above 0 for all u in the range of û there.
+
+        Soils are positive by their formulas; a text is enclosed, and a function in Python cannot be.
+
+        Args:
+            traces: As of `of_traces`.
+        """
+        x, u, unsure = corners(self.spaces.mesh), traces + self.constant, np.ones(len(traces), dtype=bool)
+        ends = [np.stack([of.min(axis=1), of.max(axis=1)]) for of in (*np.moveaxis(x, 2, 0), u)]
+        for inside, curve in self.parts:
+            unsure[inside] = not isinstance(curve, Soil)
+            if isinstance(curve, _OfTree):
+                unsure[inside] = ~(curve.least([end[:, inside] for end in ends]) > 0)
+        return unsure
 
     def on_floor(self, kappa: Array) -> Mask:
         """The owned cells, with these values of κ, where soil is so dry that k_r cannot fall further."""
@@ -241,12 +276,14 @@ def quasilinear_of(spaces: Spaces, kappa: Any, form: str = FORMS[0]) -> Quasilin
         inside = np.zeros(len(spaces.cell_measures), dtype=bool)
         inside[spaces.domain.regions[name] if name else slice(None)] = True
         parts.append((inside, _curve(each, spaces.mesh.geometry.dim)))
-    return Quasilinear(spaces, parts, form=form)
+    given = zip(parts, of_regions.values(), strict=True)
+    controls = [(inside, each) for (inside, _), each in given if isinstance(each, Soil) and each.constants]
+    return Quasilinear(spaces, parts, form=form, controls=controls)
 
 
 def _curve(given: Any, dim: int) -> Curve:
     if isinstance(given, Soil):
-        return given
+        return given.plain
     if isinstance(given, TREES):
         return _OfTree(given, dim)
     if _takes_u(given):
@@ -260,6 +297,17 @@ class _OfTree:
 
     tree: Tree
     dim: int
+
+    def least(self, ends: list[Array]) -> Array:
+        """Lower bounds for x, y, z and u between two ends each."""
+        *box, (low, high) = ends
+        names, steps = "xyz"[: self.dim], np.linspace(0, 1, RANGES + 1)[:, None]
+        of_u = low + steps * (high - low)
+        of_u[-1] = high
+        in_box = {name: Interval(*of) for name, of in zip(names, box, strict=True)}
+        with np.errstate(all="ignore"):
+            parts = [interval(self.tree, in_box | {"u": Interval(*of_u[k : k + 2])}).lo for k in range(RANGES)]
+        return np.asarray(np.min([np.broadcast_to(part, low.shape) for part in parts], axis=0))
 
     def __call__(self, x: Array, u: Array) -> tuple[Array, Array]:
         """See `Curve`."""

@@ -235,6 +235,7 @@ DETAILS = {
     "kappa_problems": "problems with a fixed κ",
     "kappa_change": "last change of κ",
     "kappa_energy_change": "of κ∇u in energy",
+    "unsure_cells": "cells where κ > 0 is not enclosed",
     "dry_cells": "cells with the least k_r that there is",
     "linear_solves": "linear problems",
     "content_change": "last change of the content",

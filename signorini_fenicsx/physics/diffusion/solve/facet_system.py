@@ -189,15 +189,17 @@ class FacetSystem:
 
         With a source y also u_T depends on κ, by m_T.
         """
-        b, u_cr, spaces = self._data.b, self._with_lift(x), self.spaces
-        if b is not None and b.by_kappa:
-            of_cells = self._flow(u_cr.x.array[cell_dofs(self.space)] + self._jumps)
-        else:
-            through = assembled(spaces.kept(_outflow, self._data.kappa_h, fem.Function(spaces.Q), u_cr))
-            of_cells = through[cell_dofs(spaces.broken_crouzeix_raviart)]
+        of_cells = self.by_kappa_for(self.on_cells(x))
         if self.sources.s is not None:
-            y = self.sources.values(u_cr)[1] * owned_values(self.sources.s) * self.sources.moments
-            of_cells = of_cells - (y * spaces.cell_measures / of_cells.shape[1])[:, None]
+            y = self.sources.values(self._with_lift(x))[1] * owned_values(self.sources.s) * self.sources.moments
+            share = y * self.spaces.cell_measures / of_cells.shape[1]
+            of_cells -= (share[:, None] / self._data.kappa_values)[:, :, None]
+        return of_cells
+
+    def by_kappa_for(self, traces: Array) -> Array:
+        """`by_kappa`, from û on the facets of the owned cells, without what sources have of u (collective)."""
+        b = self._data.b
+        of_cells = self._flow(traces + self._jumps if b is not None and b.by_kappa else traces)
         return np.asarray((of_cells / self._data.kappa_values)[:, :, None])
 
     def of_cells(self, matrices: Array) -> PETSc.Mat:

@@ -120,6 +120,8 @@ class QuasiLinear:
         dry = int(np.count_nonzero(data.quasilinear.on_floor(data.kappa_values)))
         about = {"kappa_problems": len(self.changes), "kappa_change": last.largest, "kappa_energy_change": last.energy}
         about["dry_cells"] = self.backend.comm.allreduce(dry)
+        unsure = data.quasilinear.unsure(self.backend.system.on_cells(self.backend.x))
+        about["unsure_cells"] = self.backend.comm.allreduce(int(unsure.sum()))
         about["linear_solves"] = self._solves + self.backend.solves
         if (storing := data.quasilinear.storing) is not None:
             about["content_change"] = last.content

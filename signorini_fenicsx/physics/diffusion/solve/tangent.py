@@ -164,6 +164,20 @@ class Tangent:
         tangent.zeroRowsColumns((fixed + tangent.getOwnershipRange()[0]).astype(PETSc.IntType))
         return self._solved(tangent, right)
 
+    def transposed(self, conditions: SiteConditions, matrices: Array, right: Array) -> Array:
+        """Solve with the transpose of K + N, with N from matrices of cells (collective).
+
+        Raises:
+            LinearSolveFailure: If it cannot be solved.
+        """
+        tangent = self._backend.system.of_cells(matrices.transpose(0, 2, 1).copy())
+        matrix, fixed, *_ = self._backend.imposed(conditions)
+        tangent.axpy(1.0, matrix, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        right = right.copy()
+        right[fixed] = 0.0
+        tangent.zeroRowsColumns((fixed + tangent.getOwnershipRange()[0]).astype(PETSc.IntType))
+        return self._solved(tangent, right)
+
     def _solved(self, tangent: PETSc.Mat, right: Array) -> Array:
         """Solve with K + N, by GMRES with the preconditioner of K where that iterates (collective)."""
         if self._iterates:
