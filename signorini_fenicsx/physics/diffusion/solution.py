@@ -104,10 +104,7 @@ class Solution(AnySolution):
 
     def of_problem(self, problem: Problem) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
-        data = project_data(self.spaces, problem).after(self.data.memory)
-        if data.quasilinear is not None:
-            data = data.with_kappa(self.spaces, self.data.kappa_values)
-        return replace(self, problem=problem, data=data)
+        return replace(self, problem=problem, data=project_data(self.spaces, problem).like(self.data, self.spaces))
 
     def linearised(self, tolerance: float) -> Any:
         """The problem linearised at this solution, see `linearised.Linearised` (collective).

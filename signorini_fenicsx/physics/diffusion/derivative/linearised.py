@@ -270,11 +270,11 @@ class LinearisedByU(LinearisedDiffusion):
         """See `Linearised` (collective).
 
         Raises:
-            InputError: For terms cu and laws in Ω.
+            InputError: For terms cu, laws in Ω and steps in time.
         """
         data = solution.data
-        if data.c_h is not None or data.inside is not None:
-            raise InputError("derivatives: there are none where κ depends on u with terms cu or laws in Ω")
+        if data.c_h is not None or data.inside is not None or solution.step is not None:
+            raise InputError("derivatives: there are none where κ depends on u with terms cu, laws in Ω, or in time")
         inverse = np.asarray(inverses(data.matrices(solution.spaces)))
         traces = owned_values(solution.u)[:, None] + solution.cell_flux.tested(inverse)
         of_b, of_u = data.jumps(solution.spaces), data.quasilinear

@@ -198,6 +198,11 @@ class Data:
         assert isinstance(self.c, OnCells)
         return self.c.on_cells[:, 0], self.means_of_memory - self.quasilinear.storing.before
 
+    def like(self, other: Data, spaces: Spaces) -> Data:
+        """The data with the memory of others and, where κ depends on u, the κ found with these (collective)."""
+        data = self.after(other.memory)
+        return data if data.quasilinear is None else data.with_kappa(spaces, other.kappa_values)
+
     @property
     def kappa_values(self) -> Array:
         """Where κ depends on u its values on each owned cell, see `with_kappa`."""

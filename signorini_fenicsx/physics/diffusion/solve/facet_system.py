@@ -199,7 +199,9 @@ class FacetSystem:
     def by_kappa_for(self, traces: Array) -> Array:
         """`by_kappa`, from û on the facets of the owned cells, without what sources have of u (collective)."""
         b = self._data.b
-        of_cells = self._flow(traces + self._jumps if b is not None and b.by_kappa else traces)
+        if b is not None and b.by_kappa and self._jumps is not None:
+            traces = traces + self._jumps
+        of_cells = self._flow(traces)
         return np.asarray((of_cells / self._data.kappa_values)[:, :, None])
 
     def of_cells(self, matrices: Array) -> PETSc.Mat:
