@@ -28,7 +28,7 @@ from signorini_fenicsx.pictures import style
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
 """The diameter of a shape divided by h."""
-WIDTH = 900
+WIDTH, HIGHEST = 900, 1400
 FIRST = {"elasticity": "deformed", "stokes": "flow"}
 """Which picture is kept of a physics, if not u."""
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
@@ -62,7 +62,8 @@ def draw(name: str) -> None:
             sys.stdout.write(f"{name}: {solution.contact.facets} in contact\n")
             certificate = certify(solution) if name in WITH_OVERVIEW else None
             write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
-        save(Image.open(picture), GALLERY / f"{name}.png", WIDTH)
+        drawn = Image.open(picture)
+        save(drawn, GALLERY / f"{name}.png", min(WIDTH, round(HIGHEST * drawn.width / drawn.height)))
         if name in WITH_OVERVIEW:
             save(Image.open(Path(folder) / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
 

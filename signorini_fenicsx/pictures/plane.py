@@ -28,6 +28,8 @@ MOST_FACES = 4_000
 """Most faces of a surface in perspective, which Matplotlib sorts and paints one by one."""
 WIDE = 1.8
 """If width over height of a domain is above this, panels are below each other, and no surface is drawn."""
+SLIM = 0.25
+"""If width over height is below this, no surface is drawn either."""
 MAPS = (Where.MAP, Where.STREAMS, Where.SURFACE)
 OVERVIEW_PARTS = 3
 """Most parts of Γ_S that a sheet with maps shows."""
@@ -80,7 +82,8 @@ class Plane:
     def sheet(self, panels: Iterable[Panel], title: str = "") -> Sheet:
         """Maps above, traces of each part of Γ_S below; a wide domain has two maps in a row."""
         scene, wide, panels = self.scene, self.wide, list(panels)
-        maps = [each for each in panels if each.where in MAPS and not (wide and each.where is Where.SURFACE)]
+        flat = wide or self.aspect < SLIM
+        maps = [each for each in panels if each.where in MAPS and not (flat and each.where is Where.SURFACE)]
         shown = [each for each in panels if each.where is Where.GAMMA]
         of_parts = [
             (panel, part)
