@@ -136,18 +136,13 @@ def then(first: Capability, *options: str, status: int = 0, slow: bool = False) 
 
 def _shipped() -> Iterator[Capability]:
     """All shipped cases on coarse meshes."""
-    for case in ("example1", "example4", "biactive", "singular", "transition", "wall", "regulator", "two_sided"):
-        yield solved(case, *STRUCTURED, h="1/8")
-    for case in ("staircase", "friction", "outlet", "filter", "soil_column", "hertz"):
-        yield solved(case, *STRUCTURED, h="1/8")
-    for case in ("example2", "example5"):
-        yield solved(case, *STRUCTURED, h="1/4")
+    eighths = "example1 example4 biactive singular transition wall regulator two_sided staircase friction outlet filter"
+    sizes = {"1/8": f"{eighths} soil_column hertz", "1/4": "example2 example5 slip", "1/2": "lprism edge sphere"}
+    yield from (solved(case, *STRUCTURED, h=h) for h, cases in sizes.items() for case in cases.split())
     for case in ("example3", "example6", "crack"):
         yield solved(case, h="1/4")
     for case in ("cube", "singular3d", "transition3d"):
         yield solved(case, *STRUCTURED, h="1/3", slow=case == "singular3d")
-    for case in ("lprism", "edge", "sphere"):
-        yield solved(case, *STRUCTURED, h="1/2")
     yield solved("ball", h="1/2")
     for case in ("dam", "electropainting", "fault"):
         yield solved(case, beside=PATH)
@@ -155,12 +150,9 @@ def _shipped() -> Iterator[Capability]:
     for case in ("two_obstacles", "saturation", "dead_core", "phases"):
         yield solved(case, *STRUCTURED, h="1/8", beside=STOPS if case == "two_obstacles" else frozenset())
     yield solved("clamp", "--h", "4")
-    yield solved("slip", *STRUCTURED, h="1/4")
     yield solved("duct", *STRUCTURED, h="1", slow=True)
-    yield solved("cylinders")
-    yield solved("lap_joint", h="1", slow=True)
-    yield solved("two_spheres", h="40", slow=True)
-    for case in ("two_cylinders", "rock", "stack", "roller", "press_fit", "earth_dam"):
+    yield from (solved(case, h=h, slow=True) for case, h in (("lap_joint", "1"), ("two_spheres", "40")))
+    for case in ("two_cylinders", "rock", "stack", "roller", "press_fit", "earth_dam", "cylinders"):
         yield solved(case)
     yield solved("plate", *STRUCTURED, h="0.005")
     yield solved("mindlin", "--set", "time.end=3", "--set", "time.steps=3", "--certify-steps", beside=FREE)

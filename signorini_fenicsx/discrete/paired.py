@@ -14,6 +14,8 @@ from signorini_fenicsx.discrete.pairing import Joint
 
 FINER = 1.5
 """The slave should have no facets that are smaller than the master's by this factor."""
+FLAT = 1e-6
+"""A surface is flat if its sagitta is at most this share of the size of its facets."""
 SAGITTA = 0.5
 """A sagitta matters if it is this share of the distances."""
 
@@ -29,7 +31,7 @@ class Overview:
         covered: Number of slave facets that are covered; the others are free.
         distances: The least and the largest distance along the direction in the corners of the pieces.
         sizes: The mean diameter of slave and of master facets.
-        sagitta: How far the facets of both sides together are from surfaces that are as curved as they are.
+        sagittas: How far the facets of both sides are from surfaces that are as curved as they are.
         takes_distance: Whether the distance is the gap.
     """
 
@@ -39,7 +41,7 @@ class Overview:
     covered: int
     distances: tuple[float, float]
     sizes: tuple[float, float]
-    sagitta: float
+    sagittas: tuple[float, float]
     takes_distance: bool
 
     def line(self) -> str:
@@ -61,9 +63,15 @@ class Overview:
                 f"pair {self.words}: the facets of the slave, {slave:.3g}, are finer than those of the master, "
                 f"{master:.3g}; swap slave and master: with the coarser surface as the slave the pressure is more exact"
             )
-        if self.takes_distance and self.sagitta > SAGITTA * max(map(abs, self.distances)):
+        if self.sagittas[1] <= FLAT * master < self.sagittas[0]:
             advice.append(
-                f"pair {self.words}: the facets are chords of curved ones, up to {self.sagitta:.2g} away from them, "
+                f"pair {self.words}: the slave is curved and the master flat; swap slave and master: the law holds "
+                "along the normals of the slave, and those of chords of a curved surface jump"
+            )
+        sagitta = sum(self.sagittas)
+        if self.takes_distance and sagitta > SAGITTA * max(map(abs, self.distances)):
+            advice.append(
+                f"pair {self.words}: the facets are chords of curved ones, up to {sagitta:.2g} away from them, "
                 f"where distances are at most {max(map(abs, self.distances)):.2g}; give the gap of the true surfaces "
                 "in the place of the distance, gap = ..."
             )
@@ -81,11 +89,11 @@ def _overview(joint: Joint, comm: MPI.Comm) -> Overview:
     counts = comm.allreduce(np.array([len(joint.covered), len(joint.pieces), len(joint.slaves)])).tolist()
     least = comm.allreduce(float(gaps.min(initial=np.inf)), MPI.MIN)
     largest = comm.allreduce(float(gaps.max(initial=-np.inf)), MPI.MAX)
-    sagittas = [_sagitta(side) for side in (slaves, joint.master)]
+    sagittas = _sagitta(slaves), _sagitta(joint.master)
     sizes = _diameter(slaves), _diameter(joint.master)
     facets = counts[0], len(joint.master.corners)
     words, takes = joint.pair.words, joint.pair.distance
-    return Overview(words, facets, counts[1], counts[2], (least, largest), sizes, sum(sagittas), takes)
+    return Overview(words, facets, counts[1], counts[2], (least, largest), sizes, sagittas, takes)
 
 
 def _diameter(surface: Surface) -> float:

@@ -244,7 +244,7 @@ class ElasticCase(WithPairs):
     first_listed = tuple(WITH_CONTACT)
     first_data = FIRST_DATA
     first_laws = IN_WORDS
-    first_pairs = tuple(PairTexts.of_kind)
+    first_pairs = tuple(sorted(ElasticPair.of_kind, key=lambda kind: kind != "contact"))
     inner_needs = "contact: list it there as well, or in a [[law]]"
     held = "clamped, u = u_D"
     is_vector = True
