@@ -30,6 +30,7 @@ from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slope
 from signorini_fenicsx.contact.history import Step
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
+from signorini_fenicsx.output.latex import write_latex
 from signorini_fenicsx.output.outlines import is_outline, write_outlines
 from signorini_fenicsx.output.tables import write_by_rank, write_columns
 from signorini_fenicsx.quantities import Quantity
@@ -282,7 +283,7 @@ def _draw_field(path: Path, of_field: FieldBound) -> None:
 def publish_convergence(
     case: CaseFile, vary: Vary, reference: int, rows: list[ErrorRow], results: ResultsFolder, comm: MPI.Comm
 ) -> None:
-    """Publish `convergence.csv` and `summary.json` of a study, then its picture (collective)."""
+    """Publish `convergence.csv`, `convergence.tex` and `summary.json` of a study, then its picture (collective)."""
     against = {
         Vary.H: f"{case.solve.algorithm}, h = 2^-{reference}",
         Vary.EPS: "alg1 on the same mesh",
@@ -290,6 +291,7 @@ def publish_convergence(
 
     def write() -> None:
         write_rows(results.path / "convergence.csv", rows[0].columns(), [row.columns() for row in rows])
+        write_latex(results.path / "convergence.tex", rows)
         summary = {
             "case": case.name,
             "algorithm": case.solve.algorithm,

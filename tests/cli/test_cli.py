@@ -264,6 +264,11 @@ def test_convergence(folder: Path):
     assert float(rows[0]["slides_sigma_V"]) == 1.65
     for name in ("sigma_V", "u_Q", "p_Lambda"):
         assert 0.9 < float(rows[1][f"{name}_order"]) < 1.4
+    table = (folder / "results" / "example1-convergence" / "convergence.tex").read_text()
+    first, second = (line.split(" & ") for line in table.splitlines()[4:6])
+    assert table.splitlines()[2].startswith(r"$h$ & cells & iterations & $\|\sigma-\sigma_h\|_V$ & order &")
+    assert first[1:3] == [rows[0]["cells"], rows[0]["iterations"]]
+    assert second[4] == f"{float(rows[1]['sigma_V_order']):.2f}"
     assert (folder / "results" / "example1-convergence" / "convergence.png").stat().st_size > 10_000
 
 

@@ -94,7 +94,7 @@ def test_export_and_certify_and_convergence(breaking: Breaking, tmp_path: Path):
     assert names(tmp_path / "x") >= {"overview.png", *FIELDS}
     convergence = ("convergence", "example1", "--levels", "1:2", "--reference", "3", "--output", "y", "-q")
     assert told(breaking({"draw_errors": curves}, *convergence)) == f"picture: {BROKEN}"
-    assert names(tmp_path / "y") == {"convergence.csv", "files.json", "summary.json"}
+    assert names(tmp_path / "y") == {"convergence.csv", "convergence.tex", "files.json", "summary.json"}
     points, cells = [[0, 0], [1, 0], [1, 1], [0, 1]], [("triangle", [[0, 1, 2], [0, 2, 3]])]
     meshio.Mesh(points, cells, point_data={"u": [0.0] * 4}).write(tmp_path / "mine.vtu")
     certify = ("certify", "example1", "--field", "mine.vtu", "--h", "1/4", "--output", "z", "-q")
