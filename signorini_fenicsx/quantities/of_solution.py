@@ -52,7 +52,7 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
         else:
             of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
             interval = of(solution, kind).interval()
-    interval = replace(interval, of=physics.named_for(solution))
+    interval = replace(interval, of=interval.of or physics.named_for(solution))
     if interval.proved and (names := lost_digits(solution)):
         return replace(interval, proved=False, reason=f"{', '.join(names)} {LOST}")
     return interval

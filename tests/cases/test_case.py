@@ -37,6 +37,7 @@ def test_examples_are_shipped():
             "earth_dam",
             "hillslope",
             "soil_column",
+            "tracy_box",
             "membrane",
             "membrane_steady",
             "mindlin",

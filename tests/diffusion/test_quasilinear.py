@@ -24,6 +24,7 @@ from signorini_fenicsx import (
     load_case,
     load_solution,
     solve,
+    solve_case,
 )
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
@@ -288,3 +289,41 @@ def test_gradient_by_soils():
                 ends.append(value()[0])
             control.value = start
             assert gradient == pytest.approx((ends[0] - ends[1]) / (2e-5 * start), rel=2e-5)
+
+
+@pytest.mark.parametrize("options", [Options(), RT1])
+def test_guaranteed_by_kirchhoff(options: Options):
+    """Where κ = k(x) g(u) bounds and intervals of fluxes are theorems for the problem itself; else for the last κ."""
+    square = build_domain(COMM, "square", 0.25, mesh="structured")
+    conditions = [Signorini("bottom", psi=0.2), Neumann(["left", "right"], 0)]
+    for kappa, guaranteed in (("(1 + x)*exp(2*u)", True), ("3 + u*u", True), ("1 + x*u^2", False), ("u - 0.05", False)):
+        solution = solve(square, Diffusion(kappa=kappa, f=1, u_D="1 + x", conditions=conditions), options)
+        certificate, flux = solution.certify(), solution.quantity(Flux("bottom"))
+        assert certificate.guaranteed == guaranteed
+        assert ("last κ" in flux.of) != guaranteed
+        assert flux.proved
+        assert flux.lower < flux.value < flux.upper
+    of_w = Diffusion(
+        kappa="1 + x",
+        f=1,
+        u_D="exp(2 + 2*x)/2",
+        conditions=[Signorini("bottom", psi=float(np.exp(0.4) / 2)), *conditions[1:]],
+    )
+    exact = solve(build_domain(COMM, "square", 0.06, mesh="structured"), of_w, RT1).flux_through("bottom")
+    solution = solve(square, Diffusion(kappa="(1 + x)*exp(2*u)", f=1, u_D="1 + x", conditions=conditions), options)
+    flux = solution.quantity(Flux("bottom"))
+    assert flux.lower < exact < flux.upper
+
+
+@pytest.mark.parametrize(("element", "order"), [("RT0", 1), ("RT1", 2)])
+def test_tracys_box(element: str, order: int):
+    """Tracy's exact head in a box of dry soil: the error is of the order of the element."""
+    errors = []
+    for h in (0.178, 0.089):
+        case = load_case("tracy_box").with_values(
+            {"solve.h": h, "geometry.mesh": "structured", "solve.element": element}
+        )
+        solution = solve_case(case)
+        errors.append(solution.errors())
+    assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 0.93 * order
+    assert np.log2(errors[0]["u_potential_L2"] / errors[1]["u_potential_L2"]) > 1.8

@@ -55,6 +55,7 @@ from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux
 from signorini_fenicsx.physics.diffusion.bound.hidden import Pressure, hidden_parts
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
+from signorini_fenicsx.physics.diffusion.bound.kirchhoff import bound_by, linear_solution
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.physics.diffusion.bound.local_fields import FacetLoad, Projection
 from signorini_fenicsx.physics.diffusion.bound.mean_loads import load_left
@@ -89,6 +90,8 @@ def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certif
     """
     if solution.spaces.joints:
         return no_bound(solution, OF_PAIRS)
+    if (of_w := linear_solution(solution)) is not None:
+        return bound_by(solution, of_w, certificate_of(of_w))
     with np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
         own = Admissible.of(solution, Goal.of(solution, for_signorini=for_signorini))
         return summed(own, gap_parts(own, own, own.goal))

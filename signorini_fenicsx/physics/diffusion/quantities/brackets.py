@@ -40,6 +40,7 @@ from signorini_fenicsx.physics.diffusion.bound.certify import (
 )
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, distance
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
+from signorini_fenicsx.physics.diffusion.bound.kirchhoff import NAMED, linear_solution
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
 from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
 from signorini_fenicsx.physics.diffusion.bound.near_polynomial import NearPolynomial
@@ -401,4 +402,22 @@ def _means(solution: Solution, points: FacetPoints) -> Array:
     return points.means(solution.cell_potential.at(points))
 
 
-QUANTITIES = Quantities(check, energy, Integrals, Fluxes, named_for)
+class _OfKirchhoff(Fluxes):
+    """The flux through some parts by the solution for w, see `kirchhoff`; its value is that of the solution for u."""
+
+    def __init__(self, solution: Solution, of_w: Solution, kind: Flux):
+        super().__init__(of_w, kind)
+        self._value = flux_through(solution.spaces, solution.sigma, kind.parts, self.weight.ufl)
+
+    def interval(self) -> Quantity:
+        """The interval (collective)."""
+        return replace(super().interval(), value=self._value, of=NAMED)
+
+
+def _fluxes(solution: Solution, kind: Flux) -> Fluxes:
+    """See `Quantities.fluxes` (collective)."""
+    of_w = linear_solution(solution)
+    return Fluxes(solution, kind) if of_w is None else _OfKirchhoff(solution, of_w, kind)
+
+
+QUANTITIES = Quantities(check, energy, Integrals, _fluxes, named_for)

@@ -1,0 +1,189 @@
+"""Kirchhoff's transformation: where κ = k(x) g(u), w = G(u) with G' = g makes −∇·(κ∇u) = f linear, with σ = k∇w.
+
+Vertical and flat segments of laws stay such, with G of the u at which they are vertical. So if u solves a problem with
+data and values in a range where g > 0, w solves the linear one, and the flux of u is the only flux of that. What is
+guaranteed of the flux of w, in the norm of k⁻¹, is guaranteed for the problem of u itself, whatever method found u.
+
+g is a sum of powers of u and of exponentials of linear functions of u, written as such; k may differ between regions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from signorini_fenicsx.certificate.certificate import Certificate
+from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Seepage, Signorini, TwoSided
+from signorini_fenicsx.expressions import TREES, Binary, Tree, depends_on, exactly, interval, linear_terms, values
+from signorini_fenicsx.expressions.intervals import Interval
+from signorini_fenicsx.expressions.tree import Call, Coordinate, Number, polynomial_degree, substituted
+from signorini_fenicsx.physics.diffusion.bound.equilibrated import distance
+from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.solving.solver import solve
+
+type Terms = tuple[tuple[float, Tree], ...]
+NAMED = "the exact solution, by Kirchhoff's transformation"
+"""Of which solution the bound is then."""
+OF_U: Mapping[type, Sequence[str]] = {
+    Dirichlet: ["value"],
+    Neumann: [],
+    Signorini: ["psi"],
+    TwoSided: ["psi", "psi_upper"],
+    Seepage: ["level"],
+}
+"""The laws whose segments are vertical or flat, and their data that are values of u."""
+BEYOND = 1.0
+"""g > 0 is asked for beyond the values of û and of the data, by this share of their range."""
+PARTS = 256
+"""On so many parts of the range g is enclosed."""
+
+
+class _NotThere(Exception):
+    """What a transformation needs is not there."""
+
+
+def linear_solution(solution: Solution) -> Solution | None:
+    """The solution of the problem for w, on the same mesh; None where there is no such problem (collective)."""
+    data, problem = solution.data, solution.problem
+    if data.quasilinear is None or data.b is not None or data.c_h is not None or data.inside is not None:
+        return None
+    if solution.step is not None or solution.boundary.inner or any(type(law) not in OF_U for law in problem.laws):
+        return None
+    dim = solution.spaces.mesh.geometry.dim
+    try:
+        k, g = _separated(problem.parsed(dim).kappa)
+        if not _positive(solution, g):
+            return None
+        posed = _transformed(problem.parsed(dim), k, g)
+    except _NotThere:
+        return None
+    found: Solution = solve(solution.spaces.domain, posed, solution.options)
+    return found
+
+
+def bound_by(solution: Solution, of_w: Solution, certificate: Certificate) -> Certificate:
+    """The bound of the flux of a solution, by that of the solution for w (collective).
+
+    Its v is near w, and its indicators are those of w.
+    """
+    apart = distance(of_w.spaces, cell_metric(of_w.spaces, of_w.data), of_w.sigma, solution.sigma)
+    sums = {name: getattr(certificate, name) + apart for name in ("bound", "sigma_bound", "remainder")}
+    relative = (
+        certificate.relative * sums["bound"] / certificate.bound if certificate.bound > 0 else certificate.relative
+    )
+    return replace(certificate, **sums, relative=relative, of=NAMED, about={"kirchhoff": True})
+
+
+def _transformed(problem: Problem, k: Any, g: Terms) -> Problem:
+    """The problem for w.
+
+    Raises:
+        _NotThere: If a value of u is neither a number nor a text.
+    """
+
+    def of_law(law: Any) -> Any:
+        return law.with_data(lambda key, given: _G(g, given) if key.rpartition(".")[2] in OF_U[type(law)] else given)
+
+    laws = [of_law(law) for law in problem.laws]
+    return replace(problem, kappa=k, u_D=_G(g, problem.u_D), psi=_G(g, problem.psi), exact=None, laws=laws)
+
+
+def _positive(solution: Solution, g: Terms) -> bool:
+    """Whether g is enclosed above 0 on more than the range of û and of the data (collective)."""
+    comm, u = solution.spaces.mesh.comm, solution.u.x.array
+    ends = np.array([*solution.data.extent(solution.spaces)])
+    both = comm.allgather((min(u.min(initial=np.inf), ends[0]), max(u.max(initial=-np.inf), ends[1])))
+    low, high = min(least for least, _ in both), max(most for _, most in both)
+    width = BEYOND * max(high - low, abs(high), abs(low)) / 2
+    steps = np.linspace(low - width, high + width, PARTS + 1)
+    box = {"u": Interval(steps[:-1], steps[1:])}
+    with np.errstate(all="ignore"):
+        total = sum((interval(term, box) * factor for factor, term in g), Interval(np.zeros(PARTS), np.zeros(PARTS)))
+    return bool((total.lo > 0).all())
+
+
+def _separated(kappa: Any) -> tuple[Any, Terms]:
+    """The factors k and g; of regions g is the same but for a number.
+
+    Raises:
+        _NotThere: If κ is no such product.
+    """
+    of_regions = kappa if isinstance(kappa, Mapping) else {"": kappa}
+    known = {name: _split(tree) for name, tree in of_regions.items()}
+    (g, *others) = [terms for _, terms in known.values()]
+    if any(other != g for other in others):
+        raise _NotThere
+    k = {name: factor for name, (factor, _) in known.items()}
+    return (k if isinstance(kappa, Mapping) else k[""]), g
+
+
+def _split(tree: Any) -> tuple[Tree, Terms]:
+    """The factors k and g, with 1 for the number of the first term of g."""
+    if not isinstance(tree, TREES):
+        raise _NotThere
+    k, of_u = _product(tree)
+    terms = linear_terms(of_u)
+    first = terms[0][0]
+    if first == 0 or not np.isfinite([factor for factor, _ in terms]).all():
+        raise _NotThere
+    return Binary("*", exactly(first), k), tuple((factor / first, term) for factor, term in terms)
+
+
+def _product(tree: Tree) -> tuple[Tree, Tree]:
+    """A factor without u, and one of u alone."""
+    if not depends_on(tree, "u"):
+        return tree, exactly(1.0)
+    if not any(depends_on(tree, name) for name in "xyzt"):
+        return exactly(1.0), tree
+    if isinstance(tree, Binary) and tree.sign in "*/":
+        (k, g), (other, h) = _product(tree.left), _product(tree.right)
+        if tree.sign == "*" or h == exactly(1.0):
+            return Binary(tree.sign, k, other), g if h == exactly(1.0) else Binary("*", g, h)
+    raise _NotThere
+
+
+def _G(g: Terms, given: Any) -> Any:
+    """G of a given u, number or text, or of one for each part."""
+    if isinstance(given, Mapping):
+        return {name: _G(g, value) for name, value in given.items()}
+    tree = exactly(float(given)) if isinstance(given, int | float) else given
+    if not isinstance(tree, TREES):
+        raise _NotThere
+    total: Tree = exactly(0.0)
+    for factor, term in g:
+        total = Binary("+", total, _integrated(factor, term, tree))
+    return total
+
+
+def _integrated(factor: float, term: Tree, u: Tree) -> Tree:
+    """The integral of a term, at u."""
+    power = _power(term)
+    if power is not None:
+        return Binary("*", exactly(factor / (power + 1)), Binary("^", u, exactly(float(power + 1))))
+    if isinstance(term, Call) and term.name == "exp" and polynomial_degree(term.arguments[0]) == 1:
+        at_0, at_1 = (
+            float(values(substituted(term.arguments[0], "u", exactly(end)), np.zeros(3))) for end in (0.0, 1.0)
+        )
+        if at_1 != at_0:
+            return Binary("*", exactly(factor / (at_1 - at_0)), substituted(term, "u", u))  # type: ignore[arg-type]
+    raise _NotThere
+
+
+def _power(term: Tree) -> int | None:
+    """The power of u that a term is; None if it is none."""
+    match term:
+        case Number(value=1.0):
+            return 0
+        case Coordinate():
+            return 1
+        case Binary(sign="^", left=Coordinate(), right=Number(value=value)) if value.is_integer() and value >= 0:
+            return int(value)
+        case Binary(sign="*", left=left, right=right):
+            one, other = _power(left), _power(right)
+            return None if one is None or other is None else one + other
+    return None
