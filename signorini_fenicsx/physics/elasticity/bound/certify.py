@@ -53,6 +53,7 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import (
     is_own_enclosed,
     unresolved_by_quadrature,
 )
+from signorini_fenicsx.physics.elasticity.bound.tied import lacking
 from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
@@ -134,8 +135,8 @@ def degree_of(data: ElasticData) -> int:
 def pairs_without_bound(spaces: ElasticSpaces) -> str:
     """Why there is no bound for the pairs of surfaces, in words; empty if there is one (collective)."""
     for joint in spaces.joints:
-        if joint.pair.tied:
-            return f"none is there yet where a pair is tied, as {joint.pair.words}"
+        if joint.pair.tied and spaces.dim == 3:
+            return f"none is there yet in space where a pair is tied, as {joint.pair.words}"
         rows = joint.pieces.master - joint.first
         elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())
         if spaces.mesh.comm.allreduce(elsewhere, MPI.LOR):
@@ -216,7 +217,10 @@ def gap_of_cells(
     *,
     half: bool = False,
 ) -> tuple[Array, Array]:
-    """‖ℂε(v) − y‖², and the gap on Γ_C and supports, per owned cell; `half` as in `integrals` of laws (collective)."""
+    """‖ℂε(v) − y‖², and the gap on Γ_C and supports, per owned cell; `half` as in `integrals` of laws (collective).
+
+    Where a pair is tied it is that of v + d, see `tied`.
+    """
     spaces, split = solution.spaces, problem.split
     weight = ufl.TestFunction(fenicsx.function_space(split.mesh, ("DG", 0)))
     material = problem.material
@@ -225,6 +229,8 @@ def gap_of_cells(
     of_subcells = resolution.with_missed(problem, fem.assemble_vector(fenicsx.form(gaps)).array[: len(split.subcells)])
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells)
+    if problem.tied:
+        mismatch = _with(mismatch, np.sqrt(resolution.stiffest() * lacking(problem.tied, spaces, v)[0]))
     np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
     on_supports = problem.supports.gap(v) * (0.5 if half else 1.0)
     np.add.at(on_contact, problem.supports.on.facets.cells, on_supports)

@@ -30,8 +30,9 @@ from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.active_terms import nearly_minimal
 from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes, condensed, displacement_solver, means_at_nodes
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress
-from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets
+from signorini_fenicsx.physics.elasticity.bound.laws import LawOnFacets, kinks_on
 from signorini_fenicsx.physics.elasticity.bound.supports import SupportsOfDisplacement
+from signorini_fenicsx.physics.elasticity.bound.tied import lacking, tied_pairs, with_tied
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
     add_at,
     contact_coefficients,
@@ -63,6 +64,7 @@ class BestDisplacement:
         split: The split mesh, or the part of it on which the displacement is.
         sigma: y.
         contact: The facets of Γ_C on it.
+        tied: The tied pairs on it.
         laws: The laws on them, but for contact.
         supports: The supports on it.
         openings: The coefficients of g on them, or of what stands for it, less p at the references of the laws.
@@ -93,6 +95,7 @@ class BestDisplacement:
         self.sigma = split.stress(y.stresses)
         element = basix.ufl.element("P", mesh.basix_cell(), degree, basix.LagrangeVariant.bernstein, shape=(dim,))
         self.space = fenicsx.function_space(mesh, element)
+        self.tied = tuple(tied_pairs(spaces, split, self.space))
         self.contact = in_pieces(contact_coefficients(spaces, split, self.space), spaces, split, self.space)
         self.laws = [
             LawOnFacets.of(spaces, self.contact, law, data.laws.chains, y.segment) for law in data.laws.of_parts
@@ -139,28 +142,30 @@ class BestDisplacement:
         strength = contact.at_corners(self.data.friction.bound[in_rough], rough)
         weights = self._in_coefficients(strength, contact.facets.measure[rough])  # ∫ g B
         rubs = weights > ROUNDING * self.comm.allreduce(weights.max(initial=0.0), MPI.MAX)
-        on, at, sides, corners, most = self._kinks()
+        on, at, sides, corners, most = kinks_on(self.laws, self.openings)
         touching, of_rough = len(on), np.nonzero(rubs)
         rows, places = np.append(on, rough[of_rough[0]]), np.append(at, of_rough[1])
-        tangents = self.spaces.tangents[in_rough][of_rough[0]]
-        directions, bound, of_y = (np.zeros((len(rows), dim - 1, *shape)) for shape in ((dim,), (), ()))
-        directions[:touching, 0], directions[touching:] = sides[:, None] * contact.facets.normals[on], tangents
+        tangents, known = self.spaces.tangents[in_rough][of_rough[0]], slice(touching, len(rows))
+        nodes, signs, ways = with_tied(self.tied, *contact.pairs(rows, places))
+        directions, bound, of_y = (np.zeros((len(nodes), dim - 1, *shape)) for shape in ((dim,), (), ()))
+        directions[:touching, 0], directions[known] = sides[:, None] * contact.facets.normals[on], tangents
+        directions[len(rows) :, 0] = ways
         bound[:touching, 0] = sides * (self.openings[on, at] - corners)
-        bound[touching:] = np.einsum("kmi,ki->km", tangents, self._slipped()[rubs])
+        bound[known] = np.einsum("kmi,ki->km", tangents, self._slipped()[rubs])
         forces, apart = self._pressing()
         measure = contact.facets.measure[rough]
         at_corners = contact.at_corners(self._y.shear[in_rough], rough)
         shear = np.einsum("nak,nki->nai", at_corners, self.spaces.tangents[in_rough])
         rubbing = -np.einsum("n,nai,ak->nki", measure, shear, self.moments)
         of_y[:touching, 0] = sides * forces[on, at]
-        of_y[touching:] = np.einsum("kmi,ki->km", tangents, rubbing[rubs])
-        nodes, signs = contact.pairs(rows, places)
+        of_y[known] = np.einsum("kmi,ki->km", tangents, rubbing[rubs])
         axes = signs[:, None, :, None] * np.einsum("ksij,kmi->kmsj", self._given.frames[nodes], directions)
         bound -= np.einsum("kmsj,ksj->km", axes, self._given.values[nodes])
         axes = np.where(self._given.given[nodes][:, None], 0.0, axes)
         free = (axes**2).sum(axis=(1, 2, 3)) > FREE
         self._nodes, self._axes, self.bound = self._left.number_of[nodes[free]], axes[free], bound[free]
-        self.most, self.one_sided = np.append(most, weights[rubs])[free], (np.arange(len(rows)) < touching)[free]
+        most = np.concatenate([most, weights[rubs], np.full(len(ways), np.inf)])
+        self.most, self.one_sided = most[free], (np.arange(len(nodes)) < touching)[free]
         self._forces = of_y[free]
 
         pulling = vector(strain(ufl.TestFunction(self.space))), ufl.dot(self.material.stiffness, self._without_v)
@@ -172,24 +177,6 @@ class BestDisplacement:
         pull.scatter_reverse(la.InsertMode.add)
         self._pull = pull
         self._apart = apart + float(self.supports.gap().sum()) + float((rubbing * self._slipped()).sum())
-
-    def _kinks(self) -> tuple[Indices, Indices, Array, Array, Array]:
-        """The kinks of the gap in p: facet, coefficient, its side of the line of v, p there, and the largest force.
-
-        For contact these are the bounds of p; see `LawOnFacets.kinks`.
-        """
-        number = self.openings.shape[1]
-        plain = np.setdiff1d(np.arange(len(self.openings)), np.concatenate([[], *(law.rows for law in self.laws)]))
-        ones = np.ones(len(plain))
-        kinks = [(plain.astype(np.int64), ones, 0 * ones, np.full((len(plain), number), np.inf))]
-        for law in self.laws:
-            share = np.einsum("fq,fqk->fk", law.weights, law.basis)
-            for corner, jump, side in law.kinks():
-                some = np.flatnonzero(jump > 0)
-                kinks.append((law.rows[some], side[some], corner[some], jump[some, None] * share[some]))
-        rows, sides, corners = (np.repeat(np.concatenate([each[k] for each in kinks]), number) for k in range(3))
-        most = np.concatenate([each[3] for each in kinks]).ravel()
-        return rows, np.tile(np.arange(number), len(rows) // max(number, 1)), sides, corners, most
 
     def _pressing(self) -> tuple[Array, float]:
         """What presses on the coefficients of v_n, beside kinks and springs, and the part of the gap without v."""
@@ -260,13 +247,14 @@ class BestDisplacement:
 
     def _share(self) -> None:
         """Let all terms of friction at the same nodes have their share of what they carry together (collective)."""
-        weights, sides = np.where(self.one_sided, 0.0, self.most), self._axes.any(axis=(1, 3))
+        alone, sides = self.one_sided | np.isinf(self.most), self._axes.any(axis=(1, 3))
+        weights = np.where(alone, 0.0, self.most)
         at_nodes = sums_at(self._numbers, self._nodes, weights[:, None] * sides)
-        share = weights / np.where(self.one_sided, 1.0, at_nodes[self._nodes].max(axis=1, initial=0.0))
-        together = self.along(self.spread(np.where(self.one_sided[:, None], 0.0, self._forces)))
+        share = weights / np.where(alone, 1.0, at_nodes[self._nodes].max(axis=1, initial=0.0))
+        together = self.along(self.spread(np.where(alone[:, None], 0.0, self._forces)))
         shares = together * (share / sides.sum(axis=1))[:, None]
-        self._forces = np.where(self.one_sided[:, None], self._forces, shares)
-        self.unit = np.where(self.one_sided, self.unit, share * self.unit)
+        self._forces = np.where(alone[:, None], self._forces, shares)
+        self.unit = np.where(alone, self.unit, share * self.unit)
 
     @property
     def _iterates(self) -> bool:
@@ -324,14 +312,18 @@ class BestDisplacement:
         return np.array(x.array_r)
 
     def pushed(self, x: Array) -> Array:
-        """The x off all foundations that is near this one (collective)."""
+        """The x off all foundations that is near this one; nodes of slaves are where they are tied (collective)."""
         lengths = (self._axes**2).sum(axis=(1, 2, 3))[:, None]
         for _ in range(PUSHES):
-            past = np.where(np.isinf(self.most)[:, None], np.maximum(self.along(x) - self.bound, 0.0), 0.0)
+            past = np.where(
+                (np.isinf(self.most) & self.one_sided)[:, None], np.maximum(self.along(x) - self.bound, 0.0), 0.0
+            )
             if not self.comm.allreduce(bool((past > 0).any()), MPI.LOR):
                 break
             x = x - self.spread(past / lengths)
-        return x
+        off = np.where((np.isinf(self.most) & ~self.one_sided)[:, None], self.along(x) - self.bound, 0.0)
+        of_slaves = np.arange(self._nodes.shape[1]) == 0
+        return x - self._summed(np.einsum("km,kmsj->ksj", off, self._axes * of_slaves[:, None]))
 
     def _beginning(self) -> Array:
         """The means of u at the nodes, or the v that is continued, less what is given of v (collective)."""
@@ -381,7 +373,12 @@ class BestDisplacement:
         if apart > (KKT if self.data.u_D.polynomial is None else LINEAR) * largest[0]:
             return f"at {place} parts meet on which different displacements are given"
         worst = float(past.max(initial=0.0)), ""
-        if worst[0] > ROUNDING * largest.max() + self.spaces.displacement_rounding:
+        rounding = ROUNDING * largest.max() + self.spaces.displacement_rounding
+        if self.comm.allreduce(lacking(self.tied, self.spaces, v)[1], MPI.MAX) > rounding:
+            return (
+                "a slave that is tied cannot follow its master: u is given there, or the directions of its facets turn"
+            )
+        if worst[0] > rounding:
             facet, place = np.unravel_index(int(past.argmax()), past.shape)
             worst = worst[0], self._told(int(facet), int(place))
         past_by, where = max(self.comm.allgather(worst))

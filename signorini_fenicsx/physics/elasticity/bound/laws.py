@@ -21,6 +21,7 @@ p, and with the kinks where the pressure jumps, at the coefficients.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,6 +180,29 @@ class LawOnFacets:
             inside = ((begin <= p) & (p <= end)).all(axis=1) & ((low <= pressure) & (pressure <= high)).all(axis=1)
             on_one |= inside & (slope > 0) & np.isfinite(slope)
         return on_one
+
+
+def kinks_on(laws: Sequence[LawOnFacets], openings: Array) -> tuple[Indices, Indices, Array, Array, Array]:
+    """The kinks of the gap in p: facet, coefficient, its side of the line of v, p there, and the largest force.
+
+    For contact these are the bounds of p; see `LawOnFacets.kinks`.
+
+    Args:
+        laws: The laws on the facets, but for contact.
+        openings: p of each coefficient, shape (facets, coefficients).
+    """
+    number = openings.shape[1]
+    plain = np.setdiff1d(np.arange(len(openings)), np.concatenate([[], *(law.rows for law in laws)]))
+    ones = np.ones(len(plain))
+    kinks = [(plain.astype(np.int64), ones, 0 * ones, np.full((len(plain), number), np.inf))]
+    for law in laws:
+        share = np.einsum("fq,fqk->fk", law.weights, law.basis)
+        for corner, jump, side in law.kinks():
+            some = np.flatnonzero(jump > 0)
+            kinks.append((law.rows[some], side[some], corner[some], jump[some, None] * share[some]))
+    rows, sides, corners = (np.repeat(np.concatenate([each[k] for each in kinks]), number) for k in range(3))
+    most = np.concatenate([each[3] for each in kinks]).ravel()
+    return rows, np.tile(np.arange(number), len(rows) // max(number, 1)), sides, corners, most
 
 
 def _exchanged(chains: Chains) -> Chains:

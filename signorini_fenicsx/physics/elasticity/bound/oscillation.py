@@ -61,7 +61,7 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
         of_cells[numbers] *= np.sqrt(np.linalg.eigvalsh(compliance)[:, -1])
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
             of_cells[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
-    of_cells += passed_on(spaces, data, stresses, everywhere)
+    of_cells += passed_on(spaces, stresses, everywhere)
     more, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + of_cells)
     return of_cells + more, together
 

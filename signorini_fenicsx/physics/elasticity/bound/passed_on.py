@@ -37,7 +37,6 @@ from signorini_fenicsx.discrete.overlay import common_parts
 from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.meshes.refinement import OBLIQUE
 from signorini_fenicsx.physics.elasticity.bound.korn import trace_constants
-from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, compliance_product, reference
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
@@ -130,25 +129,24 @@ def hats_on_facet(x: Array) -> Array:
     return np.concatenate([1 - x[..., :1], x[..., :-1] - x[..., 1:]], axis=-1)
 
 
-def passed_on(spaces: ElasticSpaces, data: ElasticData, stresses: Array, compliance: Array) -> Array:
+def passed_on(spaces: ElasticSpaces, stresses: Array, compliance: Array) -> Array:
     """How large ⟨r, w⟩ may be beside |w|_T for each owned cell; both sides of a piece are on one rank (collective).
 
     Args:
         spaces: The spaces.
-        data: The data.
         stresses: Values of σ_h, as in `SplitMesh.values`.
         compliance: On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries).
     """
     of_cells = np.zeros(len(spaces.order))
     if not spaces.joints:
         return of_cells
-    tractions = data.pulled - spaces.tractions(spaces.contact, stresses)
     for joint in spaces.joints:
+        tractions = -spaces.tractions(spaces.boundary_facets(joint.slaves), stresses)
         masters, pieces = spaces.boundary_facets(joint.masters), joint.pieces
         order, edges = _paths(spaces, masters)
         rows = pieces.master - joint.first
         on_master = np.take_along_axis(pieces.on_master, order[rows][:, None], axis=2)
-        values = pieces.on_slave @ tractions[spaces.rows_of(joint)][pieces.slave] / pieces.stretch[:, None, None]
+        values = pieces.on_slave @ tractions[pieces.slave] / pieces.stretch[:, None, None]
         passed = Passed(rows, on_master, values).checked(len(edges))
         of_facets = oscillation(spaces.mesh.comm, passed, edges, compliance[masters.cells])
         np.add.at(of_cells, masters.cells, of_facets)

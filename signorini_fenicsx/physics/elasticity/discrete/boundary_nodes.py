@@ -88,6 +88,10 @@ class FacetCoefficients:
         """Bernstein's basis in points of the reference facet, shape (points, coefficients)."""
         return self._element.tabulate(0, points)[0, :, :, 0]
 
+    def slopes(self, points: Array) -> Array:
+        """Its derivatives by the coordinates of the reference facet, shape (d − 1, points, coefficients)."""
+        return self._element.tabulate(1, points)[1:, :, :, 0]
+
     def lengths(self, vectors: Array, bound: Array, moments: Array) -> Array:
         """Bounds of the means of g|v| over facets: |v| is at most a mean of the lengths of its coefficients.
 
@@ -279,7 +283,7 @@ def in_pieces(
     contact: ContactCoefficients, spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace
 ) -> ContactCoefficients:
     """The same with the slave facets of pairs piece by piece; both sides of a piece are on one rank, and on `split`."""
-    for joint in spaces.joints:
+    for joint in (joint for joint in spaces.joints if not joint.pair.tied):
         slaves, pieces = spaces.rows_of(joint), joint.pieces
         masters = facet_coefficients(split, space, spaces.boundary_facets(joint.masters))
         plain = np.flatnonzero(~np.isin(contact.rows, slaves))

@@ -39,7 +39,7 @@ from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillat
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
-from signorini_fenicsx.physics.elasticity.quantities.energy import Along, degree_of_v, energy
+from signorini_fenicsx.physics.elasticity.quantities.energy import TIED, Along, degree_of_v, energy
 from signorini_fenicsx.physics.elasticity.quantities.motions import (
     OPPOSITE,
     check_parts,
@@ -164,6 +164,8 @@ class _Beside(Beside[_Side]):
     def __init__(self, solution: ElasticSolution, kind: Kind):
         if why := pairs_without_bound(solution.spaces):
             raise InputError(f"{type(kind).__name__}: {why}")
+        if not self.of_flux and any(joint.pair.tied for joint in solution.spaces.joints):
+            raise InputError(f"{type(kind).__name__}: {TIED}")
         super().__init__(solution, kind)
 
     def memory(self, tau: float) -> FromBefore:

@@ -48,6 +48,10 @@ def degree_of_v(data: ElasticData) -> int:
     return max(OF_V[data.material.dim], degree_of(data))
 
 
+TIED = "where a pair is tied there are forces and moments alone"
+"""Why there is no other quantity: v + d is the displacement there, see `tied`, and integrals of d are not known."""
+
+
 @dataclass(frozen=True)
 class Along:
     """The components of a displacement along vectors on some cells of the split mesh.
@@ -86,6 +90,8 @@ def energy(solution: ElasticSolution) -> Quantity:
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
     if why := pairs_without_bound(spaces):
         raise InputError(f"Energy: {why}")
+    if any(joint.pair.tied for joint in spaces.joints):
+        raise InputError(f"Energy: {TIED}")
     if spaces.joints and data.laws.of_parts:
         raise InputError("Energy: of pairs there is none with other laws than contact and friction")
     y = admissible_stress(solution)
