@@ -1,0 +1,94 @@
+"""Quantities of viscous flow from both sides: exact values in intervals, conservation, what is refused."""
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from elastic import box
+from mpi4py import MPI
+
+from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.fenicsx import function_space
+from signorini_fenicsx.certificate.certify import certify
+from signorini_fenicsx.contact.laws import Dirichlet
+from signorini_fenicsx.physics.elasticity.problem import Pressure
+from signorini_fenicsx.physics.stokes.problem import Outflow, Slip, Stokes
+from signorini_fenicsx.physics.stokes.solution import StokesSolution
+from signorini_fenicsx.quantities import Dissipation, Flow, Flux, Force, Mean, Quantity
+from signorini_fenicsx.solving.solver import solve
+
+COMM = MPI.COMM_WORLD
+DUCT = 0.0351443
+"""The flow in a square duct of side 1 for unit pressure gradient and viscosity (Boussinesq 1868)."""
+
+
+def contains(found: Quantity, value: float, width: float) -> None:
+    """The interval is guaranteed, has the value, but for its last digits, and is at most so wide."""
+    assert found.guaranteed, found.reason
+    assert found.lower - 1e-7 * abs(value) <= value <= found.upper + 1e-7 * abs(value)
+    assert found.width <= width * abs(value)
+
+
+def between_pressures(drop: float, dim: int, *conditions: object) -> list:
+    """What drives a straight flow along x."""
+    ends = [Dirichlet(part, 0, components="t") for part in ("x0", "x1")]
+    sides = [Dirichlet(part, 0, components="n") for part in ("y1", "z1")[: dim - 1]]
+    return [Pressure("x0", drop), *ends, *(sides if not conditions else ()), *conditions]
+
+
+def test_the_flow_in_a_duct():
+    """A quarter of it, with n = 2 cells along an edge."""
+    found = solve(box(COMM, 2, [0.0] * 3, [0.5] * 3), Stokes(1, conditions=between_pressures(0.5, 3)))
+    contains(found.quantity(Flow("x1")), DUCT / 4, 0.05)
+
+
+def test_a_channel_with_slip():
+    """All is exact: u = y(11/7 − y) where the upper wall slips under the shear 0.3."""
+    conditions = between_pressures(1.4, 2, Slip("y1", g=0.3))
+    found = solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), Stokes(0.7, conditions=conditions))
+    flow = 11 / 14 - 1 / 3
+    contains(found.quantity(Flow("x1")), flow, 1e-6)
+    contains(found.quantity(Force("y1", direction=[1, 0])), -0.3, 1e-6)
+    contains(found.quantity(Dissipation()), 1.4 * flow - 0.3 * 4 / 7, 1e-6)  # what the pressure does, less friction
+
+
+def outlet(n: int) -> StokesSolution:
+    """A force turns the flow back at an outlet, which is closed there."""
+    f, inlet = ["32*(0.5 - y)*x", "0"], Dirichlet("x0", ["y*(1 - y)", 0])
+    return solve(box(COMM, n, [0.0, 0.0], [1.0, 1.0]), Stokes(1, f=f, conditions=[inlet, Outflow("x1")]))
+
+
+def test_intervals_have_those_of_finer_meshes():
+    """What comes in goes out, whatever the mesh is; the other intervals overlap and become shorter."""
+    coarse, fine = outlet(4), outlet(8)
+    contains(coarse.quantity(Flow("x1")), 1 / 6, 1e-6)
+    for kind, share in ((Dissipation(), 0.6), (Mean(direction=[0, 1]), 0.4)):
+        wide, narrow = coarse.quantity(kind), fine.quantity(kind)
+        assert wide.guaranteed
+        assert narrow.guaranteed
+        assert wide.lower < narrow.upper
+        assert narrow.lower < wide.upper
+        assert narrow.width < share * wide.width
+
+
+def test_where_there_are_none():
+    """A flux of κ∇u is none of flow, and a force on a part that ends on others has no bound."""
+    found = outlet(4)
+    with pytest.raises(InputError, match="viscous flow has Flow, "):
+        found.quantity(Flux("x1"))
+    assert not np.isfinite(found.quantity(Force("y0", direction=[0, 1])).width)
+
+
+def test_a_velocity_of_another_program():
+    """The distance of dev ε of any velocity is between the bounds, by quadrature here."""
+    mu, u = 0.7, ["y*(1 - y)*(1 + y)", "0"]
+    conditions = [Dirichlet("x0", u), Outflow("x1", tangential="held")]
+    found = solve(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), Stokes(mu, f=[f"{6 * mu}*y", "0"], conditions=conditions))
+    mesh = found.spaces.mesh
+    v, y = fem.Function(function_space(mesh, ("Lagrange", 2, (2,)))), ufl.SpatialCoordinate(mesh)[1]
+    v.interpolate(lambda x: np.stack([x[1] * (1 - x[1] ** 2), 0.1 * x[0] * x[1]]))
+    off = ufl.dev(ufl.sym(ufl.grad(v - ufl.as_vector([y * (1 - y**2), 0]))))
+    distance = fem.assemble_scalar(fem.form(2 * mu * ufl.inner(off, off) * ufl.dx)) ** 0.5
+    bound = certify(found, v=v)
+    assert bound.guaranteed
+    assert bound.lower <= distance <= bound.bound < 1.5 * distance
