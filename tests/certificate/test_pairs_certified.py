@@ -182,6 +182,21 @@ def test_what_is_refused() -> None:
         tied.quantity(Force("low.top", direction=(0, 1)))
 
 
+@pytest.mark.parametrize("end", [0.5, 0.3])
+def test_tied_on_two_bodies(end: float) -> None:
+    """Where two masters meet below a slave v cannot be the same on both sides, and there is no bound."""
+    shapes = {"up": "[0, 1] x [0, 0.8]", "one": f"[0, {end}] x [-0.8, 0]", "other": f"[{end}, 1] x [-0.8, 0]"}
+    bodies = {name: build_domain(COMM, shape, 0.7, mesh="structured") for name, shape in shapes.items()}
+    free = ["up.left", "up.right", "one.left", "one.right", "other.left", "other.right"]
+    held = [Dirichlet("up.top", (0, -0.1)), Dirichlet("one.bottom", 0), Dirichlet("other.bottom", (0.1, 0))]
+    pair = Pair("up.bottom", ["one.top", "other.top"], Tied())
+    certificate = solve(
+        domain_of_bodies(bodies), Elasticity(1.0, 0.3, conditions=[*held, Neumann(free), pair])
+    ).certify()
+    assert not certificate.guaranteed
+    assert "its masters do not hang together" in certificate.reservation + certificate.if_none
+
+
 @pytest.mark.parallel(3)
 def test_several_ranks(folder: Path) -> None:
     """The bound is that of one rank, also of a solution that is read; refinement keeps both sides on one rank."""

@@ -376,7 +376,7 @@ class BestDisplacement:
         rounding = ROUNDING * largest.max() + self.spaces.displacement_rounding
         if self.comm.allreduce(lacking(self.tied, self.spaces, v)[1], MPI.MAX) > rounding:
             return (
-                "a slave that is tied cannot follow its master: u is given there, or the directions of its facets turn"
+                "a slave that is tied cannot follow: u is given, its facets turn, or its masters do not hang together"
             )
         if worst[0] > rounding:
             facet, place = np.unravel_index(int(past.argmax()), past.shape)

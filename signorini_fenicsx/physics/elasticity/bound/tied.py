@@ -6,7 +6,7 @@ each piece. On the subcell S between e and the centroid c let s be the sum of th
     d = s r(τ),   τ_i = λ_i/s,
 
 the value at the point of e that c sees behind x; elsewhere d = 0. In the plane r is 0 at the ends of e, so that d is
-continuous, and [v + d] = 0: v + d is admissible. Its gradient
+continuous if w is, and [v + d] = 0: v + d is admissible. Its gradient
 
     ∇d = r ⊗ ∇s + Σ ∂_i r ⊗ (∇λ_i − τ_i ∇s)
 
@@ -33,6 +33,8 @@ from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 
 NOTHING = 1e-13
 """A weight of a node that is rounding."""
+SAME = 1e-7
+"""Corners of pieces whose places on a facet differ by less are one."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Tied:
         return np.column_stack([named, nodes]), np.column_stack([np.ones(len(named)), -weights])
 
     def lacking(self, values: Array, middles: Array) -> tuple[Array, float]:
-        """‖ε(d)‖² behind each slave facet as a share of its subcell, and the largest |r| at the ends of facets.
+        """‖ε(d)‖² behind each slave facet as a share of its subcell, and the largest jump of r.
 
         Args:
             values: v at the nodes, shape (nodes, d).
@@ -94,9 +96,14 @@ class Tied:
         slopes = np.einsum("pqi,pj->pqij", r, of_s) + np.einsum("pqki,pqkj->pqij", along, ways)
         strains = (slopes + slopes.swapaxes(2, 3)) / 2
         sizes = pieces.share * np.einsum("q,pqij->p", weights / weights.sum(), strains**2)
-        at_ends = (pieces.on_slave.max(axis=2) > 1 - NOTHING)[:, :, None]
-        corners = slaves.basis(np.eye(dim)[:, 1:])
-        past = np.abs(np.where(at_ends, np.einsum("ck,pki->pci", corners, of_w - of_v), 0.0)).max(initial=0.0)
+        at_corners = np.einsum("ck,pki->pci", slaves.basis(np.eye(dim)[:, 1:]), of_w - of_v)
+        past = np.abs(np.where((pieces.on_slave.max(axis=2) > 1 - NOTHING)[:, :, None], at_corners, 0.0)).max(initial=0)
+        places = np.column_stack([np.repeat(pieces.slave, dim), np.rint(pieces.on_slave.reshape(-1, dim) / SAME)])
+        _, place = np.unique(places, axis=0, return_inverse=True)  # pieces meet there
+        most, least = np.full((2, len(places), dim), [[[-np.inf]], [[np.inf]]])
+        np.maximum.at(most, place.ravel(), at_corners.reshape(-1, dim))
+        np.minimum.at(least, place.ravel(), at_corners.reshape(-1, dim))
+        past = max(past, np.where(np.isfinite(most), most - least, 0.0).max(initial=0.0))
         return np.bincount(pieces.slave, sizes, len(slaves.rows)), float(past)
 
 
@@ -114,7 +121,7 @@ def tied_pairs(spaces: ElasticSpaces, split: SplitMesh, space: fem.FunctionSpace
 
 
 def lacking(pairs: Sequence[Tied], spaces: ElasticSpaces, v: fem.Function) -> tuple[Array, float]:
-    """‖ε(d)‖² on each owned cell, and the largest |r| at ends of facets of this rank, where it has to be rounding."""
+    """‖ε(d)‖² on each owned cell, and the largest jump of r on this rank, between pieces or facets."""
     squares, largest, dim = np.zeros(len(spaces.order)), 0.0, spaces.dim
     for pair in pairs:
         cells = pair.slaves.facets.cells
