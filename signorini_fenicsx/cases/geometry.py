@@ -27,14 +27,18 @@ class Meshed(Section):
         dict[str, Annotated[Rule, BeforeValidator(check_rule)]], Field(default={}, exclude_if=lambda each: not each)
     ]
 
+    sizes: Annotated[dict[str, Positive], Field(default={}, exclude_if=lambda each: not each)]
+
     @model_validator(mode="after")
     def _mesh_exists(self) -> Self:
         if self.shape is None:
             if {"mesh", "diagonal"} & self.model_fields_set:
                 raise ValueError("mesh and diagonal apply to named shapes, not to files")
+            if self.sizes and not is_geometry(self.file or ""):
+                raise ValueError("sizes apply to drawings, such as .step and .geo; a mesh has its own")
             return self
-        if self.faces:
-            raise ValueError("faces apply to files; a named shape has names for its parts")
+        if self.faces or self.sizes:
+            raise ValueError("faces and sizes apply to files; a named shape has names for its parts")
         shape = shape_of(self.shape)
         if self.mesh == "structured" and shape.grid is None:
             structured = ", ".join(name for name, other in SHAPES.items() if other.grid is not None)
@@ -64,7 +68,16 @@ class BodyKeys(Meshed):
 
     def made(self) -> Body:
         """The body."""
-        return Body(self.shape, self.file, tuple(self.offset), self.h, self.mesh, self.diagonal, self.faces)
+        return Body(
+            self.shape,
+            self.file,
+            tuple(self.offset),
+            self.h,
+            self.mesh,
+            self.diagonal,
+            self.faces,
+            tuple(self.sizes.items()),
+        )
 
 
 def _bodies(value: object) -> object:
@@ -104,7 +117,7 @@ class Geometry(Meshed):
         """What the mesh is read or made from, if the domain is no named shape."""
         if self.bodies is not None:
             return Bodies({name: body.made() for name, body in self.bodies.items()})
-        return MeshFile(self.file or "", self.faces)
+        return MeshFile(self.file or "", self.faces, tuple(self.sizes.items()))
 
     @property
     def files(self) -> dict[str, str]:

@@ -19,7 +19,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.domain import Domain, other_side
-from signorini_fenicsx.meshes.files import is_geometry, read_mesh_file
+from signorini_fenicsx.meshes.files import Sizes, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.meshing import (
     allowed,
     build_domain,
@@ -48,6 +48,7 @@ class Body:
         mesh: How a shape is meshed, see `build_domain`.
         diagonal: See there.
         faces: Names for faces of a file, see `named_faces`.
+        sizes: Sizes of cells at parts or regions of a geometry, see `read_mesh_file`.
     """
 
     shape: str | None = None
@@ -57,6 +58,7 @@ class Body:
     mesh: str = "unstructured"
     diagonal: str | None = None
     faces: Mapping[str, Rule] = MappingProxyType({})
+    sizes: Sizes = ()
 
     @property
     def is_fixed(self) -> bool:
@@ -65,7 +67,7 @@ class Body:
 
     def usual(self) -> float | None:
         """The largest cell diameter that it asks for, or that its file has; None if there is none (rank 0)."""
-        return self.h or (None if self.file is None else own_size(self.file).h)
+        return self.h or (None if self.file is None else own_size(self.file, self.sizes).h)
 
     def size(self, h: float | None) -> tuple[int, float]:
         """Dimension and number of cells with this h (rank 0).
@@ -76,7 +78,7 @@ class Body:
         if self.shape is not None:
             return shape_of(self.shape).dim, estimated_cells(self.shape, h or 1.0)
         if not self.is_fixed:
-            return expected_size(self.file or "", h)
+            return expected_size(self.file or "", h, self.sizes)
         own = own_size(self.file or "")
         levels = math.ceil(math.log2(own.h / (h or own.h)) - SAME)
         if levels < 0:
@@ -93,7 +95,7 @@ class Body:
         else:
             self.size(h)  # refuses too large a size
             path = self.file or ""
-            read = named(read_mesh_file(path, None if self.is_fixed else h), self.faces, path)
+            read = named(read_mesh_file(path, None if self.is_fixed else h, sizes=self.sizes), self.faces, path)
             domain, cut = handed_out(MPI.COMM_SELF, read, path), read.cut
             while self.is_fixed and h is not None and domain.h > h * (1 + SAME):
                 domain = refined_uniformly(domain)

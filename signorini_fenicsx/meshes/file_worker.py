@@ -22,12 +22,12 @@ def main(arguments: list[str], result: BinaryIO) -> None:
 
     Args:
         arguments: The file; h of the mesh that Gmsh makes, or 0 for the file's own sizes; how often Gmsh refines a
-            coarser mesh for that; the largest number of cells.
+            coarser mesh for that; the largest number of cells; sizes at parts or regions as JSON.
         result: The file for `unpack`.
     """
     source, h = Path(arguments[0]), float(arguments[1]) or None
     if source.suffix.lower() in OF_GMSH:
-        contents = _by_gmsh(source, h, int(arguments[2]), float(arguments[3]))
+        contents = _by_gmsh(source, h, int(arguments[2]), float(arguments[3]), json.loads(arguments[4]))
     else:
         from signorini_fenicsx.meshes.meshio_files import read_with_meshio
 
@@ -36,7 +36,7 @@ def main(arguments: list[str], result: BinaryIO) -> None:
     pack(contents, result)
 
 
-def _by_gmsh(source: Path, h: float | None, refined: int, max_cells: float) -> Contents:
+def _by_gmsh(source: Path, h: float | None, refined: int, max_cells: float, sizes: list[tuple[str, float]]) -> Contents:
     """Let Gmsh read a copy; beside the original it would also read an `.opt` file.
 
     A `.geo` file is a program that may start others and write files, and Gmsh takes all else for one.
@@ -50,7 +50,7 @@ def _by_gmsh(source: Path, h: float | None, refined: int, max_cells: float) -> C
     shutil.copyfile(source, copy)
     if not confined.seal() and source.suffix == ".geo":
         raise InputError("is a program, which this system cannot confine; mesh it with Gmsh and give the .msh file")
-    return read_with_gmsh(copy, h, refined, max_cells)
+    return read_with_gmsh(copy, h, refined, max_cells, sizes)
 
 
 def pack(contents: Contents, result: BinaryIO) -> None:

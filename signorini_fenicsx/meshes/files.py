@@ -5,6 +5,7 @@ of them (`Contents`). The cells of the highest dimension become the mesh, groups
 of facets its boundary parts. The name of a group without a name is its number.
 """
 
+import json
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,8 @@ from signorini_fenicsx.meshes.checks import FileMesh, checked
 from signorini_fenicsx.meshes.contents import DRAWINGS, Contents
 from signorini_fenicsx.meshes.file_worker import unpack
 
+type Sizes = tuple[tuple[str, float], ...]
+"""Sizes of cells by the names of parts or regions."""
 MAX_CELLS = 10**8
 """Largest number of cells; more are regarded as a mistake in h."""
 
@@ -24,21 +27,24 @@ def is_geometry(path: str) -> bool:
     return Path(path).suffix.lower() in DRAWINGS
 
 
-def read_mesh_file(path: str, h: float | None = None, refined: int = 0) -> FileMesh:
+def read_mesh_file(path: str, h: float | None = None, refined: int = 0, sizes: Sizes = ()) -> FileMesh:
     """Read a mesh, or let Gmsh make one (rank 0).
 
     Args:
         path: Path of the file.
         h: Largest cell diameter of a mesh that Gmsh makes; None for the sizes of the file.
         refined: How often Gmsh refines a coarser mesh for that.
+        sizes: Sizes of cells at parts or regions of a geometry, which h scales like the file's own.
 
     Raises:
         InputError: If the file cannot be read, or its mesh cannot be used.
     """
-    return read_file("mesh", path, checked, h, refined)
+    return read_file("mesh", path, checked, h, refined, sizes)
 
 
-def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | None = None, refined: int = 0) -> T:
+def read_file[T](
+    what: str, path: str, use: Callable[[Contents], T], h: float | None = None, refined: int = 0, sizes: Sizes = ()
+) -> T:
     """Read the contents of a file in a confined process, and make something of them (rank 0).
 
     Args:
@@ -47,6 +53,7 @@ def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | 
         use: What is made of them.
         h: See `read_mesh_file`.
         refined: See `read_mesh_file`.
+        sizes: See `read_mesh_file`.
 
     Raises:
         InputError: If the file cannot be read, or `use` raises it.
@@ -58,7 +65,7 @@ def read_file[T](what: str, path: str, use: Callable[[Contents], T], h: float | 
         if place.stat().st_size == 0:
             raise InputError("the file is empty")
         with tempfile.TemporaryFile() as result:
-            arguments = [str(place.absolute()), repr(h or 0.0), str(refined), repr(float(MAX_CELLS))]
+            arguments = [str(place.absolute()), repr(h or 0.0), str(refined), repr(float(MAX_CELLS)), json.dumps(sizes)]
             confined.run("signorini_fenicsx.meshes.file_worker", arguments, result)
             result.seek(0)
             contents = unpack(result)

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import gmsh
@@ -19,7 +20,9 @@ STRAIGHT = ("Point", "Line", "Plane", "Volume")
 """Types of entities without curvature."""
 
 
-def read_with_gmsh(source: Path, h: float | None, refined: int, max_cells: float) -> Contents:
+def read_with_gmsh(
+    source: Path, h: float | None, refined: int, max_cells: float, sizes: Sequence[tuple[str, float]] = ()
+) -> Contents:
     """Read a mesh, or make one from a geometry, in a sealed process.
 
     Args:
@@ -27,6 +30,7 @@ def read_with_gmsh(source: Path, h: float | None, refined: int, max_cells: float
         h: Largest cell diameter of a mesh that is made; None for the file's own sizes.
         refined: How often a coarser mesh is refined for that.
         max_cells: Largest number of cells of a mesh that is made.
+        sizes: Sizes of cells at entities, by the names of these or of physical groups.
 
     Raises:
         InputError: If Gmsh cannot do it.
@@ -37,6 +41,8 @@ def read_with_gmsh(source: Path, h: float | None, refined: int, max_cells: float
         gmsh.option.setNumber("General.NumThreads", 1)
         gmsh.open(str(source))
         if source.suffix.lower() in DRAWINGS:
+            for name, size in sizes:
+                gmsh.model.mesh.setSize(_points_of(name), size)
             generate(h, refined, max_cells)
         return model_contents(without_groups=source.suffix.lower() not in (".geo", ".msh"))
     except Exception as error:  # Gmsh raises plain exceptions
@@ -134,3 +140,14 @@ def model_contents(*, without_groups: bool = False) -> Contents:
 def _label(dim: int, tag: int) -> str:
     """The name of an entity: the last part of its label in the file, or its kind and number."""
     return gmsh.model.getEntityName(dim, tag).rpartition("/")[2] or f"{('edge', 'face', 'solid')[dim - 1]}{tag}"
+
+
+def _points_of(name: str) -> list[tuple[int, int]]:
+    """The points of the entities with this name, or in physical groups with it."""
+    physical = gmsh.model.getPhysicalGroups()
+    groups = [group for group in physical if name in (gmsh.model.getPhysicalName(*group), str(group[1]))]
+    found = [(dim, tag) for dim, number in groups for tag in gmsh.model.getEntitiesForPhysicalGroup(dim, number)]
+    found += [entity for entity in gmsh.model.getEntities() if entity[0] > 0 and _label(*entity) == name]
+    if not found:
+        raise ValueError(f"sizes: there is no part or region '{name}'")
+    return gmsh.model.getBoundary(found, combined=False, oriented=False, recursive=True)

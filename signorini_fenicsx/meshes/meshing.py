@@ -24,7 +24,7 @@ from signorini_fenicsx.base.signals import listen_again
 from signorini_fenicsx.meshes.checks import FileMesh, check_boundary, diameters, faces
 from signorini_fenicsx.meshes.cut import Side, cut, opened
 from signorini_fenicsx.meshes.domain import Domain, distribute, largest_diameter
-from signorini_fenicsx.meshes.files import MAX_CELLS, is_geometry, read_mesh_file
+from signorini_fenicsx.meshes.files import MAX_CELLS, Sizes, is_geometry, read_mesh_file
 from signorini_fenicsx.meshes.grids import Share, Simplices
 from signorini_fenicsx.meshes.memory import check_memory
 from signorini_fenicsx.meshes.named_faces import Rule, named
@@ -199,10 +199,17 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A mesh file, or a geometry for Gmsh, as the source of a mesh; `faces` are names for faces, see `named_faces`."""
+    """A mesh file, or a geometry for Gmsh, as the source of a mesh.
+
+    Attributes:
+        path: The path.
+        faces: Names for faces, see `named_faces`.
+        sizes: Sizes of cells at parts or regions of a geometry, see `read_mesh_file`.
+    """
 
     path: str
     faces: Mapping[str, Rule] = MappingProxyType({})
+    sizes: Sizes = ()
 
     @property
     def name(self) -> str:
@@ -221,12 +228,12 @@ class MeshFile:
 
     def size(self, h: float | None) -> tuple[int, float]:
         """See `Source`."""
-        return expected_size(self.path, h)
+        return expected_size(self.path, h, self.sizes)
 
     def read(self, h: float | None) -> tuple[FileMesh, int]:
         """See `Source`."""
-        levels, by_gmsh = _file_refinements(self.path, h)
-        return named(_coarse_enough(self.path, h, levels, by_gmsh), self.faces, self.path), levels
+        levels, by_gmsh = _file_refinements(self.path, h, self.sizes)
+        return named(_coarse_enough(self.path, h, levels, by_gmsh, self.sizes), self.faces, self.path), levels
 
 
 def own_domain(
@@ -289,30 +296,30 @@ def usable(
     return mesh
 
 
-def _file_refinements(path: str, h: float | None) -> tuple[int, int]:
+def _file_refinements(path: str, h: float | None, sizes: Sizes) -> tuple[int, int]:
     """How often the mesh of a geometry is refined uniformly by us, and how often by Gmsh (rank 0).
 
     Gmsh knows where new points of a curved boundary are. In space its children would be flat.
     """
     if h is None or not is_geometry(path):
         return 0, 0
-    dim, cells = expected_size(path, h)
+    dim, cells = expected_size(path, h, sizes)
     levels = refinements(cells, dim)
-    if own_size(path).straight:
+    if own_size(path, sizes).straight:
         return levels, 0
     return 0, levels if dim == 2 else 0
 
 
-def _coarse_enough(path: str, h: float | None, levels: int, by_gmsh: int) -> FileMesh:
+def _coarse_enough(path: str, h: float | None, levels: int, by_gmsh: int, sizes: Sizes) -> FileMesh:
     """A mesh whose uniform refinement has cells of diameter at most h (rank 0)."""
     asked = None if h is None else h * 2**levels
-    mesh = read_mesh_file(path, asked, by_gmsh)
+    mesh = read_mesh_file(path, asked, by_gmsh, sizes)
     while h is not None and asked is not None and levels > 0 and mesh.dim == 3:
         achieved = 2 * refined_diameter(mesh.points, mesh.cells)
         if achieved <= h * 2**levels:
             break
         asked *= 0.98 * h * 2**levels / achieved
-        mesh = read_mesh_file(path, asked)
+        mesh = read_mesh_file(path, asked, sizes=sizes)
     return mesh
 
 
@@ -326,25 +333,25 @@ class OwnSize:
     straight: bool
 
 
-def own_size(path: str) -> OwnSize:
+def own_size(path: str, sizes: Sizes = ()) -> OwnSize:
     """The properties of a file as it is now; a file that has not changed is read once."""
     about = os.stat(path) if os.path.exists(path) else None
-    return _read_own_size(path, about and (about.st_ino, about.st_size, about.st_mtime_ns))
+    return _read_own_size(path, sizes, about and (about.st_ino, about.st_size, about.st_mtime_ns))
 
 
 @functools.cache
-def _read_own_size(path: str, _version: tuple[int, int, int] | None) -> OwnSize:
-    mesh = read_mesh_file(path)
+def _read_own_size(path: str, sizes: Sizes, _version: tuple[int, int, int] | None) -> OwnSize:
+    mesh = read_mesh_file(path, sizes=sizes)
     return OwnSize(mesh.dim, len(mesh.cells), float(diameters(mesh.points, mesh.cells).max()), mesh.straight)
 
 
-def expected_size(path: str, h: float | None) -> tuple[int, float]:
+def expected_size(path: str, h: float | None, sizes: Sizes = ()) -> tuple[int, float]:
     """Dimension and number of cells of the mesh of a file; with h an estimate from its own sizes (rank 0).
 
     Raises:
         InputError: If the file or its mesh cannot be used, or there are more than MAX_CELLS.
     """
-    own = own_size(path)
+    own = own_size(path, sizes)
     return own.dim, own.cells if h is None else allowed(own.cells * (own.h / h) ** own.dim, h, path)
 
 

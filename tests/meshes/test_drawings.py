@@ -129,6 +129,21 @@ def test_a_case_with_a_drawing(plate: Path):
     assert "[geometry] faces.held: must be such as 'z min', 'x max' or 'y = 0.5', or a list of parts" in wrong.stderr
 
 
+def test_sizes_at_a_face(plate: Path):
+    file = str(plate / "plate.step")
+    usual, fine = (MeshFile(file, sizes=sizes).read(None)[0] for sizes in ((), (("face7", 0.1),)))
+    assert len(fine.parts["face7"]) > 3 * len(usual.parts["face7"])
+    assert len(fine.parts["face1"]) < 1.3 * len(usual.parts["face1"])
+    scaled = MeshFile(file, sizes=(("face7", 0.1),)).read(1.0)[0]
+    assert len(scaled.cells) < len(fine.cells)
+    with pytest.raises(InputError, match="sizes: there is no part or region 'face8'"):
+        MeshFile(file, sizes=(("face8", 0.1),)).read(None)
+    (plate / "wrong.toml").write_text(CASE.replace("faces =", "sizes = {face7 = 0}\nfaces ="))
+    assert "[geometry] sizes.face7: " in signorini(plate, "check", "wrong.toml").stderr
+    (plate / "wrong.toml").write_text(CASE.replace("faces =", "sizes = {left = 1}\nfaces =").replace("step", "unv"))
+    assert "sizes apply to drawings, such as .step and .geo" in signorini(plate, "check", "wrong.toml").stderr
+
+
 def test_what_is_no_drawing(tmp_path: Path):
     file = tmp_path / "plate.step"
     file.write_text('SystemCall "touch here";\n')

@@ -84,7 +84,7 @@ def test_a_system_that_cannot_confine_a_process_reads_no_geometry(tmp_path: Path
     monkeypatch.chdir(tmp_path)
     (tmp_path / "square.geo").write_text(SQUARE)
     with pytest.raises(InputError, match="which this system cannot confine"):
-        file_worker._by_gmsh(data_folder("meshes") / "dam.geo", None, 0, 1e8)
+        file_worker._by_gmsh(data_folder("meshes") / "dam.geo", None, 0, 1e8, [])
 
 
 def test_curved_geometries_are_refined_from_coarser_meshes(monkeypatch: pytest.MonkeyPatch):
@@ -92,7 +92,9 @@ def test_curved_geometries_are_refined_from_coarser_meshes(monkeypatch: pytest.M
     monkeypatch.setattr(meshing, "REFINED_FROM", 10_000)
     monkeypatch.setattr(meshing, "COARSEST", 500)
     asked = []
-    monkeypatch.setattr(meshing, "read_mesh_file", lambda *about: asked.append(about) or read_mesh_file(*about))
+    monkeypatch.setattr(
+        meshing, "read_mesh_file", lambda *about, **sizes: asked.append(about) or read_mesh_file(*about)
+    )
     parts = {"signorini": ["toe", "heel"], "neumann": ["washer", "free"], "dirichlet": ["stop"]}
     domain = meshing.own_domain(MPI.COMM_SELF, meshing.MeshFile(str(data_folder("meshes") / "clamp.geo")), 1.2, parts)
     assert asked[-1][2] == 2
