@@ -18,6 +18,7 @@ def study(
     status: Annotated[
         bool, typer.Option("--status", help="Show how far the study is, also while it runs; run nothing.")
     ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do a study of 1000 runs or more.")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -31,4 +32,4 @@ def study(
     from signorini_fenicsx.cli.study_report import StudyReport, do_study
 
     report = StudyReport(quiet=quiet, as_json=as_json)
-    do_study(study, output, report, dry_run=dry_run, retry_failed=retry_failed, status=status, as_json=as_json)
+    do_study(study, output, report, dry_run=dry_run, retry_failed=retry_failed, status=status, yes=yes, as_json=as_json)

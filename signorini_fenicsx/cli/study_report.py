@@ -10,6 +10,7 @@ from mpi4py import MPI
 from rich.live import Live
 from rich.text import Text
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.text import printable_lines
 from signorini_fenicsx.cli.common import results_place
@@ -19,6 +20,8 @@ from signorini_fenicsx.studies.runner import check_all_succeeded, run_study
 from signorini_fenicsx.studies.study import Run, Study, load_study
 from signorini_fenicsx.studies.varied import in_words, varied_keys
 
+MANY = 1000
+"""A study of so many runs has to be meant."""
 ENDED = (Status.DONE, Status.FAILED)
 
 
@@ -155,12 +158,13 @@ def do_study(
     dry_run: bool,
     retry_failed: bool,
     status: bool,
+    yes: bool,
     as_json: bool,
 ) -> None:
     """Do all unfinished runs of a study, or show how far it is (collective).
 
     Raises:
-        InputError: If the study or its folder is not right.
+        InputError: If the study or its folder is not right, or it is large and nobody has said yes.
         NumericalFailure: If a run failed.
     """
     comm = MPI.COMM_WORLD
@@ -175,6 +179,8 @@ def do_study(
         if as_json:
             report.json(on_root(comm, lambda: listing(study, runs, folder)))
         return
+    if len(runs) >= MANY and not yes:
+        raise InputError(f"study {study.name}: has {len(runs)} runs; look at them by --dry-run, and begin by --yes")
     title = study.title or study.name
     with folder:
         if retry_failed:

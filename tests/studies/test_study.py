@@ -271,6 +271,16 @@ def descendants(pid: int) -> list[int]:
     return [pid, *(process for child in children for process in descendants(int(child)))]
 
 
+def test_a_large_study_has_to_be_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("signorini_fenicsx.cli.study_report.MANY", 8)
+    write(tmp_path, STUDY)
+    done = signorini(tmp_path, "study", "study.toml")
+    assert done.returncode == 2
+    assert "study study: has 8 runs; look at them by --dry-run, and begin by --yes" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
+    assert signorini(tmp_path, "study", "study.toml", "--dry-run").returncode == 0
+
+
 def test_killed_and_continued(tmp_path: Path, finished: Path):
     """Kill -9 on two ranks loses nothing finished; the end, on two ranks, is the table of one rank."""
     write(tmp_path, STUDY)
