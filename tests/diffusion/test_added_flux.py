@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ufl
+from agreement import on_one_rank
 from dolfinx import fem
 from mpi4py import MPI
 
@@ -156,3 +157,32 @@ def test_pressure_is_head(options: Options, soil: Soil):
     discharge = pressure.quantity(Flux("left"))
     assert discharge.proved
     assert discharge.lower < pressure.flux_through("left") < discharge.upper
+
+
+@pytest.mark.parallel(2)
+def test_ranks():
+    """Fluxes, bounds, gradients and starts from other meshes do not depend on the number of ranks."""
+
+    def numbers(comm: MPI.Comm) -> list[float]:
+        square, fine = (build_domain(comm, "square", h, mesh="structured") for h in (0.3, 0.15))
+        K = fem.Constant(square.mesh, 1e-2)
+        found = []
+        for element in ("RT0", "RT1"):
+            options = Options(element=element)
+            solution = solve(square, Diffusion(f=1, kappa="1 + x*y", b=B, conditions=[Signorini("bottom")]), options)
+            found += [*solution.norms().values(), solution.certify().bound]
+            problem = water_in_soil("pressure", VanGenuchten(K, 4.0, 1.6))
+            wet = solve(square, problem, options)
+            found += [
+                wet.norms()["u_L2"],
+                wet.certify().bound,
+                solve(fine, problem, options, start=wet).norms()["u_L2"],
+            ]
+            if element == "RT0":
+                J = wet.u**2 * ufl.dx + ufl.inner(wet.sigma, wet.sigma) * ufl.dx
+                found += wet.gradient(J, [K]).gradients
+            by_w = solve(square, Diffusion(f=1, kappa="exp(u)", conditions=[Signorini("bottom")]), options)
+            found.append(by_w.certify().bound)
+        return found
+
+    assert numbers(COMM) == pytest.approx(on_one_rank(numbers), rel=1e-7)
