@@ -327,3 +327,18 @@ def test_tracys_box(element: str, order: int):
         errors.append(solution.errors())
     assert np.log2(errors[0]["energy"] / errors[1]["energy"]) > 0.93 * order
     assert np.log2(errors[0]["u_potential_L2"] / errors[1]["u_potential_L2"]) > 1.8
+
+
+@pytest.mark.parametrize(
+    ("level", "top", "guaranteed"), [(0, 0.3, True), (0, -0.01, True), (0.4, 0.3, False), (0, 1.2, False)]
+)
+def test_gardners_soil_that_is_dry_for_sure(level: float, top: float, guaranteed: bool):
+    """What is proved for Gardner's soil is for the problem itself where all of the soil is above the water table."""
+    conditions = [Neumann(["left", "right"], 0), Neumann("top", top), Dirichlet("bottom", level)]
+    solution = solve(column(16), Diffusion(kappa=Gardner(1.0, 2.0), f=0, conditions=conditions))
+    assert solution.certify().guaranteed == guaranteed
+    if guaranteed:
+        discharge = solution.quantity(Flux("bottom"))
+        assert discharge.lower <= -top * 4 / 16 * (1 - 1e-9 * np.sign(top)) + 1e-12
+        assert discharge.upper >= -top * 4 / 16 - 1e-12
+        assert "Kirchhoff" in discharge.of

@@ -5,6 +5,10 @@ data and values in a range where g > 0, w solves the linear one, and the flux of
 guaranteed of the flux of w, in the norm of k⁻¹, is guaranteed for the problem of u itself, whatever method found u.
 
 g is a sum of powers of u and of exponentials of linear functions of u, written as such; k may differ between regions.
+
+Gardner's soil with the head h as u is of this kind where ψ = h − z ≤ 0: κ = K e^{−αz} e^{αh}. ψ = 0 solves the problem
+with f = 0, with the flux K n_z. So by comparison ψ ≤ 0 in all of Ω if f ≤ 0, where u is given or has an upper bound
+that is at most z, and elsewhere the least flux is at most K n_z. All this is enclosed; the floor of k_r does not count.
 """
 
 from __future__ import annotations
@@ -14,15 +18,31 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Seepage, Signorini, TwoSided
-from signorini_fenicsx.expressions import TREES, Binary, Tree, depends_on, exactly, interval, linear_terms, values
+from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.points import in_facets
+from signorini_fenicsx.expressions import (
+    TREES,
+    Binary,
+    Tree,
+    depends_on,
+    difference,
+    exactly,
+    interval,
+    linear_terms,
+    values,
+)
+from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.expressions.tree import Call, Coordinate, Number, polynomial_degree, substituted
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import distance
 from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
 from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.soils import FORMS, Gardner
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.solver import solve
 
@@ -37,6 +57,12 @@ OF_U: Mapping[type, Sequence[str]] = {
     Seepage: ["level"],
 }
 """The laws whose segments are vertical or flat, and their data that are values of u."""
+FLUXES: Mapping[type, Sequence[str]] = {Neumann: ["value"], Signorini: ["q_S"]}
+"""And those without an upper bound of u, with their least flux."""
+STEEP = 20.0
+"""Gardner's soils with a larger αH have a k of too many orders."""
+ROUNDING = 1e-12
+"""Of the components of normals."""
 BEYOND = 1.0
 """g > 0 is asked for beyond the values of û and of the data, by this share of their range."""
 PARTS = 256
@@ -56,10 +82,11 @@ def linear_solution(solution: Solution) -> Solution | None:
         return None
     dim = solution.spaces.mesh.geometry.dim
     try:
-        k, g = _separated(problem.parsed(dim).kappa)
-        if not _positive(solution, g):
+        soil = problem.kappa
+        k, g = _of_soil(soil, dim) if isinstance(soil, Gardner) else _separated(problem.parsed(dim).kappa)
+        if not (_is_dry(solution, soil) if isinstance(soil, Gardner) else _positive(solution, g)):
             return None
-        posed = _transformed(problem.parsed(dim), k, g)
+        posed = _transformed(problem.parsed(dim), k, g, "xyz"[:dim])
     except _NotThere:
         return None
     found: Solution = solve(solution.spaces.domain, posed, solution.options)
@@ -79,7 +106,7 @@ def bound_by(solution: Solution, of_w: Solution, certificate: Certificate) -> Ce
     return replace(certificate, **sums, relative=relative, of=NAMED, about={"kirchhoff": True})
 
 
-def _transformed(problem: Problem, k: Any, g: Terms) -> Problem:
+def _transformed(problem: Problem, k: Any, g: Terms, names: str) -> Problem:
     """The problem for w.
 
     Raises:
@@ -87,10 +114,14 @@ def _transformed(problem: Problem, k: Any, g: Terms) -> Problem:
     """
 
     def of_law(law: Any) -> Any:
-        return law.with_data(lambda key, given: _G(g, given) if key.rpartition(".")[2] in OF_U[type(law)] else given)
+        return law.with_data(
+            lambda key, given: _G(g, parsed(given, names, key)) if key.rpartition(".")[2] in OF_U[type(law)] else given
+        )
 
     laws = [of_law(law) for law in problem.laws]
-    return replace(problem, kappa=k, u_D=_G(g, problem.u_D), psi=_G(g, problem.psi), exact=None, laws=laws)
+    return replace(
+        problem, kappa=k, form=FORMS[0], u_D=_G(g, problem.u_D), psi=_G(g, problem.psi), exact=None, laws=laws
+    )
 
 
 def _positive(solution: Solution, g: Terms) -> bool:
@@ -105,6 +136,47 @@ def _positive(solution: Solution, g: Terms) -> bool:
     with np.errstate(all="ignore"):
         total = sum((interval(term, box) * factor for factor, term in g), Interval(np.zeros(PARTS), np.zeros(PARTS)))
     return bool((total.lo > 0).all())
+
+
+def _of_soil(soil: Gardner, dim: int) -> tuple[Tree, Terms]:
+    """The factors k and g of Gardner's soil."""
+    heights = Call("exp", (Binary("*", exactly(-soil.alpha), Coordinate("xyz"[dim - 1])),))
+    return Binary("*", exactly(soil.K), heights), (
+        (1.0, Call("exp", (Binary("*", exactly(soil.alpha), Coordinate("u")),))),
+    )
+
+
+def _is_dry(solution: Solution, soil: Gardner) -> bool:
+    """Whether ψ ≤ 0 is sure for the solution of the problem with Gardner's soil (collective)."""
+    spaces, data, mesh = solution.spaces, solution.data, solution.spaces.mesh
+    low, high = spaces.domain.box()[:, mesh.geometry.dim - 1]
+    z, sure = Coordinate("xyz"[mesh.geometry.dim - 1]), soil.alpha * (high - low) <= STEEP and soil.air_entry == 0
+    listed = [(data.u_D, spaces.dirichlet_facets, True), (data.g_N, spaces.neumann_facets, False)]
+    for part in data.laws.of_parts:
+        facets = spaces.facets[part.rows]
+        listed += [(part.data[key], facets, True) for key in OF_U[type(part.law)]]
+        listed += [(part.data[key], facets, False) for key in FLUXES.get(type(part.law), [])]
+    for datum, facets, is_u in listed:
+        on = in_facets(mesh, facets, np.full((1, mesh.topology.dim - 1), 1 / mesh.topology.dim))
+        most = 0.0 if is_u else soil.K * (on.normals[:, -1] + ROUNDING)
+        for tree, rows in datum.trees_in(on.cells):
+            above = difference(tree, z) if is_u else tree
+            sure = sure and bool((_largest(above, on.vertices[rows]) <= np.broadcast_to(most, len(facets))[rows]).all())
+        sure = sure and datum.pieces is not None
+    vertices = corners(mesh)
+    for tree, rows in data.f.trees_in(np.arange(len(vertices))):
+        sure = sure and bool((_largest(tree, vertices[rows]) <= 0).all())
+    return bool(mesh.comm.allreduce(bool(sure and data.f.pieces is not None), MPI.LAND))
+
+
+def _largest(tree: Tree, vertices: Array) -> Array:
+    """Upper bounds of a tree on simplices, shape (n,)."""
+    box = {
+        name: Interval(vertices[..., i].min(axis=1), vertices[..., i].max(axis=1))
+        for i, name in enumerate("xyz"[: vertices.shape[2]])
+    }
+    with np.errstate(all="ignore"):
+        return np.asarray(np.broadcast_to(interval(tree, box).hi, len(vertices)))
 
 
 def _separated(kappa: Any) -> tuple[Any, Terms]:
