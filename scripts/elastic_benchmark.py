@@ -1,7 +1,7 @@
 """Elastic contact against one linear solve with the known set, and against P2 displacements at the same energy error.
 
 uv run python scripts/elastic_benchmark.py [--quick] [--iterations] [--dim 2|3] [--alone CELLS] [--friction LAW]
-    [--bodies 1|2] [--libraries]
+    [--bodies 1|2] [--libraries] [--flow]
 
 A block that is fixed on one side is pressed onto a foundation that is 0.02 away. Seconds are those of the processor, on
 one core, from the mesh to the fields; of ours and of the known set the better of two runs each, as the first one also
@@ -17,6 +17,10 @@ With --libraries, P2 is also that of scikit-fem and of NGSolve, see `p2_librarie
 With --friction, `tresca` or `coulomb`, the block is pushed along the foundation too, and with --bodies 2 the lower half
 is a body of its own that is fixed below. Then the table has ours and the known set alone, with the bounds of the
 friction and the directions of slip known too, and how many solves ours took.
+
+With --flow it compares a viscous flow with an elastic body (ν = 0.3) on the same mesh with the same conditions, u given on
+all sides but the last, by a factorisation and by CG: one linear solve each, with the fields, and all from the mesh to
+the solution.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -31,6 +35,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -46,6 +51,7 @@ from signorini_fenicsx.physics.elasticity.discrete.spaces import build_elastic_s
 from signorini_fenicsx.physics.elasticity.problem import Dirichlet, ElasticBoundary, Elasticity, ElasticProblem, Neumann
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.physics.elasticity.solve.backend import ElasticBackend
+from signorini_fenicsx.physics.stokes.problem import Stokes
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import solve
 
@@ -160,6 +166,42 @@ def print_rubbing(cells: dict[int, tuple[int, ...]], bodies: int, friction: str)
             print(f"{line}   {counts}, {len(solution.bound_changes)} bounds of the friction", flush=True)
 
 
+def flowing(dim: int, problem: Callable[..., Any], *material: float) -> Any:
+    """A problem in the block with Poiseuille's profile on one side, an open side opposite to it, and walls between."""
+    walls = [f"{axis}{end}" for axis in "xyz"[1:dim] for end in (0, 1)]
+    profile = "*".join(f"4*{axis}*(1 - {axis})" for axis in "xyz"[1:dim])
+    inlet = Dirichlet("x0", [profile, *["0"] * (dim - 1)])
+    return problem(*material, conditions=[inlet, Dirichlet(walls, ["0"] * dim), Neumann("x1")])
+
+
+def solved_once(domain: Domain, solution: ElasticSolution, tuning: Tuning) -> tuple[float, int]:
+    """Seconds of one linear solve with its fields, after assembly: the better of two; and its iterations."""
+    spaces = build_elastic_spaces(domain, solution.boundary, solution.problem.rough)
+    seconds = []
+    for _ in range(2):
+        backend = ElasticBackend(spaces, elastic_data(spaces, solution.problem), tuning)
+        began = time.process_time()
+        iterate = backend.solve(solution.outcome.conditions)
+        seconds.append(time.process_time() - began)
+    return min(seconds), iterate.linear_iterations
+
+
+def print_flow(cells: dict[int, tuple[int, ...]]) -> None:
+    """Flow over an elastic body, by both solvers."""
+    print("cells, unknowns: seconds (iterations) of a solve of the body and of the flow, their ratio; ratio of the whole")
+    for dim, sizes in cells.items():
+        for n, by, large in ((n, *by) for n in sizes for by in (("factors", 10**9), ("CG", 0))):
+            domain, tuning = block(dim, n), Tuning(direct_up_to=large)
+            line, once, whole = f"{dim}D {n:4d}", [], []
+            for problem in (flowing(dim, Elasticity, YOUNG, POISSON), flowing(dim, Stokes, 1.0)):
+                solution, seconds = timed(partial(solve, domain, problem, Options(tuning=tuning)))
+                whole.append(seconds)
+                once.append(solved_once(domain, solution, tuning))
+            both = "  ".join(f"{seconds:8.3f} ({iterations:3d})" for seconds, iterations in once)
+            line += f" {solution.outcome.dofs:8d} by {by:7s}: {both}   {once[1][0] / once[0][0]:.2f}"
+            print(f"{line}   {whole[1] / whole[0]:.2f}", flush=True)
+
+
 def by_libraries(dim: int, sizes: tuple[int, ...]) -> list[dict]:
     """What `p2_libraries` prints."""
     script = str(Path(__file__).with_name("p2_libraries.py"))
@@ -193,6 +235,7 @@ def main() -> None:
     options.add_argument("--alone", type=int, help="ours and its bound on one mesh with so many cells across")
     options.add_argument("--libraries", action="store_true", help="P2 by scikit-fem and NGSolve too")
     options.add_argument("--friction", choices=FRICTION, default="none", help="with this friction, and pushed along")
+    options.add_argument("--flow", action="store_true", help="a viscous flow against an elastic body")
     options.add_argument("--bodies", type=int, choices=(1, 2), default=1)
     asked = options.parse_args()
     dims = asked.dim or (2, 3)
@@ -204,6 +247,9 @@ def main() -> None:
         print_iterations({dim: (QUICK if asked.quick else FOR_ITERATIONS)[dim] for dim in dims})
         return
     cells = {dim: (QUICK if asked.quick else CELLS)[dim] for dim in dims}
+    if asked.flow:
+        print_flow({dim: sizes[:-1] or sizes for dim, sizes in cells.items()})
+        return
     if asked.friction != "none" or asked.bodies > 1:
         print_rubbing(cells, asked.bodies, asked.friction)
         return
