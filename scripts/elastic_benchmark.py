@@ -18,9 +18,9 @@ With --friction, `tresca` or `coulomb`, the block is pushed along the foundation
 is a body of its own that is fixed below. Then the table has ours and the known set alone, with the bounds of the
 friction and the directions of slip known too, and how many solves ours took.
 
-With --flow it compares a viscous flow with an elastic body (ν = 0.3) on the same mesh with the same conditions, u given on
-all sides but the last, by a factorisation and by CG: one linear solve each, with the fields, and all from the mesh to
-the solution.
+With --flow it compares a viscous flow with an elastic body (ν = 0.3) on the same mesh with the same conditions, u given
+on all sides but the last, by a factorisation and by CG: one linear solve each, with the fields, and all from the mesh
+to the solution.
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -188,7 +188,7 @@ def solved_once(domain: Domain, solution: ElasticSolution, tuning: Tuning) -> tu
 
 def print_flow(cells: dict[int, tuple[int, ...]]) -> None:
     """Flow over an elastic body, by both solvers."""
-    print("cells, unknowns: seconds (iterations) of a solve of the body and of the flow, their ratio; ratio of the whole")
+    print("cells, unknowns: seconds (iterations) of a solve, of the body and of the flow, their ratio; that of all")
     for dim, sizes in cells.items():
         for n, by, large in ((n, *by) for n in sizes for by in (("factors", 10**9), ("CG", 0))):
             domain, tuning = block(dim, n), Tuning(direct_up_to=large)

@@ -57,12 +57,14 @@ class TraceBackend(PlainBackend):
         sizes: The sizes of the last solution.
         conductance: With what β is compared, see `SiteConditions.clean`.
         exact_to: The jumps of fluxes beside the largest flux at which corrections end.
+        corrected_to: The share of them that one correction by an iteration may leave.
     """
 
     noun = ("vertex", "vertices")
     cheap = False
     conductance = np.inf
     exact_to = TIE
+    corrected_to = 0.0
     spaces: LinearTraces
     system: HybridSystem
     data: Any
@@ -191,8 +193,8 @@ class TraceBackend(PlainBackend):
         left[self._unknowns] += self.given_forces(posed, self.openings(x))
 
     def after_solve(self, posed: Posed, *, ended: bool) -> bool:
-        """What is done with x after each solve, which may have ended; whether it did for this (collective)."""
-        return True
+        """What is done with x after each solve, which may have ended; whether it has then (collective)."""
+        return ended
 
     @property
     def laws(self) -> VertexLaws:
@@ -290,8 +292,7 @@ class TraceBackend(PlainBackend):
         self._iterations, ended = self._factors.solve_by_any(load, self._x, posed.imposed)
         self._last, self._state = posed, State.POSED
         self._x.axpy(1.0, self._held)
-        ended &= self.after_solve(posed, ended=ended)
-        self._state = State.SOLVED if ended else State.ROUGH
+        self._state = State.SOLVED if self.after_solve(posed, ended=ended) else State.ROUGH
 
     def before_solve(self) -> None:
         """What is done with x, the start of iterations, before each solve."""
@@ -383,7 +384,9 @@ class TraceBackend(PlainBackend):
 
         def correction(left: Array) -> list[Array]:
             change.set(0.0)
+            before, self._solver.share = self._solver.share, self.corrected_to
             self._factors.solve_by_any(left, change, posed.imposed)
+            self._solver.share = before
             return [change.array_r.copy(), *self.system.recover(self.system.everywhere(change.array_r), with_f=False)]
 
         def enough(left: Array) -> bool:

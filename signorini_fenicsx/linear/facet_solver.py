@@ -99,6 +99,11 @@ class FacetSolver[Levels](LinearSolver):
         self._early_stop.share = share
 
     @property
+    def is_asked(self) -> bool:
+        """Whether something else tells when solves stop, see `stopping`."""
+        return self._early_stop.asks is not None
+
+    @property
     def converged(self) -> bool:
         """Whether the last solve came to its tolerance; False too if it was that of a factorisation."""
         reason = self.ksp.getConvergedReason()

@@ -246,6 +246,15 @@ class KeptFactors:
         x.array_w[:] = x.array_r + step
         return steps, share <= enough and reached
 
+    def left(self, load: Array, x: PETSc.Vec, imposed: Imposed) -> Array:
+        """What x leaves of this right side, 0 where the solution is fixed (collective)."""
+        self._operator.mult(x, self._b)
+        left = load - self._b.array_r
+        p, forces = x.array_r[self._unknowns], self._b.array_r[self._unknowns]
+        left[self._unknowns] -= self._pulls(imposed, p, forces)
+        left[self.essential(imposed.held)] = 0.0
+        return left
+
     def _pulls(self, imposed: Imposed, p: Array, forces: Array, at: Indices | slice = slice(None)) -> Array:
         """What springs, and shares of other forces, add to the forces at sites; shapes (…, sites)."""
         pulls = np.einsum("sn,...sn->...s", imposed.springs[at], p[..., self._near[at]])

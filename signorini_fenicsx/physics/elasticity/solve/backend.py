@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import LinearSolveFailure
-from signorini_fenicsx.base.tolerances import KKT, STEP
+from signorini_fenicsx.base.tolerances import KKT, LINEAR, STEP
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
@@ -28,7 +28,7 @@ from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBound
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import neighbours
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Moving
-from signorini_fenicsx.physics.elasticity.solve.mean_pressure import ENOUGH, MOST
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import ENOUGH, FALLS, LEAVES, MOST
 from signorini_fenicsx.physics.elasticity.solve.rigid_motions import check_rigid_motions, is_free
 from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.solve.weak_springs import SPRING, WeakSprings
@@ -89,6 +89,7 @@ class ElasticBackend(TraceBackend):
         self._motions = check_rigid_motions(spaces, data) if data.motions is None else data.motions
         self.tools, self._weak = Moving(spaces, data.tools), WeakSprings(SPRING * self.stiffness * self.measure)
         self._state, self._iterations = State.START, 0
+        self.corrected_to = 0.0 if self.system.mean is None else LEAVES
         self.sizes = Sizes(self.comm, data.lift, self.stiffness, loaded=self.system.loaded or bool(self.tools))
 
     @property
@@ -159,36 +160,75 @@ class ElasticBackend(TraceBackend):
     def before_solve(self) -> None:
         """Take the last motions of tools from x, so that iterations start near the body."""
         self._x.array_w[:] = self._x.array_r - self.tools.forget()
+        if self._grows:
+            self._solver.share = self.corrected_to
 
     def after_solve(self, posed: Posed, *, ended: bool) -> bool:
         """Let the tools move, and the body with them; keep the volume of an incompressible one (collective)."""
-        if self.system.mean is not None and ended:
-            self.system.take_means(*self._keep_volume(self._x, posed, self.data.lift)[:2])
+        if self.system.mean is not None and (ended or self._grows):
+            ended = self._grow(posed)
         if not self.tools:
-            return True
+            return ended
         self._respond(posed)
         forces = self._factors.forces(self._x) - self.system.load[self._unknowns]
         self._x.array_w[:] = self._x.array_r + self.tools.take(forces)
-        return self._solver.share == 0.0
+        return ended and self._solver.share == 0.0
 
-    def _keep_volume(self, x: PETSc.Vec, posed: Posed, lift: Array | float = 0.0) -> tuple[Array, Array, float]:
+    @property
+    def _grows(self) -> bool:
+        """Whether the solution of an iterative solve and its mean pressures grow together."""
+        return self.system.mean is not None and self.iterates and not self._solver.is_asked
+
+    def _grow(self, posed: Posed) -> bool:
+        """Keep the volume of cells; whether solves have come to their end (collective)."""
+        left: Array | float = 0.0
+        if self._grows:
+            load = self._loads(posed)[0]
+            self._x.axpy(-1.0, self._held)
+            left = self._factors.left(load, self._x, posed.imposed)
+            self._x.axpy(1.0, self._held)
+            size = LINEAR * np.sqrt(self.comm.allreduce(float(load @ load)))
+        means, pulls, _, left = self._keep_volume(self._x, posed, self.data.lift, left, size if self._grows else 0.0)
+        self.system.take_means(means, pulls)
+        self._solver.share = 0.0
+        return not self._grows or self._norm(left) <= size
+
+    def _norm(self, values: Array | float) -> float:
+        """The Euclidean norm over all ranks (collective)."""
+        return float(np.sqrt(self.comm.allreduce(float(np.vdot(values, values)))))
+
+    def _keep_volume(
+        self,
+        x: PETSc.Vec,
+        posed: Posed,
+        lift: Array | float = 0.0,
+        left: Array | float = 0.0,
+        enough: float = 0.0,
+    ) -> tuple[Array, Array, float, Array | float]:
         """Move x by the mean pressures from solve to solve until no cell loses volume, see `mean_pressure`.
 
-        These, their pulls, and what is still lost as a share (collective).
+        These, their pulls, what is still lost as a share, and what x leaves of the right side; `left` is that at first,
+        which has to be `enough` in the end. By an iteration each solve leaves a share, which the next one has as well
+        (collective).
         """
-        change, before = x.duplicate(), np.inf
+        change, before = x.duplicate(), (np.inf, np.inf)
         sums, pulls = np.zeros(len(self.spaces.order)), np.zeros(len(self.system.load))
+        to_the_end, self._solver.share = self._solver.share, self.corrected_to if self.iterates else 0.0
         for _ in range(MOST):
             means, share = self.system.means(self.system.everywhere(x.array_r) + lift)
-            if share <= ENOUGH or share > before / 2:
+            over = share / ENOUGH, self._norm(left) / enough if enough > 0 else 0.0
+            if max(over) <= 1 or all(now >= last / FALLS for now, last in zip(over, before, strict=True)):
                 break
             more = self.system.pulls_of_means(means)
             change.set(0.0)
-            self._factors.solve_by_any(-more, change, posed.imposed)
+            load = left - more
+            self._iterations += self._factors.solve_by_any(load, change, posed.imposed)[0]
+            left = self._factors.left(load, change, posed.imposed) if self.iterates else 0.0
             x.axpy(1.0, change)
-            sums, pulls, before = sums + means, pulls + more, share
+            sums, pulls, before = sums + means, pulls + more, over
         change.destroy()
-        return sums, pulls, share
+        self._solver.share = to_the_end
+        return sums, pulls, share, left
 
     def _at_rest(self, posed: Posed, load: Array, lift: Array | float, start: Array | None = None) -> PETSc.Vec:
         """`TraceBackend._at_rest` with the volume of cells kept; `pulled` has what mean pressures do (collective).
@@ -198,7 +238,7 @@ class ElasticBackend(TraceBackend):
         """
         x = super()._at_rest(posed, load, lift, start)
         if self.system.mean is not None:
-            self.system.mean.of_response, self.pulled, lost = self._keep_volume(x, posed)
+            self.system.mean.of_response, self.pulled, lost, _ = self._keep_volume(x, posed)
             if lost > KKT:
                 raise LinearSolveFailure("a pressure that is known up to a constant only has no derivative")
         return x
