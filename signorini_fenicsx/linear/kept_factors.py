@@ -221,11 +221,7 @@ class KeptFactors:
 
         def product(values: Array) -> Array:
             self._x.array_w[:] = values
-            self._operator.mult(self._x, self._b)
-            image = np.array(self._b.array_r)
-            image[self._unknowns] += self._pulls(imposed, values[self._unknowns], image[self._unknowns])
-            image[essential] = 0.0
-            return image
+            return -self.left(0.0, self._x, imposed)
 
         def precondition(values: Array) -> Array:
             self._b.array_w[:] = values
@@ -235,9 +231,8 @@ class KeptFactors:
             step[essential] = 0.0
             return step
 
-        load = load.copy()
-        load[essential] = x.array_w[essential] = 0.0
-        left = load - product(x.array_r)
+        (load := load.copy())[essential] = x.array_w[essential] = 0.0
+        left = self.left(load, x, imposed)
         size, at_start = np.sqrt(self._comm.allreduce(np.array([load @ load, left @ left]))).tolist()
         if at_start <= TO_THE_END * size:
             return 0, True
@@ -246,12 +241,11 @@ class KeptFactors:
         x.array_w[:] = x.array_r + step
         return steps, share <= enough and reached
 
-    def left(self, load: Array, x: PETSc.Vec, imposed: Imposed) -> Array:
+    def left(self, load: Array | float, x: PETSc.Vec, imposed: Imposed) -> Array:
         """What x leaves of this right side, 0 where the solution is fixed (collective)."""
         self._operator.mult(x, self._b)
-        left = load - self._b.array_r
-        p, forces = x.array_r[self._unknowns], self._b.array_r[self._unknowns]
-        left[self._unknowns] -= self._pulls(imposed, p, forces)
+        left: Array = load - self._b.array_r
+        left[self._unknowns] -= self._pulls(imposed, x.array_r[self._unknowns], self._b.array_r[self._unknowns])
         left[self.essential(imposed.held)] = 0.0
         return left
 
