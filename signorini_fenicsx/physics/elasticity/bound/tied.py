@@ -26,13 +26,11 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.overlay import Pieces
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
-from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import FacetCoefficients, facet_coefficients
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import NOTHING, FacetCoefficients, facet_coefficients
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 
-NOTHING = 1e-13
-"""A weight of a node that is rounding."""
 SAME = 1e-7
 """Corners of pieces whose places on a facet differ by less are one."""
 

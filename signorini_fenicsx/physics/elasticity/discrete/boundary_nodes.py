@@ -36,6 +36,8 @@ from signorini_fenicsx.physics.elasticity.discrete.vector_datum import VectorDat
 
 ALONG = 1e-12
 """v is given at a node along directions on which the squares of what is given of unit directions add up to more."""
+NOTHING = 1e-13
+"""The weight of a node that is rounding; which nodes a condition has does not depend on their numbers."""
 HALVINGS = 3
 """How often the edges of facets in space are halved where lengths of vectors are integrated."""
 TURNED = 0.5
@@ -242,6 +244,7 @@ class ContactCoefficients(FacetCoefficients):
         """
         nodes, weights = self.of_jumps(rows)
         weights = weights[np.arange(len(rows)), places]
+        weights[np.abs(weights) < NOTHING] = 0.0
         order = np.argsort(weights == 0, axis=1, kind="stable")[:, : max(2, (weights != 0).sum(axis=1).max(initial=0))]
         nodes, weights = np.take_along_axis(nodes, order, axis=1), np.take_along_axis(weights, order, axis=1)
         nodes = np.where(weights == 0, nodes[:, :1], nodes)
