@@ -10,8 +10,10 @@ from signorini_fenicsx.base.text import json_text
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.laws import Corners, Dirichlet, Neumann
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
@@ -216,6 +218,39 @@ def test_walls_that_move():
     ):
         with pytest.raises(InputError, match=told):
             channel(straight(0.0, wall), ["0", "0"], n=2)
+
+
+ONE_WAY = [(Outflow("x1"), "lower"), (Corners("x1", [[0, 0]], 0, "vertical"), "higher")]
+
+
+@pytest.mark.parametrize(("law", "told"), ONE_WAY)
+def test_a_pressure_on_a_half_line(law: Law, told: str):
+    """Nothing comes in, and nothing goes out by what only lets out, or by what only lets in."""
+    found = channel([law], ["0", "0"], n=2)
+    assert found.errors()["u_L2"] < 1e-12
+    assert [told in note for note in found.spaces.notices] == [True]
+
+
+def test_several_bodies_of_fluid():
+    """Each has its own balance, and words for where it is."""
+    boxes = {name: box(COMM, 2, [x, 0.0], [x + 1.0, 1.0]) for name, x in (("left", 0.0), ("right", 3.0))}
+    domain = domain_of_bodies(boxes)
+    inlet = Dirichlet("right.x0", ["y*(1 - y)", 0])
+    with pytest.raises(InputError, match=r"goes out of the fluid around \(3.5, 0.5\), and nothing"):
+        solve(domain, Stokes(MU, conditions=[inlet]))
+    found = solve(domain, Stokes(MU, conditions=[inlet, Outflow("right.x1")]))
+    assert [note.partition(":")[0] for note in found.spaces.notices if "u_n" in note] == [
+        "u_n is known on the whole boundary of the fluid around (0.5, 0.5)"
+    ]
+
+
+def test_the_order_at_a_transition():
+    """Where a wall begins to leak u is like r^(3/2): errors are 0.12 to 0.14 n^(-3/2), wherever in a facet that is."""
+    for n in (8, 24):
+        case = load_case("filter").with_values({"geometry.mesh": "structured", "solve.h": 1.0001 * 2**0.5 / n})
+        errors = solve_case(case).errors()
+        assert 0.12 < errors["energy"] * n**1.5 < 0.14
+        assert 0.12 < errors["p_L2"] * n**1.5 < 0.14
 
 
 def test_bodies_have_them_as_well():

@@ -2,7 +2,8 @@
 
 On each connected body of fluid let F be what comes in where u_n is given. Elsewhere u_n has an extent: under a law
 [lo, hi], on other parts any. ∇·u = 0 asks that F is in [Σ|e| lo, Σ|e| hi]. If F is an end of it, u_n is known on all of
-the boundary, and no pressure: p may then grow by a constant.
+the boundary, and no pressure. If it is both ends, p is known up to a constant; if it is the lower one, u_n = lo holds
+under σ_nn of any size above a bound, so that p may fall by a constant; if it is the upper one, p may grow.
 """
 
 from __future__ import annotations
@@ -16,6 +17,11 @@ from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 BALANCED = 1e-9
 """What comes in and does not go out is rounding if it is at most this share of all that passes."""
+KNOWN = "u_n is known on the whole boundary of the fluid{}"
+UP_TO_A_CONSTANT = ": the pressure is known up to a constant only, that with mean 0, weighted by 1/viscosity, is shown"
+LOWER = ", as no more goes out than the laws ask for: any lower pressure is a solution too, and one of them is shown"
+HIGHER = ", as all goes out that the laws let out: any higher pressure is a solution too, and one of them is shown"
+"""What is said where p is not unique: on a line, or on a half-line."""
 GIVEN = 1e-9
 """u_n is given on a facet where the given components are n up to this."""
 
@@ -46,16 +52,24 @@ def check_flow(spaces: ElasticSpaces, data: ElasticData) -> None:
     low, high = np.sort(outward * ends, axis=0) * normal.measure
     for row, values in ((2, low), (3, high)):
         np.add.at(sums[row], np.repeat(bodies[contact.cells], spaces.dim), values)
-    for left, size, least, most in comm.allreduce(sums).T:
+    for body, (left, size, least, most) in enumerate(comm.allreduce(sums).T):
         rounding = BALANCED * (size + sum(abs(end) for end in (least, most) if np.isfinite(end)))
         if not least - rounding <= -left <= most + rounding:
             outlet = "nothing lets that out" if most == least == 0 else f"elsewhere {least:.6g} to {most:.6g} can leave"
+            where = f" of the fluid around ({_middle(spaces, body)})" if number > 1 else ""
             raise InputError(
-                f"[problem] u_D: where u_n is given {-left:.6g} more comes in than goes out, and {outlet}; the "
+                f"[problem] u_D: where u_n is given {-left:.6g} more comes in than goes out{where}, and {outlet}; the "
                 "fluid is incompressible: give another u_D, or let a part be free"
             )
-        if min(most + left, -left - least) <= rounding:
-            spaces.note(
-                "u_n is known on the whole boundary of the fluid: the pressure is known up to a constant only, that "
-                "with mean 0, weighted by 1/viscosity, is shown"
-            )
+        at_end = [abs(end + left) <= rounding for end in (least, most)]
+        if any(at_end):
+            where = f" around ({_middle(spaces, body)})" if number > 1 else ""
+            spaces.note(KNOWN.format(where) + (UP_TO_A_CONSTANT if all(at_end) else LOWER if at_end[0] else HIGHER))
+
+
+def _middle(spaces: ElasticSpaces, body: int) -> str:
+    """The middle of the box around a body of fluid, as text (collective)."""
+    comm, vertices = spaces.mesh.comm, spaces.vertices[spaces.bodies == body].reshape(-1, spaces.dim)
+    ends = comm.allgather((vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)))
+    low, high = np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)
+    return ", ".join(f"{x:.4g}" for x in (low + high) / 2)
