@@ -1,4 +1,4 @@
-"""The bound where surfaces share no nodes: exact states, laws, finer solutions, an edge inside a facet, refusals."""
+"""The bound where surfaces share no nodes: exact states, laws, finer solutions, quantities, tied, refusals, ranks."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,6 +7,7 @@ import dolfinx.mesh
 import numpy as np
 import pytest
 from bodies_apart import two
+from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.api import (
@@ -29,6 +30,7 @@ from signorini_fenicsx.api import (
     solve,
 )
 from signorini_fenicsx.base.owned import number_of_cells
+from signorini_fenicsx.certificate.of_field import bound_field
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.output.writing import write_solution
@@ -167,13 +169,16 @@ def compare_stresses(one: Solution, other: Solution) -> float:
     return float(np.sqrt(energy_squares(one.spaces, one.data, difference).sum()))
 
 
-def test_what_is_refused() -> None:
-    """Integrals over slaves, forces on masters and on what is tied, and the energy of tied bodies are no quantities."""
+def test_what_there_is() -> None:
+    """A displacement of another program has bounds; refused are integrals over slaves, forces on masters and more."""
     domain = boxes(0.5, 0.5, height=0.0)
     tied, touching = (pressed(domain, Pair("up.bottom", "low.top", law)) for law in (Tied(), None))
     for kind in (Energy(), Integral(direction=(0, 1))):
         with pytest.raises(InputError, match="where a pair is tied there are forces and moments alone"):
             tied.quantity(kind)
+    nothing = fem.Function(fem.functionspace(touching.spaces.mesh, ("P", 1, (2,))))
+    found = bound_field(touching, nothing)  # as far from u as u is large
+    assert found.lower < touching.norms()["energy"] < found.bound < 1.2 * found.lower
     with pytest.raises(InputError, match=r"not over slaves such as 'up.bottom'; take the master"):
         touching.quantity(Integral(parts="up.bottom", direction=(0, 1)))
     with pytest.raises(InputError, match=r"'low.top' is a master; the force on it is opposite to that on up.bottom"):
