@@ -144,6 +144,15 @@ class Quasilinear:
             content[inside], slope[inside] = soil.content(x[inside], head[inside])
         return content, slope
 
+    @cached_property
+    def suction(self) -> tuple[Array, Array]:
+        """Where û is looked at what is to be taken from u for the pressure head, and the α of soil there, or 0."""
+        x, _ = self._places
+        alpha = np.zeros(x.shape[:2])
+        for inside, soil in self.soils:
+            alpha[inside] = soil.alpha
+        return x[..., -1] if self.form == FORMS[0] else np.zeros_like(alpha), alpha
+
     @property
     def soils(self) -> list[tuple[Mask, Soil]]:
         """The soils, with masks of owned cells."""

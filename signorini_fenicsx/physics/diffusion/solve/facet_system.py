@@ -25,6 +25,9 @@ from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.sources import sources
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
+FARTHEST = 3.0
+"""So many times 1 + α|ψ| of soil that is not saturated may change in a step of Newton's method in time."""
+
 
 @dataclass(frozen=True)
 class Loads:
@@ -183,6 +186,25 @@ class FacetSystem:
         owned = sums / count - self._data.u_lift.x.array[: len(sums)]
         owned[self.dirichlet_dofs] = 0.0
         self.x.array_w[:] = self.sides.unknowns(owned)
+
+    def limited(self, start: Array, x: Array) -> Array:
+        """These unknowns, or nearer ones to a start, with which no soil becomes much drier or wetter, see `FARTHEST`.
+
+        Collective.
+        """
+        of_u, lift = self._data.quasilinear, self._data.u_lift.x.array[: len(x)]
+        assert of_u is not None
+        nodes, numbers = cell_dofs(self.space), self.space.dofmap.index_map
+        count = sums_at(numbers, nodes)[: len(x)]
+        height, alpha = (sums_at(numbers, nodes, each)[: len(x)] / count for each in of_u.suction)
+        before, after = (self.sides.values(each)[: len(x)] + lift + of_u.constant - height for each in (start, x))
+        size, wanted = (np.sign(psi) * np.log1p(alpha * np.abs(psi)) for psi in (before, after))
+        most = np.log(FARTHEST)
+        nearer = np.maximum(wanted, np.minimum(size, 0.0) - most)
+        nearer = np.where(before < 0, np.minimum(nearer, size + most), nearer)
+        psi = np.sign(nearer) * np.expm1(np.abs(nearer)) / np.where(alpha > 0, alpha, 1.0)
+        moved = np.where(nearer == wanted, after, psi) + height - of_u.constant - lift
+        return self.sides.unknowns(moved)
 
     def by_kappa(self, x: PETSc.Vec) -> Array:
         """The derivatives of ∫σ·n on the facets of each cell by its κ, shape (cells, d + 1, 1) (collective).

@@ -7,7 +7,7 @@ Anderson's steps follow, and then κ to powers from 0 to 1, each from the last o
 comes first, and the u at rest last.
 
 In a step in time Newton's method begins at once with û of the last step, and what soils store is linear around its u
-as κ is fixed. Where that fails Anderson's steps and Newton's follow; `evolve` then halves the step.
+as κ is fixed. Where that fails `evolve` halves the step.
 
 What is judged is the largest change of κ, and the energy norm of (κ(x, u) − κ)∇u; a flux may repeat long before.
 """
@@ -109,7 +109,7 @@ class QuasiLinear:
         if of_u.storing is not None:
             traces = of_u.storing.traces - of_u.constant
             self.backend.system.begin(traces)
-            return [self._newton(), self._again(traces), self._anderson(), self._newton()]
+            return [self._newton(), self._again(traces)]
         ways = [self._under(of_u.first), self._anderson(), self._newton(), self._anderson(), self._newton()]
         ways += [self._by_powers(), self._under(of_u.at_rest), self._newton()]
         return ways if self.near is None else [self._under(of_u.of_means(self.near)), self._newton(), *ways]

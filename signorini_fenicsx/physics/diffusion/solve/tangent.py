@@ -47,7 +47,7 @@ class Tangible(Protocol):
 
     @property
     def system(self) -> Any:
-        """Gives `on_cells`, `by_kappa` and `of_cells`."""
+        """Gives `on_cells`, `by_kappa` and `of_cells`, in time with soils `limited`."""
 
     def take_kappa(self, data: Any) -> None:
         """Go on with the same data but for κ (collective)."""
@@ -114,7 +114,9 @@ class Tangent:
         """The least residual along a step that is halved until it falls, and its x (collective)."""
         backend, best, share = self._backend, (np.inf, start), 1.0
         for _ in range(HALVINGS):
-            backend.x.array_w[:] = start + share * step
+            x = start + share * step
+            stores = backend.data.stored is not None
+            backend.x.array_w[:] = backend.system.limited(start, x) if stores else x
             norm = self._residual(conditions) if self._take_kappa() else np.inf
             if norm < best[0]:
                 best = norm, backend.x.array_r.copy()

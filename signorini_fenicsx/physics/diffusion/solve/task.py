@@ -39,6 +39,7 @@ class DiffusionTask(Task):
         alone: Gives what runs a method that only diffusion has, by its name there.
         last: Where κ depends on u the data with the κ of the last run.
         changes: How κ changed with each problem of the last run, see `QuasiLinear`.
+        failed: Of a step with soils how it has failed: half a step is better than a cold start.
     """
 
     spaces: Spaces
@@ -47,6 +48,7 @@ class DiffusionTask(Task):
     start: Segments | None = None
     last: list[Data] = field(default_factory=list)
     changes: list[Change] = field(default_factory=list)
+    failed: list[Outcome] = field(default_factory=list)
 
     @property
     def present(self) -> Data:
@@ -57,10 +59,14 @@ class DiffusionTask(Task):
         """Run the loop, once for each κ where it depends on u (collective)."""
         if self.data.quasilinear is None:
             return loop()
+        if self.failed:
+            return self.failed[-1]
         self.changes.clear()
         u = None if self.start is None else self.start.u_on(self.spaces)
         outcome = QuasiLinear(backend, loop, self.changes, None if u is None else means_in_cells(u)).solved()
         self.last[:] = [backend.data]
+        if self.data.stored is not None and not outcome.converged:
+            self.failed.append(outcome)
         return outcome
 
     def is_large(self, _backend: object) -> bool:
