@@ -26,7 +26,8 @@ from signorini_fenicsx.physics.diffusion.discrete.sources import sources
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 FARTHEST = 3.0
-"""So many times 1 + α|ψ| of soil that is not saturated may change in a step of Newton's method in time."""
+"""So many times 1 + α|ψ| of soil that is not saturated may fall in a step of Newton's method in time: from dry soil the
+derivative leads far beyond saturation."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,7 @@ class FacetSystem:
         self.x.array_w[:] = self.sides.unknowns(owned)
 
     def limited(self, start: Array, x: Array) -> Array:
-        """These unknowns, or nearer ones to a start, with which no soil becomes much drier or wetter, see `FARTHEST`.
+        """These unknowns, or nearer ones to a start, with which no dry soil becomes much wetter, see `FARTHEST`.
 
         Collective.
         """
@@ -199,9 +200,7 @@ class FacetSystem:
         height, alpha = (sums_at(numbers, nodes, each)[: len(x)] / count for each in of_u.suction)
         before, after = (self.sides.values(each)[: len(x)] + lift + of_u.constant - height for each in (start, x))
         size, wanted = (np.sign(psi) * np.log1p(alpha * np.abs(psi)) for psi in (before, after))
-        most = np.log(FARTHEST)
-        nearer = np.maximum(wanted, np.minimum(size, 0.0) - most)
-        nearer = np.where(before < 0, np.minimum(nearer, size + most), nearer)
+        nearer = np.where(before < 0, np.minimum(wanted, size + np.log(FARTHEST)), wanted)
         psi = np.sign(nearer) * np.expm1(np.abs(nearer)) / np.where(alpha > 0, alpha, 1.0)
         moved = np.where(nearer == wanted, after, psi) + height - of_u.constant - lift
         return self.sides.unknowns(moved)

@@ -10,7 +10,7 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Indices
-from signorini_fenicsx.contact.backend import Backend, Iterate
+from signorini_fenicsx.contact.backend import Iterate
 from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import Outcome
@@ -90,8 +90,16 @@ class DiffusionTask(Task):
         """The segments on another mesh: for a facet that at its midpoint, for a cell that of the cell there."""
         return start.on(self.spaces).segment
 
-    def own_start(self, backend: Backend[Iterate]) -> SiteConditions | None:
-        """The steepest segments if there is no Γ_D: an algorithm's own start may be a Neumann problem."""
+    def own_start(self, backend: Any) -> SiteConditions | None:
+        """The steepest segments if there is no Γ_D: an algorithm's own start may be a Neumann problem.
+
+        In a step with soils those that û of the last step is on: else dry soil would be wet at first (collective).
+        """
+        of_u = self.data.quasilinear
+        if of_u is not None and of_u.storing is not None:
+            backend.system.begin(of_u.storing.traces - of_u.constant)
+            p, chains = backend.x.array_r[backend.system.trace_dofs], backend.chains
+            return chains.conditions(np.minimum((chains.p < p[:, None]).sum(axis=1), chains.count))
         return None if self.spaces.held else backend.chains.conditions(backend.chains.steepest())
 
     def found(self, _backend: object, segment: Indices) -> Segments:
