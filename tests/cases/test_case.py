@@ -34,6 +34,7 @@ def test_examples_are_shipped():
             *exact,
             "bar",
             "celia",
+            "drawdown",
             "earth_dam",
             "hillslope",
             "soil_column",
