@@ -1,4 +1,4 @@
-"""Show this run in ParaView: u or the deformed body, the flux as arrows or the stress, and the state of the contact.
+"""Show this run in ParaView: u or the deformed body, the flux or the stress, the contact, the phreatic line.
 
 Without a window: pvbatch --force-offscreen-rendering show.py PICTURE.png
 In a window: paraview --script=show.py, started in this folder. It reads the XDMF files here.
@@ -110,6 +110,10 @@ def show():
         contact = simple.Show(warped(gamma, factor) if is_moved else gamma, view)
         contact.LineWidth = 6
         coloured_by_name(contact, view, "POINTS" if at_points else "CELLS", state, NAMES[name][state])
+    if (FOLDER / "phreatic.xdmf").exists():
+        line = simple.Show(opened("phreatic"), view)
+        line.LineWidth, line.Opacity = 4, 1.0 if flat else 0.5
+        line.AmbientColor = line.DiffuseColor = [0.0, 0.0, 0.0]
     if flat and not is_moved:
         view.CameraPosition = [bounds[0] - size, bounds[2] - 1.5 * size, 1.5 * size]
         view.CameraFocalPoint = [(bounds[0] + bounds[1]) / 2, (bounds[2] + bounds[3]) / 2, 0]

@@ -13,9 +13,11 @@ from typing import NamedTuple
 import dolfinx.mesh
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
@@ -70,11 +72,14 @@ class Section:
         Args:
             domain: The domain.
             sigma: The flux or stress, at most quadratic on each cell of its mesh, with up-to-date ghost values.
+
+        Raises:
+            InputError: If a plane has facets of a mesh with pairs of surfaces, which may cover each other in part.
         """
         mesh = sigma.function_space.mesh
         size = float(np.ptp(domain.box(), axis=0).max())
         if self.normal is not None:
-            pieces = [self._on_plane(mesh, sigma, AT_BOUNDARY * size)]
+            pieces = [self._on_plane(mesh, sigma, AT_BOUNDARY * size, paired=bool(domain.together))]
         else:
             ends = zip(self.points[:-1], self.points[1:], strict=True)
             pieces = [_on_segment(mesh, sigma, a, b, AT_BOUNDARY * size) for a, b in ends]
@@ -86,7 +91,7 @@ class Section:
         along = fem.Function(fenicsx.function_space(domain.mesh, ("DG", 0, (domain.mesh.geometry.dim,))))
         return self.through(domain, along).measure
 
-    def _on_plane(self, mesh: dolfinx.mesh.Mesh, sigma: fem.Function, near: float) -> Array:
+    def _on_plane(self, mesh: dolfinx.mesh.Mesh, sigma: fem.Function, near: float, *, paired: bool) -> Array:
         """The flux and the area, on rank 0 (collective)."""
         assert self.normal is not None
         normal = self.normal / np.linalg.norm(self.normal)
@@ -96,6 +101,8 @@ class Section:
         order = np.argsort(np.sign(away), axis=1, kind="stable")
         x, away = np.take_along_axis(x, order[:, :, None], axis=1), np.take_along_axis(away, order, axis=1)
         counts = np.stack([(away < 0).sum(axis=1), (away == 0).sum(axis=1), (away > 0).sum(axis=1)], axis=1)
+        if paired and mesh.comm.allreduce(bool((counts[:, 1] == 3).any()), MPI.LOR):
+            raise InputError("section: beside pairs of surfaces a plane must not follow facets; move it a little")
         rows = [np.empty((0, 3 + 1 + len(np.atleast_1d(np.zeros(sigma.ufl_shape[1:])))))]
         for key, triangles in TRIANGLES.items():
             cells = np.flatnonzero((counts == key).all(axis=1))

@@ -20,7 +20,7 @@ def is_outline(table: Columns) -> bool:
 
 
 def write_outlines(path: Path, times: Iterable[tuple[float | None, Columns]]) -> None:
-    """Write the lines or triangles at each time that has some; without a time there is one entry (rank 0)."""
+    """Write the lines or triangles at each time that has some, if one has; without a time there is one (rank 0)."""
     root = ElementTree.Element("Xdmf", Version="3.0")
     domain = ElementTree.SubElement(root, "Domain")
     about = {"Name": path.stem, "GridType": "Collection", "CollectionType": "Temporal"}
@@ -40,6 +40,8 @@ def write_outlines(path: Path, times: Iterable[tuple[float | None, Columns]]) ->
         topology.append(_item(first[:, None] + np.arange(size), "Int"))
         geometry = ElementTree.SubElement(grid, "Geometry", GeometryType="XYZ"[: points.shape[1]])
         geometry.append(_item(points, "Float"))
+    if not len(series):  # readers need something
+        return
     ElementTree.indent(root)
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
 
