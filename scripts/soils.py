@@ -1,0 +1,80 @@
+"""The linear problems that the soils of Carsel and Parrish (1988) take in a dam and in columns.
+
+See docs/guide/soils.md.
+
+Usage: python scripts/soils.py
+
+For each soil: as the shell of the shipped `earth_dam`; as a column 2 m high above a water table with rain of 0.3 K; and
+with a suction of 10 m at its top, together with the evaporation q over K and the exact one. The exact q is the one with
+∫ dψ/(1 + q/K k_r) = 2 m from -10 m to 0.
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import numpy as np
+from dolfinx.mesh import DiagonalType, create_rectangle
+from mpi4py import MPI
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from signorini_fenicsx import Diffusion, Dirichlet, Neumann, VanGenuchten, domain_of, load_case, solve, solve_case
+from signorini_fenicsx.meshes.domain import Domain
+
+SOILS = {
+    "sand": (14.5, 2.68, 29.7),
+    "loamy sand": (12.4, 2.28, 14.59),
+    "sandy loam": (7.5, 1.89, 4.42),
+    "loam": (3.6, 1.56, 1.04),
+    "silt": (1.6, 1.37, 0.25),
+    "silt loam": (2.0, 1.41, 0.45),
+    "sandy clay loam": (5.9, 1.48, 1.31),
+    "clay loam": (1.9, 1.31, 0.26),
+    "silty clay loam": (1.0, 1.23, 0.07),
+    "sandy clay": (2.7, 1.23, 0.12),
+    "silty clay": (0.5, 1.09, 0.02),
+    "clay": (0.8, 1.09, 0.20),
+}
+"""α in 1/m, n, and K in cm/h."""
+HEIGHT, CELLS, SUCTION = 2.0, 80, 10.0
+
+
+def column() -> Domain:
+    """A column, two squares wide."""
+    width = 2 * HEIGHT / CELLS
+    diagonal = DiagonalType.crossed
+    mesh = create_rectangle(MPI.COMM_WORLD, [(0, 0), (width, HEIGHT)], [2, CELLS], diagonal=diagonal)
+    sides = {"bottom": (1, 0.0), "top": (1, HEIGHT), "left": (0, 0.0), "right": (0, width)}
+    return domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()})
+
+
+def evaporation(soil: VanGenuchten) -> float:
+    """The exact q/K."""
+    ends = -np.logspace(np.log10(SUCTION), -4, 60)
+
+    def height(log_q: float) -> float:
+        def of(psi: float) -> float:
+            return float(1 / (1 + np.exp(log_q) / (soil(np.zeros((1, 1)), np.array([psi]))[0][0] / soil.K)))
+
+        return sum(quad(of, *pair)[0] for pair in zip(ends, [*ends[1:], 0.0], strict=True))
+
+    return float(np.exp(brentq(lambda log_q: height(log_q) - HEIGHT, -28.0, 0.0, xtol=1e-8)))
+
+
+def main() -> None:
+    """Solve them all, and print a table."""
+    domain, case = column(), load_case("earth_dam")
+    print(f"{'soil':16}{'dam':>6}{'rain':>6}{'dry':>6}{'q/K':>12}{'exact':>12}")
+    for name, (alpha, n, k) in SOILS.items():
+        soil = VanGenuchten(k * 0.01 / 3600, alpha, n)
+        shell = case.soil["shell"].model_copy(update={"K": soil.K, "alpha": alpha, "n": n})
+        solutions = [solve_case(case.model_copy(update={"soil": case.soil | {"shell": shell}}))]
+        for top in (Neumann("top", 0.3 * soil.K), Dirichlet("top", HEIGHT - SUCTION)):
+            conditions = [Neumann(["left", "right"], 0), top, Dirichlet("bottom", 0)]
+            solutions.append(solve(domain, Diffusion(f=0, kappa=soil, conditions=conditions)))
+        solves = [solution.outcome.details["linear_solves"] for solution in solutions]
+        q = -solutions[-1].flux_through("top") / (2 * HEIGHT / CELLS) / soil.K
+        print(f"{name:16}{solves[0]:6}{solves[1]:6}{solves[2]:6}{q:12.3e}{evaporation(soil):12.3e}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
