@@ -15,9 +15,11 @@ OF_LAWS = READERS | {
     Given: Expression,
     Given | Literal["vertical"]: Expression,
     Sequence[tuple[Given, Given]]: Entries,
+    Sequence[str]: list[str],
 }
 OF_KIND = {
-    name: data_section(kind, OF_LAWS, parts=None, region=None, side=None, now=None) for name, kind in KINDS.items()
+    name: data_section(kind, OF_LAWS, words=("names",), parts=None, region=None, side=None, now=None)
+    for name, kind in KINDS.items()
 }
 """The data of each kind of law as text in x, y, z."""
 

@@ -175,4 +175,4 @@ class Law(OnParts, metaclass=Placed):
 
 def names_of_data(law: type[Law]) -> list[str]:
     """The names of the data of a kind of law."""
-    return [datum.name for datum in fields(law) if datum.name not in ("parts", "region", "side", "now")]
+    return [datum.name for datum in fields(law) if datum.name not in ("parts", "region", "side", "now", "names")]

@@ -339,11 +339,14 @@ class Corners(Law):
         before: How steeply κ∇u·n falls, or s grows, before the first corner, a number ≥ 0; "vertical" if u cannot be
             less.
         beyond: How steeply it does beyond the last corner; "vertical" if u cannot be larger.
+        names: What the segments are called, from the smallest u on, such as ["ice", "mush", "water"]; else they have
+            numbers.
     """
 
     corners: Sequence[tuple[Given, Given]]
     before: Given | Literal["vertical"] = 0.0
     beyond: Given | Literal["vertical"] = 0.0
+    names: Sequence[str] = ()
     word = "graph"
 
     def __post_init__(self) -> None:
@@ -354,6 +357,10 @@ class Corners(Law):
                 "corners: must be pairs of u and κ∇u·n, or of u and s in regions, such as [[0, 1], [0.5, 0]]"
             )
         object.__setattr__(self, "corners", tuple(map(tuple, self.corners)))
+        segments = len(self.corners) + 1
+        if self.names and (isinstance(self.names, str) or len(set(self.names)) != segments):
+            raise InputError(f"names: must be {segments} different names, one for each segment of the graph")
+        object.__setattr__(self, "names", tuple(self.names))
 
     def data(self) -> dict[str, Given]:
         """The data by their names: those of the corners are corners.0.0 for u and corners.0.1 for κ∇u·n."""
@@ -362,8 +369,8 @@ class Corners(Law):
 
     @property
     def segments(self) -> Sequence[str]:  # type: ignore[override]
-        """Names with the numbers of the segments."""
-        return [f"segment {i}" for i in range(len(self.corners) + 1)]
+        """The given names, or names with the numbers of the segments."""
+        return list(self.names) or [f"segment {i}" for i in range(len(self.corners) + 1)]
 
     def graph(self, values: Values) -> Graph:
         """The reference is the point between the corners where least flows: far from it digits would be lost.

@@ -286,6 +286,16 @@ def test_what_methods_refuse(folder: Path):
         case.with_values({"law.1.g": 2})
 
 
+def test_names_of_segments():
+    law = Corners("bottom", [(0, 1), (0, -1)], names=["low", "at 0", "high"])
+    solution = solve(build_domain(COMM, "square", 0.5, mesh="structured"), Problem(f=1, laws=[law]))
+    (segments,) = solution.segments_of_parts().values()
+    assert list(segments) == ["low", "at 0", "high"]
+    for wrong in (["low", "high"], ["low", "low", "high"], "low"):
+        with pytest.raises(InputError, match="names: must be 3 different names, one for each segment of the graph"):
+            Corners(["bottom"], [(0, 1), (0, -1)], names=wrong)
+
+
 def test_command_line(folder: Path):
     """`--set` reaches a law, refusals have status 2, a run that does not settle status 1."""
     base = ["signorini", "solve", "friction", "--h", "1/4", "--quiet", "--output", str(folder / "out")]
