@@ -17,6 +17,8 @@ from signorini_fenicsx import (
     InputError,
     Neumann,
     Options,
+    River,
+    Seepage,
     domain_of,
     evolve,
     load_case,
@@ -86,6 +88,31 @@ def test_celias_infiltration():
     assert found[80:] == pytest.approx(psi[80:], rel=0.02)
 
 
+def test_srivastavas_and_yehs_column():
+    """More rain on Gardner's soil has an exact solution (Water Resour. Res. 27, 1991): order 1 in τ, 2 in h."""
+    alpha, span, before, rain, end = 3.0, 0.4, 0.1, 0.6, 0.1
+    first = f"y + log(({1 - before})*exp(-{alpha}*y) + {before})/{alpha}"
+    conditions = [Neumann(["left", "right"], 0), Neumann("top", rain), Dirichlet("bottom", 0)]
+    problem = Diffusion(kappa=Gardner(1.0, alpha, theta_s=span), f=0, conditions=conditions)
+    n = np.arange(1, 61)
+    low, high = (n - 0.5) * np.pi / alpha, n * np.pi / alpha  # a root of tan λα + 2λ in each
+    for _ in range(60):
+        middle = (low + high) / 2
+        above = np.tan(middle * alpha) + 2 * middle > 0
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    z, t = (np.arange(8) + 0.5) / 8, alpha * end / span
+    waves = np.sin(np.outer(alpha * z, low)) * np.sin(low * alpha) * np.exp(-(low**2) * t)
+    series = (waves / (1 + alpha / 2 + 2 * low**2 * alpha)).sum(axis=1)
+    k = rain - (rain - 1) * np.exp(-alpha * z) - 4 * (rain - before) * np.exp(alpha * (1 - z) / 2 - t / 4) * series
+    errors = []
+    for number, steps in ((8, 4), (16, 16)):
+        *_, last = evolve(column(number, 1.0), problem, Evolution(end=end, steps=steps, initial=first))
+        found = last.solution.at(np.column_stack([np.full(8, 1.01 / number), z]))[0] - z
+        errors.append(np.abs(found - np.log(k) / alpha).max())
+    assert errors[1] < 0.01
+    assert errors[1] < errors[0] / 3
+
+
 def test_specific_storage_of_saturated_soil_is_a_capacity():
     """Where soil stays saturated the numbers are those of a linear problem with that capacity."""
     square = build_domain(COMM, "square", 0.3, mesh="structured")
@@ -136,12 +163,16 @@ def test_a_case_ends_and_goes_on(tmp_path: Path):
 
 @pytest.mark.parallel(3)
 def test_ranks():
-    """The numbers do not depend on the ranks, of which some have few cells."""
-    conditions = [Neumann(["left", "right"], 0), Dirichlet("top", "0.3 + t"), Dirichlet("bottom", 0)]
+    """Rain, a river and a seepage face that change in time balance; the numbers do not depend on the ranks."""
+    beside = [Neumann("left", 0), Seepage("right", level="y")]
+    rained = Seepage("top", level=1, rain="0.2*t")
+    conditions = [*beside, rained, River("bottom", r=4, level="0.5 + t", bed=-1)]
     problem = Diffusion(kappa=Gardner(1.0, 3.0, theta_s=0.4), f=0, conditions=conditions)
     found = []
     for comm in (COMM, MPI.COMM_SELF):
-        *_, last = evolve(column(6, 1.0, comm), problem, Evolution(end=0.3, steps=3))
+        *_, last = evolve(column(4, 1.0, comm), problem, Evolution(end=0.5, steps=2, initial=0.2))
+        assert last.numbers["mass_error"] < 1e-11
+        assert last.solution.flux_through("bottom") > 0 > last.solution.flux_through("right")
         found.append(last.solution.norms() | {key: last.numbers[key] for key in ("content", "inflow", "linear_solves")})
     assert found[0] == pytest.approx(found[1], rel=1e-10)
 
