@@ -47,7 +47,8 @@ def draw(name: str) -> None:
     case = load_case(name)
     if case.geometry.shape is not None:
         shape = shape_of(case.geometry.shape)
-        case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
+        if shape.dim == 2 or not case.is_vector:  # a vector in space takes too long
+            case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
         picture = Path(folder) / f"{FIRST.get(case.PHYSICS, 'u')}.png"
         if case.time is not None:

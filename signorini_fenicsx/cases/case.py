@@ -337,8 +337,9 @@ def case_of(tree: dict[str, Any], path: Path) -> Any:
         raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {names}, or leave it out")
     model = PHYSICS[tree["physics"]].case
     for key in tree:
-        if key not in model.model_fields and key in PHYSICS[DIFFUSION].case.model_fields:
-            raise InputError(f"{path}: [{key}] is of problems without physics; {tree['physics']} has none")
+        others = [name for name in (DIFFUSION, *_others()) if key in PHYSICS[name].case.model_fields]
+        if key not in model.model_fields and others:
+            raise InputError(f"{path}: [{key}] is of {' and '.join(others)}; {tree['physics']} has none")
     return validated(model, tree, path.stem, str(path))
 
 

@@ -56,10 +56,12 @@ def test_examples_are_shipped():
             "clamp",
             "cube",
             "dam",
+            "cylinders",
             "dam_baiocchi",
             "duct",
             "edge",
             "electropainting",
+            "electropainting_growth",
             "filter",
             "hertz",
             "joint",
@@ -74,6 +76,7 @@ def test_examples_are_shipped():
             "roller",
             "sliding_block",
             "stack",
+            "two_spheres",
             "two_cylinders",
         ]
     )

@@ -1,5 +1,7 @@
 """Viscous flow: exact solutions under any pressure, laws on the boundary, ranks, CG, space, what is refused."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from elastic import box
@@ -178,8 +180,10 @@ def test_a_wall_leaks_where_it_is_pressed_enough():
     """Fluid from the left leaves by the top, with −σ_nn at most g there, all that comes in."""
     conditions = [Dirichlet("x0", ["y*(1 - y)", 0]), Leak("y1", g=1.0)]
     found = channel(conditions, ["0", "0"])
-    pressed, out = found.pressure, found.gap
+    pressed, out, flows = found.pressure, found.gap, found.flows()
     assert found.converged
+    assert flows["y1"] == pytest.approx(1 / 6)
+    assert sum(flows.values()) == pytest.approx(0.0, abs=1e-13)
     assert COMM.allreduce(pressed.min(initial=0.0), MPI.MIN) == pytest.approx(-1.0)
     assert COMM.allreduce(float(found.spaces.site_kinds["normal"].measure @ out.ravel())) == pytest.approx(1 / 6)
 
@@ -251,6 +255,15 @@ def test_the_order_at_a_transition():
         errors = solve_case(case).errors()
         assert 0.12 < errors["energy"] * n**1.5 < 0.14
         assert 0.12 < errors["p_L2"] * n**1.5 < 0.14
+
+
+def test_sections_of_other_physics_are_refused(tmp_path: Path):
+    """The sentence says which ones have them."""
+    text = 'physics = "stokes"\n[geometry]\nshape = "square"\n[problem]\nviscosity = 1\n'
+    for section, others in (("[[pair]]", "diffusion and elasticity"), ("[dam]", "diffusion")):
+        (tmp_path / "case.toml").write_text(f"{text}{section}\n")
+        with pytest.raises(InputError, match=f"is of {others}; stokes has none"):
+            load_case(tmp_path / "case.toml")
 
 
 def test_bodies_have_them_as_well():
