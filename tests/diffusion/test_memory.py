@@ -102,7 +102,7 @@ def test_bound_of_a_step():
 
 
 def test_a_law_of_ones_own():
-    """The membrane of the guide, by its steps in one dimension, also as a part inside the domain."""
+    """The membrane of the guide, by its steps in one dimension."""
     guide = (Path(__file__).parents[2] / "docs" / "guide" / "time.md").read_text(encoding="utf-8")
     (block,) = (text for text in re.findall(r"```python\n(.*?)```", guide, re.DOTALL) if "LawWithMemory" in text)
     names: dict[str, object] = {"domain": strip(), "__name__": "guide"}
@@ -112,6 +112,16 @@ def test_a_law_of_ones_own():
         s = 3 / (1 + 0.5 * m)
         m += 0.1 * s / (1 + s)
     np.testing.assert_allclose(states(names["instant"].solution)["m"], m, rtol=1e-12)
+
+
+def test_a_film_inside_the_domain():
+    """Between two bodies of fluid u jumps by r h q."""
+    slit = build_domain(COMM, "slit", 0.3, mesh="unstructured")
+    problem = Diffusion(f="y", conditions=[Film("slit", r=2, k=5, j=0.01)])
+    solutions = [instant.solution for instant in evolve(slit, problem, Evolution(1, 2))]
+    for solution in solutions:
+        np.testing.assert_allclose(solution.p_at, -2 * states(solution)["h"] * solution.flux_at, atol=1e-9)
+    assert (states(solutions[1])["h"] > states(solutions[0])["h"]).all()
 
 
 @pytest.mark.parallel([1, 3])

@@ -16,6 +16,7 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners, Dirichlet, Neumann
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
+from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
@@ -215,6 +216,8 @@ def test_walls_that_move():
     found = channel(moved, ["y*(2 - y)", "0"], n=2)
     assert found.errors()["energy"] < 1e-9
     assert found.certify().bound < 1e-6
+    with pytest.raises(InputError, match="'slit' is inside the domain, and a fluid has no parts inside"):
+        solve(build_domain(COMM, "slit", 0.5, mesh="unstructured"), Stokes(MU, conditions=[Leak("slit", g=1)]))
     for wall, told in (
         (Slip("y1", velocity=["x^2", 0]), "u_D.y1: the velocity of a wall with slip must be linear"),
         (Slip("y1", beta=-1), "slip on 'y1', beta: must not be negative"),

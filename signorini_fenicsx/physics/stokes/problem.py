@@ -12,7 +12,7 @@ from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.expressions.given import Given
-from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.conditions import is_normal
 from signorini_fenicsx.physics.elasticity.problem import (
     NORMAL,
@@ -159,6 +159,8 @@ class Stokes(Flow):
         dirichlet = [each for each in self.conditions if isinstance(each, Dirichlet)]
         loads = [each for each in self.conditions if isinstance(each, Neumann | Pressure)]
         laws = [each for each in self.conditions if isinstance(each, Slip) or is_normal(each)]
+        if inside := [part for law in laws for part in law.parts if other_side(part) in domain.parts]:
+            raise InputError(f"conditions: '{inside[0]}' is inside the domain, and a fluid has no parts inside")
         fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
         u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
         if not names_all(domain, self.conditions):

@@ -259,6 +259,8 @@ def lines(solution: Solution, summary: Mapping[str, Any]) -> dict[str, str]:
         sites = "facets" if "facets" in next(iter(segments.values())) else "vertices"  # of RT1
         counts = ", ".join(f"{name} {count[sites]}" for name, count in segments.items())
         lines[f"on {part}"] = f"{sites} on each segment: {counts}"
+    for law, size in summary.get("states", {}).items():
+        lines[law] = f"mean {size['mean']:.6g}, at most {size['largest']:.6g}"
     if "violation" in summary:
         left = named({VIOLATIONS[name]: value for name, value in summary["violation"].items()}, ".3e")
         lines["ε"] = f"{summary['eps']:g} leaves {left}"
