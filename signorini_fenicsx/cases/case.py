@@ -336,9 +336,8 @@ def case_of(tree: dict[str, Any], path: Path) -> Any:
         names = " or ".join(f'"{name}"' for name in _others())
         raise InputError(f"{path}: physics: unknown {shown(tree['physics'])}; use {names}, or leave it out")
     model = PHYSICS[tree["physics"]].case
-    for key in tree:
-        others = [name for name in (DIFFUSION, *_others()) if key in PHYSICS[name].case.model_fields]
-        if key not in model.model_fields and others:
+    for key in [key for key in tree if key not in model.model_fields]:  # which imports all physics
+        if others := [name for name in (DIFFUSION, *_others()) if key in PHYSICS[name].case.model_fields]:
             raise InputError(f"{path}: [{key}] is of {' and '.join(others)}; {tree['physics']} has none")
     return validated(model, tree, path.stem, str(path))
 
