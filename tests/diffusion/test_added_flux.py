@@ -12,14 +12,17 @@ from mpi4py import MPI
 from signorini_fenicsx import (
     Diffusion,
     Dirichlet,
+    Evolution,
     InputError,
     Neumann,
     Options,
     Seepage,
     Signorini,
+    evolve,
     load_solution,
     solve,
 )
+from signorini_fenicsx.certificate.of_field import bound_field
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -74,6 +77,22 @@ def test_orders_and_bounds(options: Options, order: int):
         assert certificate.guaranteed
         assert 1 <= certificate.bound / errors[-1] < 1.6
     assert np.log2(errors[0] / errors[1]) > order - 0.15
+    v, x = fem.Function(fem.functionspace(square.mesh, ("P", 1))), ufl.SpatialCoordinate(square.mesh)
+    v.interpolate(lambda x: np.sin(2 * x[0]) * np.exp(x[1]))
+    off = ufl.grad(v - ufl.sin(2 * x[0]) * ufl.exp(x[1]))
+    error = solution.spaces.integrate((1 + x[0]) * ufl.inner(off, off) * ufl.dx(degree=8)) ** 0.5
+    field = bound_field(solution, v)
+    assert field.guaranteed
+    assert field.lower <= error <= field.bound
+
+
+@pytest.mark.parametrize("options", ALL[:2])
+def test_in_time(options: Options):
+    """With a b that varies in time u = tx + y has the flux (2t, 2)."""
+    square = build_domain(COMM, "square", 0.4, mesh="structured")
+    problem = Diffusion(f="x", b=["t", "1"], u_D="t*x + y", conditions=[Neumann("right", "2*t")])
+    *_, last = evolve(square, problem, Evolution(end=1, steps=2, initial="y"), options)
+    np.testing.assert_allclose(last.solution.cell_flux.in_vertices() - [2, 2], 0, atol=1e-10)
 
 
 @pytest.mark.parametrize("options", ALL[:2])
