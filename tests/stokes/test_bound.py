@@ -92,6 +92,11 @@ def test_a_wall_on_which_the_fluid_slips():
     _, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, Stokes(MU, conditions=[*ends, Slip("y1", g=0.3)]))
     assert certificate.guaranteed
     assert certificate.relative < 1e-7
+    for velocity in (None, [0.2, 0]):
+        wall = Slip("y1", g=0.3, beta=0.5, velocity=velocity)
+        _, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, Stokes(MU, conditions=[*ends, wall]))
+        assert certificate.guaranteed
+        assert certificate.relative < 1e-7
     _, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, Stokes("1 + x*y", conditions=[*ends, Slip("y1", g=0.3)]))
     assert certificate.guaranteed
     assert certificate.relative < 0.2

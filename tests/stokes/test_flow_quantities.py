@@ -49,6 +49,11 @@ def test_a_channel_with_slip():
     flow = 11 / 14 - 1 / 3
     contains(found.quantity(Flow("x1")), flow, 1e-6)
     contains(found.quantity(Force("y1", direction=[1, 0])), -0.3, 1e-6)
+    with_springs = [*conditions[:-1], Slip("y1", g=0.3, beta=0.5)]  # σ_t = −0.3 − u/2, so that u = y(4/3 − y)
+    navier = solve(found.spaces.domain, Stokes(0.7, conditions=with_springs))
+    contains(navier.quantity(Flow("x1")), 1 / 3, 1e-6)
+    with pytest.raises(InputError, match="none is there on 'y1', a wall with slip of beta > 0"):
+        navier.quantity(Force("y1", direction=[1, 0]))
     contains(found.quantity(Dissipation()), 1.4 * flow - 0.3 * 4 / 7, 1e-6)  # what the pressure does, less friction
 
 

@@ -28,7 +28,7 @@ from signorini_fenicsx.physics.elasticity.quantities import brackets as of_bodie
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, StokesProblem
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
 from signorini_fenicsx.quantities.bracket import Quantity
-from signorini_fenicsx.quantities.kinds import Dissipation, Flow, Flux, Integral, Kind
+from signorini_fenicsx.quantities.kinds import Dissipation, Flow, Flux, Force, Integral, Kind
 
 
 def check(domain: Domain, problem: StokesProblem, kind: Kind) -> None:
@@ -39,6 +39,8 @@ def check(domain: Domain, problem: StokesProblem, kind: Kind) -> None:
     """
     if isinstance(kind, Flux):
         raise InputError("Flux: viscous flow has Flow, Integral, Mean, Force, Moment, Dissipation and Energy")
+    if isinstance(kind, Force) and (walls := set(kind.parts) & set(problem.support)):
+        raise InputError(f"{type(kind).__name__}: none is there on '{min(walls)}', a wall with slip of beta > 0")
     if not isinstance(kind, Dissipation):
         of_bodies.check(domain, problem, _outwards(kind) if isinstance(kind, Flow) else kind)
 
@@ -87,9 +89,8 @@ def _of_energy(solution: StokesSolution) -> float:
     at_rest = all(datum.number == 0 for datum in data.u_D.components) and all(law.least == 0 for law in outlets)
     free = all(scalar.number == 0 for datum in loads for scalar in datum.scalars)
     free &= all(each == 0 for each in (*bounds, *(law.pressure for law in outlets)))
-    if others or not spaces.mesh.comm.allreduce(at_rest or free, MPI.LAND):
-        return 0.0
-    return -2.0 if at_rest else 2.0
+    known = not others and not data.supports.slip.any() and (at_rest or free)
+    return (-2.0 if at_rest else 2.0) if spaces.mesh.comm.allreduce(bool(known), MPI.LAND) else 0.0
 
 
 def _of_fluxes(solution: StokesSolution, kind: Any) -> Any:

@@ -57,7 +57,6 @@ from signorini_fenicsx.physics.elasticity.bound.tied import lacking
 from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.discrete.supports import NO_BOUND
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
@@ -87,8 +86,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     """
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    slips = spaces.mesh.comm.allreduce(bool(data.supports.slip.any()), MPI.LOR)
-    if why := pairs_without_bound(spaces) or (NO_BOUND if slips else ""):
+    if why := pairs_without_bound(spaces):
         return no_bound(solution, why)
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)

@@ -105,7 +105,7 @@ class BestDisplacement:
         self._given = given_nodes(spaces, data, split, self.space, self._v)
         floors = y.floors[self.contact.rows, None]
         self.openings = np.where(np.isfinite(floors), floors, self.contact.openings(spaces.mesh, data))
-        self.supports = SupportsOfDisplacement.of(spaces, data, split, self.space, y.stresses)
+        self.supports = SupportsOfDisplacement.of(spaces, data, split, self.space, y.stresses, y.shear)
 
     @cached_property
     def rough(self) -> tuple[Indices, Indices]:

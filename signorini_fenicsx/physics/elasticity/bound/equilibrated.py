@@ -109,7 +109,7 @@ def _as_energies(solution: ElasticSolution) -> tuple[float, float]:
 def _of(solution: ElasticSolution, stresses: Array, p: Array, distance: float) -> AdmissibleStress:
     """The stress with its tractions on Γ_C, exactly what the sets give; far away if these are others (collective)."""
     spaces, data = solution.spaces, solution.data
-    balancing = data.reactions(spaces, stresses)
+    balancing = data.reactions(spaces, stresses, spaces.site_kinds["slip"].of(p))
     _, reactions = solution.outcome.conditions.clean(p, balancing, 0.0)  # on springs as it is
     sizes = np.array([np.abs(each).max(initial=0.0) for each in (reactions - balancing, stresses)])
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, linear_values
@@ -32,7 +31,6 @@ from signorini_fenicsx.expressions.given import number_of, parsed
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import GivenStiffness
 
-NO_BOUND = "none is there with slip of beta > 0"
 HELD = 1e-12
 """Directions in which a stiffness is less than this share of its largest are not held."""
 
@@ -72,23 +70,26 @@ class Supports:
         """K over its largest eigenvalue, shape (facets, d, d)."""
         return self.stiffness / np.linalg.norm(self.stiffness, 2, axis=(1, 2))[:, None, None]
 
-    def moved(self, spaces: ElasticSpaces, tractions: Array, stresses: Array) -> Array:
+    def moved(self, spaces: ElasticSpaces, tractions: Array, stresses: Array, on_walls: Array) -> Array:
         """The w at the vertices from tractions and a stress, 0 where K does not hold it, shape (facets, d, d).
 
         Args:
             spaces: The spaces.
             tractions: ∫ g_N φ_a over the facets of `spaces.neumann`.
             stresses: Values of σ as in `SplitMesh.values`.
-
-        Raises:
-            InputError: If there is slip with β > 0.
+            on_walls: The tractions at the vertices of the facets with friction, shape (facets, d, d).
         """
-        if spaces.mesh.comm.allreduce(bool(self.slip.any()), MPI.LOR):
-            raise InputError(NO_BOUND)
-        rows = np.searchsorted(spaces.neumann.facets, self.facets.facets)
-        pulls = linear_values(tractions[rows], self.facets.measure)
+        walls, rows = self.walls(spaces)
+        loaded, pulls = np.flatnonzero(~walls), np.empty((len(walls), *on_walls.shape[1:]))
+        at = np.searchsorted(spaces.neumann.facets, self.facets.facets[loaded])
+        pulls[loaded], pulls[walls] = linear_values(tractions[at], self.facets.measure[loaded]), on_walls[rows]
         softness = np.linalg.pinv(self.stiffness, rcond=HELD, hermitian=True)
         return np.einsum("nij,naj->nai", softness, pulls - spaces.tractions(self.facets, stresses))
+
+    def walls(self, spaces: ElasticSpaces) -> tuple[Mask, Indices]:
+        """Mask of the facets that are on walls with slip, and which of `ElasticSpaces.rough` these are."""
+        walls = np.isin(self.facets.facets, spaces.rough.facets)
+        return walls, np.searchsorted(spaces.rough.facets, self.facets.facets[walls])
 
     def let_go(self, values: Array) -> Array:
         """Values on the facets, without their components that K holds."""

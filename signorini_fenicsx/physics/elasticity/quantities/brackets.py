@@ -191,7 +191,8 @@ class _Beside(Beside[_Side]):
         solution, y = of_v.solution, of_y.y
         if of_v.past or not math.isfinite(y.distance):
             return Half(math.inf, of_v.past or UNBALANCED, np.zeros(len(self.spaces.order)))
-        data = replace(solution.data, tractions=of_y.solution.data.tractions)
+        balanced = of_y.solution.data
+        data = replace(solution.data, tractions=balanced.tractions, pulled=balanced.pulled)
         problem = BestDisplacement(solution.spaces, data, y, solution.spaces.split, degree_of_v(data))
         resolution = Resolution(self.spaces, of_y.solution.data)
         mismatch, contact = gap_of_cells(solution, y, problem, of_v.v, resolution, half=True)
