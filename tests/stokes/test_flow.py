@@ -89,7 +89,7 @@ def test_a_threshold_of_slip(u: str, wall: Slip):
     """
     found = channel(straight(0.0, wall), [u, "0"], n=2)
     assert found.errors()["energy"] < 1e-9
-    assert (found.certify().bound < 1e-4) == (wall.beta == 0)
+    assert found.certify().bound < 1e-4
 
 
 def test_slip_that_varies():

@@ -20,7 +20,7 @@ STEP = 1e-4
 
 
 def flow(comm: MPI.Comm = COMM) -> Controlled:
-    """A flow that is driven in, leaks through the top, and leaves by an outlet that is closed in a part."""
+    """A flow that is driven in, and by a wall, leaks through the top, and leaves by an outlet that is partly closed."""
     domain = box(comm, 4, [0.0, 0.0], [1.0, 1.0])
     mu, force, outside, least, g, inlet, slip = given = constants(domain, 1.0, 1.0, 0.3, -0.05, 0.2, 0.5, 0.05)
     x = ufl.SpatialCoordinate(domain.mesh)
@@ -28,7 +28,7 @@ def flow(comm: MPI.Comm = COMM) -> Controlled:
         Dirichlet("x0", ufl.as_vector([inlet * x[1], 0 * inlet])),
         Outflow("x1", pressure=outside, least=least),
         Leak("y1", g=g),
-        Slip("y0", g=slip),
+        Slip("y0", g=slip, beta=0.5, velocity=[0.1, 0]),
     ]
     f = ufl.as_vector([32 * force * (0.5 - x[1]) * x[0], 0 * force])
     return Controlled(domain, Stokes(mu * (1 + x[0]), f=f, conditions=conditions), list(given))

@@ -339,6 +339,8 @@ def given_nodes(
         directions = axes[coefficients.rows][:, None]
         if v is None:
             displacement = coefficients.of(spaces.mesh, data.u_D)
+            if k == 0 and np.isin(facets.facets, spaces.contact.facets).all():
+                displacement = np.zeros_like(displacement)  # beside friction u_n is 0, and u_D what a wall moves with
             if data.material.incompressible:
                 means = data.lift[spaces.unknowns(facets, k)].mean(axis=1)[coefficients.rows]
                 displacement = coefficients.with_means(displacement, directions[:, 0], means)

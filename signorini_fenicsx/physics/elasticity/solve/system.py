@@ -76,7 +76,12 @@ class ElasticSystem(HybridSystem):
         spaces, data = self.spaces, self._data
         owned = self._size * self._numbers.size_local
         self.tractions = data.load[:owned]
-        self.load = self.load_of(self._blocks, data.lift) + self.tractions
+        walls, lift = data.supports.facets.blocks[data.supports.walls(spaces)[0]], data.lift[:owned]
+        moving = np.zeros((owned // self._size, self._size))
+        moving[walls] = lift.reshape(moving.shape)[
+            walls
+        ]  # the springs of walls with slip pull on what is faster than these
+        self.load = self.load_of(self._blocks, data.lift) + self.tractions + self.of_supports(moving.ravel())
         if self.mean is not None:
             self.load -= self.pulls_of_means(self.mean.values)
         given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
