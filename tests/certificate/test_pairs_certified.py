@@ -80,9 +80,6 @@ def test_a_uniform_stress(law: Tresca | Wall | Tied | None, numbers: tuple[tuple
     sides += [Dirichlet(f"l{last}0", 0, components="xyz"[last]), Pressure(f"u{last}1", 1.0)]
     body = Elasticity(1.0, 0.3, conditions=[*sides, Pair(f"u{last}0", f"l{last}1", law)])
     certificate = solve(domain, body).certify()
-    if dim == 3 and isinstance(law, Tied):
-        assert "yet in space where a pair is tied, as u20 on l21" in certificate.if_none
-        return
     assert certificate.guaranteed
     assert certificate.relative < 1e-6
 
@@ -199,7 +196,7 @@ def test_tied_on_two_bodies(end: float) -> None:
         domain_of_bodies(bodies), Elasticity(1.0, 0.3, conditions=[*held, Neumann(free), pair])
     ).certify()
     assert not certificate.guaranteed
-    assert "its masters do not hang together" in certificate.reservation + certificate.if_none
+    assert "its masters are several bodies" in certificate.reservation + certificate.if_none
 
 
 @pytest.mark.parallel(3)

@@ -133,8 +133,6 @@ def degree_of(data: ElasticData) -> int:
 def pairs_without_bound(spaces: ElasticSpaces) -> str:
     """Why there is no bound for the pairs of surfaces, in words; empty if there is one (collective)."""
     for joint in spaces.joints:
-        if joint.pair.tied and spaces.dim == 3:
-            return f"none is there yet in space where a pair is tied, as {joint.pair.words}"
         rows = joint.pieces.master - joint.first
         elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())
         if spaces.mesh.comm.allreduce(elsewhere, MPI.LOR):
@@ -228,7 +226,7 @@ def gap_of_cells(
     mismatch, on_contact = np.zeros((2, len(spaces.order)))
     np.add.at(mismatch, split.subcells // (spaces.dim + 1), of_subcells)
     if problem.tied:
-        mismatch = _with(mismatch, np.sqrt(resolution.stiffest() * lacking(problem.tied, spaces, v)[0]))
+        mismatch = _with(mismatch, np.sqrt(resolution.stiffest() * lacking(problem.tied, spaces, solution.data, v)[0]))
     np.add.at(on_contact, problem.contact.facets.cells, _on_contact(solution, y, problem, v, half=half))
     on_supports = problem.supports.gap(v) * (0.5 if half else 1.0)
     np.add.at(on_contact, problem.supports.on.facets.cells, on_supports)
@@ -251,6 +249,11 @@ def _with_most(spaces: ElasticSpaces, of_cells: Array) -> Indices:
         chosen[other[chosen[one]]] = True
     if spaces.joints:  # all of them or none: each piece is on two
         at_pairs = np.concatenate([cells_behind(spaces.mesh, each.slaves_and_masters) for each in spaces.joints])
+        if spaces.dim == 3 and any(
+            each.pair.tied for each in spaces.joints
+        ):  # what v lacks where it is tied is also on cells around edges
+            around = sums_at(spaces.mesh.geometry.index_map(), nodes[at_pairs])[nodes] > 0
+            at_pairs = np.flatnonzero(around.any(axis=1))
         some, wanted = np.union1d(np.flatnonzero(chosen), at_pairs), bool(chosen[at_pairs].any())
         fits = comm.allreduce(len(some)) <= MANY[spaces.dim]
         chosen[at_pairs] = comm.allreduce(wanted, MPI.LOR) and fits

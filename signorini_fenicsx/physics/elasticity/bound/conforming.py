@@ -374,10 +374,8 @@ class BestDisplacement:
             return f"at {place} parts meet on which different displacements are given"
         worst = float(past.max(initial=0.0)), ""
         rounding = ROUNDING * largest.max() + self.spaces.displacement_rounding
-        if self.comm.allreduce(lacking(self.tied, self.spaces, v)[1], MPI.MAX) > rounding:
-            return (
-                "a slave that is tied cannot follow: u is given, its facets turn, or its masters do not hang together"
-            )
+        if self.tied and self.comm.allreduce(lacking(self.tied, self.spaces, self.data, v)[1], MPI.MAX) > rounding:
+            return "a slave that is tied cannot follow: u is given, its facets turn, or its masters are several bodies"
         if worst[0] > rounding:
             facet, place = np.unravel_index(int(past.argmax()), past.shape)
             worst = worst[0], self._told(int(facet), int(place))
