@@ -36,7 +36,7 @@ import basix
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.discrete.overlay import Pieces
 from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
@@ -192,7 +192,7 @@ def lacking(pairs: Sequence[Tied], spaces: ElasticSpaces, data: ElasticData, v: 
     return (squares.sum(axis=1) * spaces.cell_measures / (dim + 1)), largest
 
 
-def _edges(spaces: ElasticSpaces, cells: Indices, local: Indices) -> Indices:
+def _edges(spaces: ElasticSpaces, cells: AnyIndices, local: AnyIndices) -> Indices:
     """The keys of the edges of facets of cells, that opposite to each vertex of the facet, shape (facets, 3)."""
     numbers = spaces.mesh.geometry.index_map().local_to_global(spaces.nodes[cells].ravel().astype(np.int32))
     at = np.take_along_axis(np.asarray(numbers).reshape(-1, 4), opposite(3)[local], axis=1)
@@ -219,7 +219,7 @@ def _around_edges(spaces: ElasticSpaces, keys: Indices, products: Array) -> Arra
         G = products[place].reshape(-1, 3, 3, 3, 3)
         sizes = np.einsum("zaibi,zak,zbk->z", G, ways, ways)
         sizes += np.einsum("zaibj,zbi,zaj->z", G, ways, ways)
-        np.add.at(roots, (rows, k), np.sqrt(np.maximum(sizes / 2, 0.0)))
+        np.add.at(roots[:, k], rows, np.sqrt(np.maximum(sizes / 2, 0.0)))
     return roots**2
 
 
