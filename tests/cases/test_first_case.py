@@ -12,9 +12,8 @@ from mpi4py import MPI
 from signorini_fenicsx import __version__
 from signorini_fenicsx.base.shipped import case_names, data_folder
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.first_case import words
+from signorini_fenicsx.cases.first_case import Place, words
 from signorini_fenicsx.cases.solving import evolve_case, solve_case
-from signorini_fenicsx.solving.physics import PHYSICS
 
 FIRST = [
     ("--on", "bottom=signorini", "--on", "left,right=neumann"),
@@ -70,9 +69,8 @@ def test_parts_of_bodies_that_face_each_other_are_pairs(tmp_path: Path, physics:
         box_file(tmp_path / f"{name}.msh", low, high)
     bodies = [word for name in ("low", "up", "side") for word in ("--body", f"{name}={name}.msh")]
     bodies += ["--physics", physics]
-    done = signorini(tmp_path, "init", "all.toml", *bodies)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert {pair.kind for pair in load_case(tmp_path / "all.toml").pair} == {PHYSICS[physics].case.first_pairs[0]}
+    files = {name: str(tmp_path / f"{name}.msh") for name in ("low", "up", "side")}
+    assert {pair.slave for pair in Place.of_bodies(files, tmp_path).pairs} == {"up.bottom", "low.right"}
     options = ["--on", f"low.top={kind}", "--on", "side.left=dirichlet", "--on", "up.left,up.right=neumann"]
     assert signorini(tmp_path, "init", "mine.toml", *bodies, *options).returncode == 0
     (pair,) = load_case(tmp_path / "mine.toml").pair

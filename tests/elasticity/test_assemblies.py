@@ -1,6 +1,7 @@
 """Assemblies of bodies with meshes of their own by case files: exact and published numbers, `check`, wrong files."""
 
 import csv
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,12 @@ kind = "contact"
 """
 
 
+@cache
+def solved(name: str) -> Any:
+    """A shipped case, solved once (collective)."""
+    return solve_case(load_case(name))
+
+
 def on(solution: Any, part: str) -> Any:
     """The contact on a part, as reports have it (collective)."""
     return solution.quantities()["contact"][part]
@@ -42,7 +49,7 @@ def on(solution: Any, part: str) -> Any:
 @pytest.mark.parallel([1, 3])
 def test_a_roller_on_a_block() -> None:
     """NAFEMS has the peak 3585 and the half width 6.21."""
-    solution = solve_case(load_case("roller"))
+    solution = solved("roller")
     about, table = on(solution, "block.face"), solution.other_tables()["pairs"]
     if COMM.rank == 0:
         assert abs(table["measure"] @ table["pressure"] / 2 - 17500) < 0.01 * 17500
@@ -60,7 +67,7 @@ def test_two_spheres() -> None:
 
 def test_a_press_fit() -> None:
     """Lamé's pressure, by the mean over the face."""
-    solution = solve_case(load_case("press_fit"))
+    solution = solved("press_fit")
     force = np.hypot(*solution.resultants()["shaft.face"][:2])
     assert abs(force / (2 * np.sqrt(2)) - 1.9963e-4) < 0.005 * 1.9963e-4
     assert any("curved" in note for note in solution.notes())
@@ -112,7 +119,7 @@ def test_tables_and_pictures_have_the_other_side(tmp_path: Path, kind: str) -> N
 def test_curved_bodies_are_not_drawn_in_one_another() -> None:
     """A cylinder on a block is drawn apart from it; a shaft in its hub cannot be, so nothing is enlarged."""
     for name, enlarged in (("roller", True), ("press_fit", False)):
-        scene = gathered_scene(solve_case(load_case(name)))
+        scene = gathered_scene(solved(name))
         assert scene is not None
         title, _ = scene.files["deformed"]
         assert ("bodies drawn apart" in title) == enlarged
