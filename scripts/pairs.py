@@ -1,0 +1,188 @@
+"""What pairs of surfaces cost: processor seconds and iterations, beside a part inside the domain on a matching mesh.
+
+`cost` solves for two blocks on one another, in the plane and in space, with contact on a half of their faces, first on
+one mesh that is cut along both faces, then on two meshes with as many cells, whose facets do not match. The seconds of
+all ranks are those of the overlay alone, of spaces and overlay, of the solution, and of the bound; then come quotients.
+`iterations` prints the iterations of CG with multigrid on meshes of very different size. `large` solves for a pair with
+many facets in space, of bodies or with `--scalar` for a scalar u.
+
+    uv run python scripts/pairs.py cost [--size 24] [--dim 2]
+    uv run python scripts/pairs.py iterations
+    uv run mpirun -n 2 python scripts/pairs.py large --size 71 --scalar
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+from mpi4py import MPI
+
+from signorini_fenicsx.api import (
+    Contact,
+    Diffusion,
+    Dirichlet,
+    Elasticity,
+    Neumann,
+    Options,
+    Pair,
+    Solver,
+    Tied,
+    certify,
+    domain_of,
+    domain_of_bodies,
+)
+from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.pairing import joints
+from signorini_fenicsx.meshes.domain import Domain
+
+COMM = MPI.COMM_WORLD
+LAYERS = {2: None, 3: 2}
+"""Layers of cells of each block in space; in the plane as many as beside each other."""
+
+
+def block(numbers: Sequence[int], low: float, high: float, bend: float = 1.0) -> dolfinx.mesh.Mesh:
+    """A unit block between two heights, whose vertices are moved along the first axis by x → x^bend."""
+    dim = len(numbers)
+    ends = [[0.0] * (dim - 1) + [low], [1.0] * (dim - 1) + [high]]
+    make: Any = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
+    kind = dolfinx.mesh.CellType.triangle if dim == 2 else dolfinx.mesh.CellType.tetrahedron
+    mesh: dolfinx.mesh.Mesh = make(COMM, ends, list(numbers), kind)
+    mesh.geometry.x[:, 0] **= bend
+    return mesh
+
+
+def parts_of(dim: int, places: dict[str, float]) -> dict[str, Callable[[Array], Mask]]:
+    """Functions that choose the parts at some heights, and the sides."""
+
+    def at(place: float) -> Callable[[Array], Mask]:
+        return lambda x: np.isclose(x[dim - 1], place)
+
+    def side(axis: int, place: float) -> Callable[[Array], Mask]:
+        return lambda x: np.isclose(x[axis], place)
+
+    sides = {f"x{axis}{end}": side(axis, float(end)) for axis in range(dim - 1) for end in (0, 1)}
+    return {name: at(place) for name, place in places.items()} | sides
+
+
+def inner(numbers: Sequence[int]) -> Domain:
+    """Both blocks in one mesh, which is cut along their faces."""
+    *beside, last = numbers
+    places = {"bottom": -1.0, "face": 0.0, "top": 1.0}
+    mesh = block([*beside, 2 * last], -1.0, 1.0)
+    return domain_of(mesh, parts_of(len(numbers), places), inner=["face"])
+
+
+def paired(upper: Sequence[int], lower: Sequence[int], bend: float = 1.0) -> Domain:
+    """Two blocks with meshes of their own."""
+    dim = len(upper)
+    up = domain_of(block(upper, 0.0, 1.0), parts_of(dim, {"face": 0.0, "top": 1.0}))
+    low = domain_of(block(lower, -1.0, 0.0, bend), parts_of(dim, {"bottom": -1.0, "face": 0.0}))
+    return domain_of_bodies({"up": up, "low": low}, pairs=[["up.face", "low.face"]])
+
+
+def problem(dim: int, meeting: Any, names: Sequence[str], *, scalar: bool = False) -> Any:
+    """Blocks that are pressed on one another; the top is tilted, so that half of the faces part."""
+    top, bottom = (next(name for name in names if name.endswith(end)) for end in ("top", "bottom"))
+    sides = [name for name in names if name.rpartition(".")[2].startswith("x")]
+    if scalar:
+        return Diffusion(f=1, conditions=[Neumann(sides), Dirichlet(bottom, 0), Dirichlet(top, "sin(3*x)"), meeting])
+    tilted = [*["0"] * (dim - 1), "-0.02 + 0.08*x"]
+    held = [Dirichlet(bottom, 0), Dirichlet(top, tilted)]
+    return Elasticity(young=1, poisson=0.3, conditions=[Neumann(sides), *held, meeting])
+
+
+def seconds(run: Callable[[], Any]) -> tuple[float, Any]:
+    """The processor seconds of all ranks, and what comes back (collective)."""
+    COMM.Barrier()
+    began = time.process_time()
+    found = run()
+    return COMM.allreduce(time.process_time() - began), found
+
+
+def say(line: str) -> None:
+    """Print a line once."""
+    if COMM.rank == 0:
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+
+
+def phases(domain: Domain, posed: Any, *, bound: bool) -> list[float]:
+    """Seconds of the overlay, of spaces with it, of the solution, and of the bound; the first run compiles forms."""
+    for _ in range(2):
+        pairs = [each.on_boundary for each in posed.conditions if isinstance(each, Pair)]
+        of_overlay, _joints = seconds(partial(joints, domain, pairs, cut=False))
+        of_spaces, solver = seconds(partial(Solver, domain, posed))
+        of_solution, solution = seconds(partial(solver.solve, posed))
+        of_bound = seconds(partial(certify, solution))[0] if bound else 0.0
+    return [of_overlay, of_spaces, of_solution, of_bound]
+
+
+def cost(size: int, dims: Sequence[int]) -> None:
+    """Print the table of `cost`."""
+    say("dim  cells    overlay  spaces  solution  bound    in all    pair/inner: solution  bound")
+    for dim in dims:
+        numbers, found = [*[size] * (dim - 1), LAYERS[dim] or size], []
+        for domain, meeting in (
+            (inner(numbers), Contact("face")),
+            (paired(numbers, numbers, bend=1.2), Pair("up.face", "low.face")),
+        ):
+            row = phases(domain, problem(dim, meeting, [*domain.parts]), bound=True)
+            found.append(row)
+            line = f"{dim}    {domain.cells:7d}  " + "  ".join(f"{each:7.2f}" for each in [*row, sum(row[1:])])
+            if len(found) == 2:
+                (_, *one), (_, *two) = found
+                line += f"    {sum(two[:2]) / sum(one[:2]):.2f}  {two[2] / one[2]:.2f}"
+            say(line)
+
+
+def iterations() -> None:
+    """Print the table of `iterations`."""
+    say("upper : lower  unknowns  contact  tied")
+    for n, m in ((4, 4), (4, 8), (8, 4), (3, 11), (11, 3)):
+        domain, line = paired([n] * 3, [m] * 3), ""
+        for law in (None, Tied()):
+            counts = list[int]()
+            posed = problem(3, Pair("up.face", "low.face", law), [*domain.parts])
+            options = Options(tuning=Tuning(direct_up_to=0), predict=False)
+            solution = Solver(domain, posed).solve(
+                posed, options, on_step=lambda step, counts=counts: counts.append(step.linear_iterations)
+            )
+            line += f"{min(counts)}-{max(counts)}  "
+        say(f"{n}^3 : {m}^3  {solution.outcome.dofs:9d}  {line}")
+
+
+def large(size: int, *, scalar: bool) -> None:
+    """Print the seconds of a pair with 2 size² slave facets."""
+    domain = paired([size, size, 1], [size, size, 1], bend=1.2)
+    meeting = Pair("up.face", "low.face", Tied() if scalar else None)
+    row = phases(domain, problem(3, meeting, [*domain.parts], scalar=scalar), bound=False)
+    words = [f"{name} {each:.2f}" for name, each in zip(("overlay", "spaces", "solution"), row, strict=False)]
+    say(f"{2 * size**2} slave facets, {domain.cells} cells, {COMM.size} ranks: seconds {', '.join(words)}")
+
+
+def main() -> None:
+    """Do what is asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("cost", "iterations", "large"))
+    parser.add_argument("--size", type=int, default=12, help="cells beside each other")
+    parser.add_argument("--dim", type=int, choices=(2, 3), help="dimension of `cost`; both without it")
+    parser.add_argument("--scalar", action="store_true", help="a scalar u in `large`")
+    given = parser.parse_args()
+    if given.what == "cost":
+        cost(given.size, [given.dim] if given.dim else [2, 3])
+    elif given.what == "iterations":
+        iterations()
+    else:
+        large(given.size, scalar=given.scalar)
+
+
+if __name__ == "__main__":
+    main()
