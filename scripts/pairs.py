@@ -16,8 +16,7 @@ import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import dolfinx.mesh
@@ -115,25 +114,22 @@ def say(line: str) -> None:
 
 
 def phases(domain: Domain, posed: Any, *, bound: bool) -> list[float]:
-    """Seconds of the overlay, of spaces with it, of the solution, and of the bound; the first run compiles forms."""
-    for _ in range(2):
-        pairs = [each.on_boundary for each in posed.conditions if isinstance(each, Pair)]
-        of_overlay, _joints = seconds(partial(joints, domain, pairs, cut=False))
-        of_spaces, solver = seconds(partial(Solver, domain, posed))
-        of_solution, solution = seconds(partial(solver.solve, posed))
-        of_bound = seconds(partial(certify, solution))[0] if bound else 0.0
+    """Seconds of the overlay, of spaces with it, of the solution, and of the bound."""
+    pairs = [each.on_boundary for each in posed.conditions if isinstance(each, Pair)]
+    of_overlay, _joints = seconds(lambda: joints(domain, pairs, cut=False))
+    of_spaces, solver = seconds(lambda: Solver(domain, posed))
+    of_solution, solution = seconds(lambda: solver.solve(posed))
+    of_bound = seconds(lambda: certify(solution))[0] if bound else 0.0
     return [of_overlay, of_spaces, of_solution, of_bound]
 
 
 def cost(size: int, dims: Sequence[int]) -> None:
-    """Print the table of `cost`."""
+    """Print the table of `cost`, after small problems for which forms are compiled."""
     say("dim  cells    overlay  spaces  solution  bound    in all    pair/inner: solution  bound")
     for dim in dims:
+        for_forms(dim)
         numbers, found = [*[size] * (dim - 1), LAYERS[dim] or size], []
-        for domain, meeting in (
-            (inner(numbers), Contact("face")),
-            (paired(numbers, numbers, bend=1.2), Pair("up.face", "low.face")),
-        ):
+        for domain, meeting in both(numbers):
             row = phases(domain, problem(dim, meeting, [*domain.parts]), bound=True)
             found.append(row)
             line = f"{dim}    {domain.cells:7d}  " + "  ".join(f"{each:7.2f}" for each in [*row, sum(row[1:])])
@@ -141,6 +137,18 @@ def cost(size: int, dims: Sequence[int]) -> None:
                 (_, *one), (_, *two) = found
                 line += f"    {sum(two[:2]) / sum(one[:2]):.2f}  {two[2] / one[2]:.2f}"
             say(line)
+
+
+def both(numbers: Sequence[int]) -> Iterator[tuple[Domain, Any]]:
+    """The two domains of `cost`, with what is between the blocks."""
+    yield inner(numbers), Contact("face")
+    yield paired(numbers, numbers, bend=1.2), Pair("up.face", "low.face")
+
+
+def for_forms(dim: int) -> None:
+    """Let forms be compiled."""
+    for domain, meeting in both([2] * dim):
+        phases(domain, problem(dim, meeting, [*domain.parts]), bound=True)
 
 
 def iterations() -> None:
@@ -161,6 +169,7 @@ def iterations() -> None:
 
 def large(size: int, *, scalar: bool) -> None:
     """Print the seconds of a pair with 2 size² slave facets."""
+    for_forms(3)
     domain = paired([size, size, 1], [size, size, 1], bend=1.2)
     meeting = Pair("up.face", "low.face", Tied() if scalar else None)
     row = phases(domain, problem(3, meeting, [*domain.parts], scalar=scalar), bound=False)
