@@ -7,7 +7,7 @@ all ranks are those of the overlay alone, of spaces and overlay, of the solution
 many facets in space, of bodies or with `--scalar` for a scalar u.
 
     uv run python scripts/pairs.py cost [--size 24] [--dim 2]
-    uv run python scripts/pairs.py iterations
+    uv run python scripts/pairs.py iterations [--dim 2]
     uv run mpirun -n 2 python scripts/pairs.py large --size 71 --scalar
 """
 
@@ -47,8 +47,17 @@ LAYERS = {2: None, 3: 2}
 """Layers of cells of each block in space; in the plane as many as beside each other."""
 
 
+SIZES = {2: ((16, 16), (16, 64), (64, 16), (8, 96), (96, 8)), 3: ((4, 4), (4, 8), (8, 4), (3, 11))}
+"""Cells beside each other of the upper and the lower block in `iterations`."""
+
+
+def height(numbers: Sequence[int]) -> float:
+    """That of a block as wide as 1 whose cells are as high as wide."""
+    return numbers[-1] / numbers[0]
+
+
 def block(numbers: Sequence[int], low: float, high: float, bend: float = 1.0) -> dolfinx.mesh.Mesh:
-    """A unit block between two heights, whose vertices are moved along the first axis by x → x^bend."""
+    """A block between two heights, as wide as 1, whose vertices are moved along the first axis by x → x^bend."""
     dim = len(numbers)
     ends = [[0.0] * (dim - 1) + [low], [1.0] * (dim - 1) + [high]]
     make: Any = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
@@ -73,27 +82,27 @@ def parts_of(dim: int, places: dict[str, float]) -> dict[str, Callable[[Array], 
 
 def inner(numbers: Sequence[int]) -> Domain:
     """Both blocks in one mesh, which is cut along their faces."""
-    *beside, last = numbers
-    places = {"bottom": -1.0, "face": 0.0, "top": 1.0}
-    mesh = block([*beside, 2 * last], -1.0, 1.0)
+    (*beside, last), high = numbers, height(numbers)
+    places = {"bottom": -high, "face": 0.0, "top": high}
+    mesh = block([*beside, 2 * last], -high, high)
     return domain_of(mesh, parts_of(len(numbers), places), inner=["face"])
 
 
 def paired(upper: Sequence[int], lower: Sequence[int], bend: float = 1.0) -> Domain:
     """Two blocks with meshes of their own."""
-    dim = len(upper)
-    up = domain_of(block(upper, 0.0, 1.0), parts_of(dim, {"face": 0.0, "top": 1.0}))
-    low = domain_of(block(lower, -1.0, 0.0, bend), parts_of(dim, {"bottom": -1.0, "face": 0.0}))
+    dim, high, deep = len(upper), height(upper), height(lower)
+    up = domain_of(block(upper, 0.0, high), parts_of(dim, {"face": 0.0, "top": high}))
+    low = domain_of(block(lower, -deep, 0.0, bend), parts_of(dim, {"bottom": -deep, "face": 0.0}))
     return domain_of_bodies({"up": up, "low": low}, pairs=[["up.face", "low.face"]])
 
 
-def problem(dim: int, meeting: Any, names: Sequence[str], *, scalar: bool = False) -> Any:
+def problem(dim: int, meeting: Any, names: Sequence[str], high: float = 1.0, *, scalar: bool = False) -> Any:
     """Blocks that are pressed on one another; the top is tilted, so that half of the faces part."""
     top, bottom = (next(name for name in names if name.endswith(end)) for end in ("top", "bottom"))
     sides = [name for name in names if name.rpartition(".")[2].startswith("x")]
     if scalar:
         return Diffusion(f=1, conditions=[Neumann(sides), Dirichlet(bottom, 0), Dirichlet(top, "sin(3*x)"), meeting])
-    tilted = [*["0"] * (dim - 1), "-0.02 + 0.08*x"]
+    tilted = [*["0"] * (dim - 1), f"{high}*(-0.02 + 0.08*x)"]
     held = [Dirichlet(bottom, 0), Dirichlet(top, tilted)]
     return Elasticity(young=1, poisson=0.3, conditions=[Neumann(sides), *held, meeting])
 
@@ -130,7 +139,7 @@ def cost(size: int, dims: Sequence[int]) -> None:
         for_forms(dim)
         numbers, found = [*[size] * (dim - 1), LAYERS[dim] or size], []
         for domain, meeting in both(numbers):
-            row = phases(domain, problem(dim, meeting, [*domain.parts]), bound=True)
+            row = phases(domain, problem(dim, meeting, [*domain.parts], height(numbers)), bound=True)
             found.append(row)
             line = f"{dim}    {domain.cells:7d}  " + "  ".join(f"{each:7.2f}" for each in [*row, sum(row[1:])])
             if len(found) == 2:
@@ -151,30 +160,30 @@ def for_forms(dim: int) -> None:
         phases(domain, problem(dim, meeting, [*domain.parts]), bound=True)
 
 
-def iterations() -> None:
+def iterations(dim: int) -> None:
     """Print the table of `iterations`."""
     say("upper : lower  unknowns  contact  tied")
-    for n, m in ((4, 4), (4, 8), (8, 4), (3, 11), (11, 3)):
-        domain, line = paired([n] * 3, [m] * 3), ""
+    for n, m in SIZES[dim]:
+        domain, line = paired([n] * dim, [m] * dim), ""
         for law in (None, Tied()):
             counts = list[int]()
-            posed = problem(3, Pair("up.face", "low.face", law), [*domain.parts])
+            posed = problem(dim, Pair("up.face", "low.face", law), [*domain.parts])
             options = Options(tuning=Tuning(direct_up_to=0), predict=False)
             solution = Solver(domain, posed).solve(
                 posed, options, on_step=lambda step, counts=counts: counts.append(step.linear_iterations)
             )
             line += f"{min(counts)}-{max(counts)}  "
-        say(f"{n}^3 : {m}^3  {solution.outcome.dofs:9d}  {line}")
+        say(f"{n}^{dim} : {m}^{dim}  {solution.outcome.dofs:9d}  {line}")
 
 
 def large(size: int, *, scalar: bool) -> None:
-    """Print the seconds of a pair with 2 size² slave facets."""
-    for_forms(3)
-    domain = paired([size, size, 1], [size, size, 1], bend=1.2)
+    """Print the seconds of a pair with 2 size² slave facets, after a small one for which forms are compiled."""
     meeting = Pair("up.face", "low.face", Tied() if scalar else None)
-    row = phases(domain, problem(3, meeting, [*domain.parts], scalar=scalar), bound=False)
-    words = [f"{name} {each:.2f}" for name, each in zip(("overlay", "spaces", "solution"), row, strict=False)]
-    say(f"{2 * size**2} slave facets, {domain.cells} cells, {COMM.size} ranks: seconds {', '.join(words)}")
+    for number in (2, size):
+        domain = paired([number, number, 1], [number, number, 1], bend=1.2)
+        say(f"{2 * number**2} slave facets, {domain.cells} cells, {COMM.size} ranks")
+        row = phases(domain, problem(3, meeting, [*domain.parts], 1 / number, scalar=scalar), bound=False)
+        say(", ".join(f"{name} {each:.2f}" for name, each in zip(("overlay", "spaces", "solution"), row, strict=False)))
 
 
 def main() -> None:
@@ -182,13 +191,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("cost", "iterations", "large"))
     parser.add_argument("--size", type=int, default=12, help="cells beside each other")
-    parser.add_argument("--dim", type=int, choices=(2, 3), help="dimension of `cost`; both without it")
+    parser.add_argument("--dim", type=int, choices=(2, 3), help="dimension; `cost` has both without it")
     parser.add_argument("--scalar", action="store_true", help="a scalar u in `large`")
     given = parser.parse_args()
     if given.what == "cost":
         cost(given.size, [given.dim] if given.dim else [2, 3])
     elif given.what == "iterations":
-        iterations()
+        iterations(given.dim or 3)
     else:
         large(given.size, scalar=given.scalar)
 

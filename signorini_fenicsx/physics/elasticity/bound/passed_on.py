@@ -79,8 +79,8 @@ class Response:
         weights = paths.determinant[:, None, None] * (paths.mapped.swapaxes(1, 2) @ compliance @ paths.mapped)
         loads = np.einsum("nij,nkaj->nkai", np.linalg.inv(edges), moments).reshape(len(edges), self.products.shape[2])
         squares = np.zeros(len(edges))
-        for a, b in np.ndindex(*weights.shape[1:]):
-            squares += weights[:, a, b] * np.einsum("ni,ni->n", loads @ self.products[a, b], loads)
+        for a, b in zip(*np.triu_indices(weights.shape[1]), strict=True):
+            squares += (1 + (a < b)) * weights[:, a, b] * np.einsum("ni,ni->n", loads @ self.products[a, b], loads)
         return np.maximum(squares, 0.0)
 
 
