@@ -70,9 +70,12 @@ class _Stepper:
         try:
             solution = self._done(steps, step)
         except NumericalFailure as failure:
-            finer = steps.halved(failure) if halvings else None
+            finer = steps.halved(failure)
             if finer is None:
                 raise
+            if halvings == 0:
+                shortest = f"; so it is also in a part of 1/{2**HALVINGS} of the step"
+                raise NumericalFailure(f"{failure}{shortest}", failure.solution) from None
             self.go(finer, 2 * step - 1, halvings - 1)
             return self.go(finer, 2 * step, halvings - 1)
         self.numbers = steps.of_step(solution, self.numbers)

@@ -75,6 +75,7 @@ class System:
         self.spaces = _spaces(domain, self.boundary)
         self._known = Known(domain.mesh.comm)
         self.kept = KeptBackend()
+        self._stores = False  # before there are steps with soils
 
     @cached_property
     def linear_spaces(self) -> LinearSpaces:
@@ -150,7 +151,8 @@ class System:
             InputError: If the problem cannot be discretised.
         """
         data = project_data(self.spaces, problem, self._known)
-        check_solvability(self.spaces, data)
+        if not self._stores:  # what soil stores balances any load
+            check_solvability(self.spaces, data)
         return notes_of(self.spaces, data)
 
     def steps(self, problem: Problem, evolution: Evolution, start: Solution | None, options: Options) -> DiffusionSteps:
@@ -160,8 +162,8 @@ class System:
             InputError: If a datum is not what it has to be, or the start is on another domain.
         """
         spaces = self.linear_spaces if self._linear(options) else self.spaces
-        kind = SoilSteps if has_soils(problem.kappa) else DiffusionSteps
-        return kind(spaces, problem, evolution, start)
+        self._stores = has_soils(problem.kappa)
+        return (SoilSteps if self._stores else DiffusionSteps)(spaces, problem, evolution, start)
 
 
 @dataclass
