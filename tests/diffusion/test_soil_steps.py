@@ -1,6 +1,7 @@
 """Water in soil over time: storage and its balance, published and exact columns, levels in t, restarts, ranks."""
 
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 import dolfinx
@@ -16,6 +17,7 @@ from signorini_fenicsx import (
     Evolution,
     InputError,
     Neumann,
+    NumericalFailure,
     Options,
     River,
     Seepage,
@@ -24,10 +26,13 @@ from signorini_fenicsx import (
     load_case,
     load_solution,
 )
+from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.soils import Gardner, Soil, VanGenuchten
+from signorini_fenicsx.physics.diffusion.solve.quasilinear import QuasiLinear
 from signorini_fenicsx.quantities import Flux
+from signorini_fenicsx.solving.evolving import Instant
 
 COMM = MPI.COMM_WORLD
 CELIA = VanGenuchten(0.00922, 0.0335, 2, 0.102, 0.368)
@@ -139,6 +144,34 @@ def test_the_pressure_form_has_the_water_of_the_head_form():
         found.append({key: last.numbers[key] for key in ("content", "inflow")})
         assert last.numbers["mass_error"] < 1e-11
     assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+@pytest.mark.parametrize(("least", "parts"), [(15.0, 4), (np.inf, 0)])
+def test_a_step_that_fails_is_done_in_halves(monkeypatch: pytest.MonkeyPatch, least: float, parts: int):
+    """A step whose u is found in its quarters alone is that of four steps; without any the run ends and says so."""
+    newton = QuasiLinear._newton
+
+    def in_short_steps(method: QuasiLinear) -> Iterator[Outcome]:
+        if method.backend.data.quasilinear.storing.rate > least:
+            yield from newton(method)
+
+    monkeypatch.setattr(QuasiLinear, "_newton", in_short_steps)
+    conditions = [Neumann(["left", "right", "bottom"], 0), Dirichlet("top", 1)]
+    problem = Diffusion(kappa=Gardner(1.0, 2.0, theta_s=0.4), f=0, conditions=conditions)
+
+    def last(steps: int) -> Instant:
+        *_, instant = evolve(column(3, 1.0), problem, Evolution(end=0.3, steps=steps, initial="y - 1"))
+        return instant
+
+    if parts == 0:
+        with pytest.raises(NumericalFailure, match="1/1024 of the step") as failure:
+            last(2)
+        assert not failure.value.solution.converged
+        return
+    whole, small = last(2), last(2 * parts)
+    assert whole.numbers["parts"] == parts
+    assert whole.numbers["content"] == pytest.approx(small.numbers["content"], rel=1e-9)
+    assert whole.numbers["mass_error"] < 1e-11
 
 
 SMALL = {"geometry.shape": "[0, 20] x [0, 100]", "solve.h": 20, "time.steps": 4, "time.end": 14400}
