@@ -56,12 +56,10 @@ def test_examples_are_shipped():
             "clamp",
             "cube",
             "dam",
-            "cylinders",
             "dam_baiocchi",
             "duct",
             "edge",
             "electropainting",
-            "electropainting_growth",
             "filter",
             "hertz",
             "joint",
@@ -76,7 +74,6 @@ def test_examples_are_shipped():
             "roller",
             "sliding_block",
             "stack",
-            "two_spheres",
             "two_cylinders",
         ]
     )
