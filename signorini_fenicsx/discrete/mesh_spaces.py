@@ -126,8 +126,12 @@ class MeshSpaces:
     @cached_property
     def outer_rows(self) -> npt.NDArray[np.intp]:
         """The rows of `facets` that are on the boundary of the domain, neither inside it nor opposite to a master."""
-        between = np.concatenate([self.inner.rows, *map(self.rows_of, self.joints)])
-        return np.setdiff1d(np.arange(len(self.facets)), between)
+        return np.setdiff1d(np.arange(len(self.facets)), np.append(self.inner.rows, self.slave_rows))
+
+    @property
+    def slave_rows(self) -> npt.NDArray[np.intp]:
+        """The rows of `facets` of slaves of pairs."""
+        return np.concatenate([np.empty(0, dtype=np.intp), *map(self.rows_of, self.joints)])
 
     def rows_of(self, joint: Joint) -> npt.NDArray[np.intp]:
         """The rows of `facets` of the slaves of a pair; none if they are tied."""

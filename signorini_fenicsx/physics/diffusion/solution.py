@@ -20,7 +20,7 @@ from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
+from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points
 from signorini_fenicsx.forms.norms import l2
@@ -32,7 +32,7 @@ from signorini_fenicsx.physics.diffusion.discrete.through import flux_through
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show import heads, phreatic, shown
 from signorini_fenicsx.physics.diffusion.show.differences import differences
-from signorini_fenicsx.physics.diffusion.show.errors import exact_contact, exact_errors, missed_contact
+from signorini_fenicsx.physics.diffusion.show.errors import exact_errors, missed_contact
 from signorini_fenicsx.physics.diffusion.show.notes import notes_of
 from signorini_fenicsx.physics.diffusion.show.seepage import Seepage, seepage
 from signorini_fenicsx.physics.diffusion.show.states import sizes
@@ -222,7 +222,6 @@ class Solution(AnySolution):
         if exact is None:
             return None
         norms = exact_errors(self, exact)
-        norms["contact_hausdorff"] = hausdorff(self.contact_set(), exact_contact(spaces, data, exact))
         if data.inside is None or not data.inside.bounds_alone:
             return norms
         return norms | {"missed_contact": missed_contact(spaces, data.inside, exact, self.held_cells)}

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
-from signorini_fenicsx.discrete.contact_sets import FacetSet
+from signorini_fenicsx.discrete.contact_sets import FacetSet, hausdorff
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.points import (
     ROUNDINGS,
@@ -31,7 +31,8 @@ if TYPE_CHECKING:  # it has these
 def exact_errors(solution: Solution, exact: Datum) -> dict[str, float]:
     """The error of σ in the energy norm, and L² norms of those of σ, ∇·σ, u, ũ over Ω and of p over Γ_S (collective).
 
-    In time, and with laws in Ω, ∇·σ is not known from u and the data, and left out.
+    Also the Hausdorff distance of the contact set. In time, and with laws in Ω, ∇·σ is not known from u and the data,
+    and left out; so are the slaves of pairs in the error of p, which is a jump there, and with them the contact set.
     """
     spaces, data, flux = solution.spaces, solution.data, solution.cell_flux
     mesh, degree = spaces.mesh, quadrature_degree(exact)
@@ -55,12 +56,15 @@ def exact_errors(solution: Solution, exact: Datum) -> dict[str, float]:
         squares[:5] += [points.integrals(error).sum() for error in errors]
     on_signorini = facet_quadrature(mesh, spaces.facets, degree)
     off = exact_trace(spaces, exact, on_signorini) - solution.trace_at(on_signorini)
+    off[spaces.slave_rows] = 0.0
     squares[5] = on_signorini.integrals(off**2).sum()
     norms = np.sqrt(mesh.comm.allreduce(squares)).tolist()
     names = ("energy", "sigma_L2", "div_sigma_L2", "u_L2", "u_potential_L2", "p_L2")
     by_name = dict(zip(names, norms, strict=True))
     if data.memory is not None or data.inside is not None:
         del by_name["div_sigma_L2"]
+    if not spaces.joints:
+        by_name["contact_hausdorff"] = hausdorff(solution.contact_set(), exact_contact(spaces, data, exact))
     return by_name
 
 

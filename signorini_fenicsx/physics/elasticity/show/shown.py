@@ -128,8 +128,7 @@ def _facets(solution: ElasticSolution) -> BodyFacets:
     apart = np.zeros((len(middle), spaces.dim))
     normal = spaces.site_kinds["normal"]
     means = normal.rows_of(solution.data.lift[normal.unknown] + solution.data.laws.p_h)
-    slaves = np.concatenate([[], *(spaces.rows_of(joint) for joint in spaces.joints)]).astype(np.int64)
-    between = np.concatenate([spaces.inner.rows, slaves])
+    between = np.concatenate([spaces.inner.rows, spaces.slave_rows])
     apart[between] = linear_from_means(means)[between]
     numbers, ascending = vertex_numbers(spaces, contact)
     return BodyFacets(
