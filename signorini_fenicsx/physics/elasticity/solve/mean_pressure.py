@@ -29,7 +29,7 @@ FALLS = 4
 """What is lost falls by this factor at least; else there is no flow under these conditions, or rounding is left."""
 LEAVES = 1e-3
 """What a solve by an iteration leaves, as the next one has it on its right side too."""
-ENOUGH = 5e-14
+ENOUGH = 1e-14
 """The flow out of a cell is rounding if it is at most this share of the largest of what flows through one."""
 
 
