@@ -2,15 +2,22 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.cases.parts import Section
-from signorini_fenicsx.cases.values import choice
 
 MOST_LEVELS = 100
 
 WATER = ("head", "minus head", "pressure head")
 """What u may be of water."""
+
+
+def _water(value: object) -> object:
+    if value is not None and not isinstance(value, bool) and value not in WATER:
+        raise ValueError(f"must be true, false, or one of {', '.join(WATER)}, not {shown(value)}")
+    return value
+
 
 type Word = Annotated[str, Field(max_length=30)]
 
@@ -26,7 +33,7 @@ class Plot(Section):
     flux: Word = ""
     flux_unit: Word = ""
     sign: Literal[1, -1] = 1
-    water: bool | Annotated[str, choice("water", WATER)] | None = None
+    water: Annotated[bool | str | None, BeforeValidator(_water)] = None
     levels: list[Annotated[float, Field(allow_inf_nan=False)]] = Field(default=[], max_length=MOST_LEVELS)
 
     @model_validator(mode="after")

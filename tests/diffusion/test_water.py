@@ -9,7 +9,18 @@ from commands import signorini
 from in_time import ending_after
 from mpi4py import MPI
 
-from signorini_fenicsx import Diffusion, Dirichlet, InputError, Neumann, Options, Seepage, Signorini, load_case, solve
+from signorini_fenicsx import (
+    Diffusion,
+    Dirichlet,
+    InputError,
+    Neumann,
+    Options,
+    Seepage,
+    Signorini,
+    load_case,
+    solve,
+    solve_case,
+)
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.show.heads import HEAD, MINUS_HEAD, PRESSURE
@@ -143,6 +154,17 @@ def test_water_table_in_soil(form: str):
     assert solve(square(), Diffusion(f=1)).water_kind is None
 
 
+def test_what_u_is():
+    """A case says what u is of water where laws do not tell, or that it is none."""
+    case = load_case("hillslope").with_values({"solve.h": 2})
+    solution = solve_case(case)
+    assert solution.water_kind.u == MINUS_HEAD
+    assert solution.water["top"]["inflow"] > 0
+    assert solve_case(case.with_values({"plot.water": False})).water == {}
+    with pytest.raises(InputError, match="must be true, false, or one of head, minus head, pressure head, not 'ice'"):
+        case.with_values({"plot.water": "ice"})
+
+
 def test_surface_in_space():
     """In space the phreatic surface is that of the plane, for soil between two ditches."""
     cube = build_domain(COMM, "cube", 0.45, mesh="structured")
@@ -219,7 +241,9 @@ def test_steps(tmp_path: Path):
     (tmp_path / "wells.csv").write_text("x,y\n0.1,0.2\n", encoding="utf-8")
     with ending_after(2):
         assert signorini(tmp_path, "solve", "case.toml", "--output", "out").returncode == 1
-    assert signorini(tmp_path, "solve", "case.toml", "--output", "out", "--restart").returncode == 0
+    assert signorini(tmp_path, "solve", "case.toml", "--output", "out", "--restart", "--plot").returncode == 0
+    assert (tmp_path / "out" / "phreatic.png").exists()
+    assert (tmp_path / "out" / "probes.png").exists()
     probes = rows(tmp_path / "out" / "probes.csv")
     assert [(row["step"], row["probe"]) for row in probes] == [
         (str(n), name) for n in (1, 2, 3) for name in ("P", "wells")
