@@ -227,11 +227,12 @@ def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.F
     missing = np.zeros(len(k))
     if data.inside is None:
         missing = spaces.cell_diameters * (in_cells.divergence + owned_values(data.source(u)))
+    taken = k if data.stored is None else k + spaces.cell_diameters**2 * data.stored[0]  # dry soil rather stores it
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [
         spaces.cell_measures @ (missing / w) ** 2 + spaces.length * (spaces.neumann_measure @ (lacking / v) ** 2)
-        for w, v in ((k, k[n]), (1.0, 1.0))
+        for w, v in ((taken, k[n]), (1.0, 1.0))
     ]
     return np.sqrt(spaces.mesh.comm.allreduce(np.array(squares)))
 
