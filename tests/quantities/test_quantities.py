@@ -394,7 +394,7 @@ def test_case_file(folder: Path):
     assert found["left half"] == expected.summary()
     for change, words in (
         ('quantity.1.parts="nowhere"', "unknown part 'nowhere'"),
-        ('quantity.1.kind="flow"', "unknown quantity 'flow'"),
+        ('quantity.1.kind="flow"', "Flow: diffusion problems have Integral, Mean, Flux and Energy"),
         ('quantity.1.name="left half"', "name of two quantities"),
         ('quantity.0.weight="1 +"', "quantity.0.weight: "),
         ('quantity.1.weigth="1"', "unknown key 'weigth' of the quantity 'flux'; known are kind, name, parts, weight"),

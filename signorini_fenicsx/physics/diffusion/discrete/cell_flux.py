@@ -237,7 +237,8 @@ def cell_values(function: fem.Function) -> Array:
 
 def means_in_cells(function: fem.Function) -> Array:
     """The means of such a function over the owned cells."""
-    return np.asarray(cell_values(function).reshape(len(cell_dofs(function.function_space)), -1).mean(axis=1))
+    values = cell_values(function)
+    return values if values.ndim == 1 else np.asarray(values.mean(axis=1))
 
 
 def in_points(function: fem.Function, points: Points) -> Array:
