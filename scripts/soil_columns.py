@@ -15,27 +15,15 @@ import sys
 import dolfinx
 import numpy as np
 from mpi4py import MPI
+from soils import SOILS
 
 from signorini_fenicsx import Diffusion, Dirichlet, Evolution, Neumann, NumericalFailure, Signorini, domain_of, evolve
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.soils import VanGenuchten
 
-SOILS = {
-    "sand": (7.128, 14.5, 2.68, 0.045, 0.43),
-    "loamy sand": (3.502, 12.4, 2.28, 0.057, 0.41),
-    "sandy loam": (1.061, 7.5, 1.89, 0.065, 0.41),
-    "loam": (0.2496, 3.6, 1.56, 0.078, 0.43),
-    "silt": (0.06, 1.6, 1.37, 0.034, 0.46),
-    "silt loam": (0.108, 2.0, 1.41, 0.067, 0.45),
-    "sandy clay loam": (0.3144, 5.9, 1.48, 0.1, 0.39),
-    "clay loam": (0.0624, 1.9, 1.31, 0.095, 0.41),
-    "silty clay loam": (0.0168, 1.0, 1.23, 0.089, 0.43),
-    "sandy clay": (0.0288, 2.7, 1.23, 0.1, 0.38),
-    "silty clay": (0.0048, 0.5, 1.09, 0.07, 0.36),
-    "clay": (0.048, 0.8, 1.09, 0.068, 0.38),
-}
-"""K in m/day, α in 1/m, n, θ_r and θ_s."""
+PER_DAY = 0.24
+"""One cm/h in m/day."""
 LAYERS, STEPS = 20, 20
 BESIDE = Neumann(["left", "right"], 0)
 
@@ -60,7 +48,8 @@ def column() -> Domain:
 
 def row(name: str, what: str) -> str:
     """What one column takes."""
-    K, alpha, n, theta_r, theta_s = SOILS[name]
+    alpha, n, k, theta_r, theta_s = SOILS[name]
+    K = PER_DAY * k
     end, first, conditions = scenarios(K)[what]
     problem = Diffusion(kappa=VanGenuchten(K, alpha, n, theta_r, theta_s), f=0, conditions=conditions)
     solves, halved, balance = [], 0, 0.0

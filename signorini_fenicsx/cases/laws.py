@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from signorini_fenicsx.cases.data_section import READERS, KindSection, data_section
 from signorini_fenicsx.cases.values import Entries, Expression, choice
-from signorini_fenicsx.contact.law import Given, Law
+from signorini_fenicsx.contact.law import NO_DATA, Given, Law
 from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE
 
 KINDS = {**LAWS, **LAWS_INSIDE}
@@ -18,8 +18,7 @@ OF_LAWS = READERS | {
     Sequence[str]: list[str],
 }
 OF_KIND = {
-    name: data_section(kind, OF_LAWS, words=("names",), parts=None, region=None, side=None, now=None)
-    for name, kind in KINDS.items()
+    name: data_section(kind, OF_LAWS, words=("names",), **dict.fromkeys(NO_DATA)) for name, kind in KINDS.items()
 }
 """The data of each kind of law as text in x, y, z."""
 

@@ -35,6 +35,8 @@ type Values = Mapping[str, Array]
 VERTICAL = "vertical"
 EVERYWHERE = "all"
 """The name of all of Ω as a region."""
+NO_DATA = "parts", "region", "side", "now"
+"""The fields of laws that say where they hold and what a step knows."""
 
 
 @dataclass(frozen=True)
@@ -175,4 +177,4 @@ class Law(OnParts, metaclass=Placed):
 
 def names_of_data(law: type[Law]) -> list[str]:
     """The names of the data of a kind of law."""
-    return [datum.name for datum in fields(law) if datum.name not in ("parts", "region", "side", "now", "names")]
+    return [datum.name for datum in fields(law) if datum.name not in (*NO_DATA, "names")]

@@ -19,7 +19,7 @@ from signorini_fenicsx.cases.values import (
     VectorByPart,
     choice,
 )
-from signorini_fenicsx.contact.law import Law
+from signorini_fenicsx.contact.law import NO_DATA, Law
 from signorini_fenicsx.contact.laws import LAWS, Corners
 from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
 from signorini_fenicsx.physics.elasticity.solving import rule_of
@@ -50,9 +50,9 @@ class FlowLaw(KindSection):
 
     word = "law"
     of_kind: ClassVar[Mapping[str, type[DataSection]]] = {
-        "outflow": data_section(Outflow, OF_LAWS, ("tangential",), parts=None, region=None, side=None, tangential=str),
+        "outflow": data_section(Outflow, OF_LAWS, ("tangential",), tangential=str, **dict.fromkeys(NO_DATA)),
         "slip": data_section(Slip, OF_DATA, parts=None, side=None),
-        "leak": data_section(Leak, OF_LAWS, parts=None, region=None, side=None),
+        "leak": data_section(Leak, OF_LAWS, (), **dict.fromkeys(NO_DATA)),
         Corners.word: OF_KIND[Corners.word],
     }
     kind: Annotated[str, choice("law of viscous flow", tuple(KINDS))]

@@ -48,7 +48,8 @@ def phreatic(solution: Solution) -> list[Array]:
     at_vertices = water.pressure(x, solution.u_vertices)
     pressure = MeansAround(mesh, nodes)(at_vertices[:, :, None])[:, 0]
     pressure[np.abs(pressure) <= ZERO * size] = 0.0
-    pressure[_wetted(solution, ZERO * size)] = np.maximum(pressure[_wetted(solution, ZERO * size)], 0.0)
+    wetted = _wetted(solution, ZERO * size)
+    pressure[wetted] = np.maximum(pressure[wetted], 0.0)
     of_cells = pressure[nodes]
     dry = (of_cells < 0).sum(axis=1)
     crossed = (dry > 0) & (dry <= dim)
