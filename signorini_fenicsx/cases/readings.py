@@ -1,7 +1,5 @@
 """`[[probe]]`: points where a solution is read off. `[[section]]`: lines or planes through which its flux is."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections import Counter

@@ -10,8 +10,6 @@ side has the additional term R(u − v) ≤ osc |v − u|. Then Young's inequali
 bound of ‖σ − σ_h‖ alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -9,8 +9,6 @@ between the graph and the line σ·n = η, with η for y·n:
 infinite where v or η is outside of what the graph allows. On a segment of the graph both integrands are linear.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

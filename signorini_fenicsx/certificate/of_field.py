@@ -15,8 +15,6 @@ functions between the bounds of u with |ṽ − v| about as small as it can be, 
 The smaller of both upper bounds counts. Elastic displacements have the first one alone, with ℂε(v), and a stress σ_h.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Bounds that are proved, rounding included: what a proof gives, and rank 0 proves while the other ranks wait."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any

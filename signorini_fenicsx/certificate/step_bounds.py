@@ -1,7 +1,5 @@
 """The certificates of the steps of a problem in time, one after another."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from signorini_fenicsx.base.parallel import collector_off

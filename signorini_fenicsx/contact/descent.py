@@ -10,8 +10,6 @@ Some sets may hold the body in no way. So all sites are anchored by weak springs
 then. The minimum with springs is a step of the proximal point method, and from where it ends the springs pull anew.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask

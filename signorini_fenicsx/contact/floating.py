@@ -5,8 +5,6 @@ if steep segments of its sites join it to the ground, perhaps by way of others. 
 solution, or many; then one site goes to its next segment that is steep, the one whose corner the constant meets first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The backend of the last solve of a system, which serves derivatives and, where it can, the next solve."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 from weakref import ref

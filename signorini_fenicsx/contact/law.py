@@ -16,8 +16,6 @@ values of its data there. A law of one's own is a small class:
 (('bottom',), ('rock',))
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
@@ -58,7 +56,7 @@ class Graph:
     before: Array | float = 0.0
     beyond: Array | float = 0.0
 
-    def mirrored(self) -> Graph:
+    def mirrored(self) -> "Graph":
         """The graph of −s in the place of s."""
         points = [(u, np.negative(s)) for u, s in (self.reference, *self.corners)]
         corners = points[1:]

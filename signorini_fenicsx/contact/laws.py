@@ -4,8 +4,6 @@ They are those of Duvaut and Lions: Inequalities in Mechanics and Physics (1976)
 for on Γ_S: seepage faces and rivers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -19,8 +19,6 @@ beginning of the step, and the state at the end. Here a membrane is fouled by al
 {'conductance': 2, 'fouling': 5, 'deposit': 0.0}
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self

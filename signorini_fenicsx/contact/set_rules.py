@@ -13,8 +13,6 @@ p and σ·n measured from there, and a site moves towards the segment behind all
 segment in a step. Then as before only signs matter: with longer moves the sets would often cycle, and ρ would matter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -56,7 +54,7 @@ class SetRule:
         """The segment of each site in the start solve (Step 1)."""
         return law.beside_reference(steep=self.start == self.contact)
 
-    def following(self, law: Chains, p: Array, flux: Array, rho: float, present: Present | None = None) -> Indices:
+    def following(self, law: Chains, p: Array, flux: Array, rho: float, present: "Present | None" = None) -> Indices:
         """The next segment of each site by the rule, from p and σ·n per site (Step 2).
 
         Raises:

@@ -13,8 +13,6 @@ arrays of p, σ·n, segments and conditions have the kinds behind each other, in
 Arrays may end before the last kind: without laws in Ω there are no values of cells, and `of` is empty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any

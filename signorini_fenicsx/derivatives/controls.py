@@ -1,7 +1,5 @@
 """Controls: constants and functions in the data of a problem, by which something is differentiated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 They are those of the discrete problem: the program solves no other, so a Taylor test has order 2 on any mesh.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

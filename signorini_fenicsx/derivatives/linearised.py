@@ -8,8 +8,6 @@ A biactive site, on a corner of its law, moves along one of the two rays of the 
 the sets of a solution, by Algorithm 1 on the change, see `Tangent`.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Controls by paths: numbers of a problem as case files name them, such as "problem.kappa.rock" and "law.0.g"."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial

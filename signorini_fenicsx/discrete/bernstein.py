@@ -1,7 +1,5 @@
 """Polynomials on simplices by Bernstein coefficients, of any degree, in the order in which Basix has the nodes."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import basix

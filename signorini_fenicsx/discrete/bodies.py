@@ -1,7 +1,5 @@
 """The bodies of a domain: cells that are joined by facets. A cut through the domain may part it into several."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,7 +70,7 @@ def without(
     return among[body], int((~has_some).sum())
 
 
-def opposite_bodies(spaces: MeshSpaces, joint: Joint, of_cell: Indices) -> Indices:
+def opposite_bodies(spaces: MeshSpaces, joint: "Joint", of_cell: Indices) -> Indices:
     """The number of what most of each slave facet is opposite to, from a number for each owned cell (collective)."""
     masters, pieces = cells_behind(spaces.mesh, joint.masters), joint.pieces
     number = joint.of_masters(spaces.mesh.comm, of_cell[masters])[pieces.master]

@@ -1,7 +1,5 @@
 """Sets of facets of Γ_S, on meshes that need not match: how much they overlap and how far they are apart."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -78,7 +76,7 @@ class Segments:
         """Those of one kind of sites."""
         return self.spaces.site_kinds[name].of(self.segment)
 
-    def on(self, spaces: MeshSpaces) -> Segments:
+    def on(self, spaces: MeshSpaces) -> "Segments":
         """The segments on another mesh of the domain, by `near_facets`, of a cell that at its centroid (collective)."""
         if spaces is self.spaces:
             return self

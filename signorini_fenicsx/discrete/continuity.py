@@ -1,7 +1,5 @@
 """Where data jump that should be continuous: between facets or cells that meet at a vertex, and inside of them."""
 
-from __future__ import annotations
-
 import basix
 import numpy as np
 from dolfinx import fem

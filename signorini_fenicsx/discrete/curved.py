@@ -1,7 +1,5 @@
 """Parts of the boundary that are curved, of which a mesh has the polygon or polyhedron."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from signorini_fenicsx.base import fenicsx

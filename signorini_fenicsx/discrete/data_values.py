@@ -1,7 +1,5 @@
 """Values of the data over all ranks: their extent, their sum, and checks that they are finite and of usable size."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI

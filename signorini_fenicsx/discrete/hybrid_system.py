@@ -9,8 +9,6 @@ problem for û alone that is symmetric and positive semidefinite.
 physics says what its cells are (`eliminated`) and what coefficients stand for (`fields`).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -125,7 +123,7 @@ class Eliminated:
     u: Array
     u_of_f: Array
 
-    def kept(self) -> Eliminated:
+    def kept(self) -> "Eliminated":
         """What it takes to recover, without the matrix."""
         return replace(self, matrix=np.empty(0))
 

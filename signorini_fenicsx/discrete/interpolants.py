@@ -1,7 +1,5 @@
 """Quadratics near an expression on simplices, with nodes as Basix numbers them: vertices, then midpoints of edges."""
 
-from __future__ import annotations
-
 import basix
 import numpy as np
 

@@ -3,8 +3,6 @@
 To make a form takes UFL and DOLFINx some milliseconds, as much as to assemble it on some thousand cells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from typing import Any
 

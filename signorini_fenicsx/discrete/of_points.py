@@ -1,7 +1,5 @@
 """Data that are functions of points: as functions on the mesh."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import basix

@@ -9,8 +9,6 @@ All is in barycentric coordinates of the slave facet. Those of the master facet 
 so is γ: a piece is cut out of the slave facet by d inequalities between linear functions, in the plane and in space.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Self
 

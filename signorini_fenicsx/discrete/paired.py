@@ -1,7 +1,5 @@
 """What is worth knowing of pairs of surfaces on a mesh: how well they cover each other, distances, sizes of facets."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Pairs of surfaces on a mesh: which facets carry pressure, and the overlay with the surfaces opposite to them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Pairs of surfaces that share no nodes as conditions of a problem of any physics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Laws on parts of Γ_S and in regions of Ω: their data on a mesh, and their graphs as chains of segments."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Points that are the same on all ranks, and the owned cells in which they lie: where a solution is read off."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

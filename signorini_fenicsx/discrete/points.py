@@ -4,8 +4,6 @@ A *jet* is the value of a function and, where it is wanted, its gradient: an arr
 entries. Jets are added as arrays are.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -279,7 +277,7 @@ class FacetPoints(Points):
         """Some of the facets, by a mask."""
         return replace(self, facets=self.facets[chosen], cells=self.cells[chosen], local=self.local[chosen])
 
-    def across(self, rows: npt.NDArray[np.intp], facets: Entities) -> tuple[FacetPoints, npt.NDArray[np.intp]]:
+    def across(self, rows: npt.NDArray[np.intp], facets: Entities) -> "tuple[FacetPoints, npt.NDArray[np.intp]]":
         """The points of some rows in facets of the other side that lie on them, and the number of each there."""
         other = in_facets(self.mesh, facets, self.points, self.weights)
         apart = np.linalg.norm(self.x[rows][:, :, None] - other.x[:, None], axis=3)

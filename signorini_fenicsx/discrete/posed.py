@@ -1,7 +1,5 @@
 """What a hybrid backend knows of its last solve: the problem, and what the solution is to it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum, auto
 

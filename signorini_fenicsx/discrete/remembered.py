@@ -4,8 +4,6 @@ They are columns of an array: for each law with memory its states in a row, then
 "tau", the length of the step. A facet has 0 for the states of laws of other parts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,7 +38,7 @@ class Remembered:
     laws: Mapping[int, LawWithMemory]
 
     @classmethod
-    def among(cls, spaces: MeshSpaces, laws: Sequence[Law]) -> Remembered:
+    def among(cls, spaces: MeshSpaces, laws: Sequence[Law]) -> "Remembered":
         """Those among these laws."""
         return cls(spaces, {i: law for i, law in enumerate(laws) if isinstance(law, LawWithMemory)})
 

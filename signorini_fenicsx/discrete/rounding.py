@@ -6,8 +6,6 @@ their width is what rounding may have changed. These are samples, no proof every
 polynomial contain its rounding on whole cells, and that of a polynomial hardly varies within one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any

@@ -5,8 +5,6 @@ is an ordinary function, what flows through a closed section is ∫∇·σ_h ins
 facets, both cells have them: each counts with one over the number of those that cover it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ of the numbers with d is the derivative of this form, and if S are the derivativ
 by what is in d is that of the form with v = Σ (S/number) times a basis function.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any

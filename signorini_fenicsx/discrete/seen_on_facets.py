@@ -1,7 +1,5 @@
 """What a discrete problem with linear traces sees of data on boundary facets: moments, or values in points."""
 
-from __future__ import annotations
-
 import basix.ufl
 import dolfinx.mesh
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables with one row for each site of Γ_S: on each rank its own rows, or on rank 0 those of all."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self

@@ -1,7 +1,5 @@
 """The sizes of u and σ in a solution, beside which other values are rounding."""
 
-from __future__ import annotations
-
 import numpy as np
 from mpi4py import MPI
 

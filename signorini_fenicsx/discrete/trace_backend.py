@@ -3,8 +3,6 @@
 Small systems are factorised, larger ones solved by CG with multigrid.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial

@@ -4,8 +4,6 @@ Each of two such parts has a condition of its own: nothing passes from one to th
 bodies touch. Only the two sides of a part inside the domain, along which the mesh is cut, belong to each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self

@@ -16,8 +16,6 @@ is what a convex function of all λ_j gives, so the problem stays one of an SPD 
 has a slope or a vertical segment for neighbour, the function would not be convex; there p' is p.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -162,7 +160,7 @@ class InCells:
     values: Array
 
     @classmethod
-    def of(cls, laws: VertexLaws, conditions: SiteConditions) -> InCells:
+    def of(cls, laws: VertexLaws, conditions: SiteConditions) -> "InCells":
         """The laws under conditions."""
         springs, p_h = laws.springs(conditions), laws.p_h.reshape(-1, laws.size)
         kind, value = (

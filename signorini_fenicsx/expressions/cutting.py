@@ -6,8 +6,6 @@ the longest edge. All parts with more than half of the mean uncertainty are cut 
 many, the worst of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 

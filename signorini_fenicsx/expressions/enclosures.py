@@ -5,8 +5,6 @@ polynomial and its square. Then the mean of d is in Q(d) ± 2ρ, and its root me
 for ∇d. `taylor` gives ρ, on boxes and parts that `cutting` makes until the enclosures together are narrow enough.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -258,7 +256,7 @@ class _Projection:
     inverse: Array
 
     @classmethod
-    def of(cls, tree: Tree, vertices: Array) -> _Projection:
+    def of(cls, tree: Tree, vertices: Array) -> "_Projection":
         """The L² projections of an expression, by quadrature."""
         corners = vertices.shape[1]
         points, weights = _rule(corners, 2 * DEGREE)

@@ -5,8 +5,6 @@ exact for this polynomial times w, and for w². Then the mean of ew is in Q(ew) 
 for which Q is exact, ρ counts as 0. Parts are cut along jumps and kinks of e, see `cutting`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

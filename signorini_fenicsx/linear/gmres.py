@@ -1,7 +1,5 @@
 """GMRES for matrices that are known by their products."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -13,8 +13,6 @@ changed before, and the solution needs one, by the factors. The d_j of sites tha
 for together, which costs a third of a solve for each, or less.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -67,7 +65,7 @@ class Imposed:
         """What is imposed without the shares."""
         return replace(self, shares=np.zeros_like(self.shares))
 
-    def differ(self, other: Imposed) -> Mask:
+    def differ(self, other: "Imposed") -> Mask:
         """The sites at which another thing is imposed; springs at sites that are held do nothing."""
         free = (self.springs != other.springs).any(axis=1) | (self.shares != other.shares)
         return np.asarray((self.held != other.held) | (~self.held & free))

@@ -1,7 +1,5 @@
 """The named side of a part inside the domain, as a condition in Python tells it; for case files see `cut`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

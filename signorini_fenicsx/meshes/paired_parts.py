@@ -1,7 +1,5 @@
 """Pairs of surfaces that share no nodes, by the names of their parts, as a boundary has them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Surfaces from mesh files, such as STL: triangles in space, segments in the plane; and how far points are away."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path

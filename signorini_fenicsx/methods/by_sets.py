@@ -1,7 +1,5 @@
 """A set rule as a method: a predicted start for large problems, the loop, and at the end a precise flux."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace

@@ -3,8 +3,6 @@
 A prediction changes only the number of steps. The result is the same, because the loop ends only when the sets repeat.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -47,7 +45,7 @@ class Prediction:
         present = Present(segment, NOTHING, NOTHING)
         return law.conditions(self.rule.following(law, p, flux, self.task.rho or 1.0, present))
 
-    def settle(self, conditions: SiteConditions, history: History) -> Settled:
+    def settle(self, conditions: SiteConditions, history: History) -> "Settled":
         """Solve until the sets repeat; each solve stops as soon as the next sets are known (collective).
 
         Ends early if a step changes at least as many sites as two steps before.

@@ -1,7 +1,5 @@
 """Writes the results of a run in time: tables of all steps, the fields as one series, pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of fields for ParaView, made of what a physics declares: VTX, XDMF, and the room that they take."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

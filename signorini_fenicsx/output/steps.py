@@ -4,8 +4,6 @@ All ranks write and read it together, each its own cells in its own order. Cells
 places, the sums of their vertices, which each run that adds steps writes once. So any number of ranks can go on.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

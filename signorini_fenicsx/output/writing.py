@@ -1,7 +1,5 @@
 """Writes a solution: summary and tables as text, fields for ParaView."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Callable, Mapping

@@ -4,8 +4,6 @@ The mesh is joined: fields have their means over cells, those that say so also a
 of its own, at which linear fields are exact. The files of all names and `boundary.xdmf` share `solution.h5`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """`solution.html`: one file with pictures that the mouse can turn; the browser needs no network."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Iterable
@@ -108,7 +106,7 @@ class Page:
     origin: Array
 
     @cached_property
-    def space(self) -> Space:
+    def space(self) -> "Space":
         """The views of the solution in space."""
         from signorini_fenicsx.pictures.space import Space  # imports VTK
 

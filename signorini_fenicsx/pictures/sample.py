@@ -1,7 +1,5 @@
 """The mesh of pictures on rank 0: that of a solution, or a sample of it whose size does not grow with the mesh."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import dolfinx.mesh
@@ -131,7 +129,7 @@ class Sample:
         return np.searchsorted(self.ids, ids)
 
     @cached_property
-    def _around(self) -> MeansAround:
+    def _around(self) -> "MeansAround":
         return MeansAround(self._mesh, self._dofs)
 
 

@@ -1,7 +1,5 @@
 """Problems on either side of that of a solution, with data that differ by ±τ, and what they say, see `bracket`."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence

@@ -30,8 +30,6 @@ because (σ − y', ∇(v − u)) is ⟨(σ − y')·n, v + τ − u⟩ − τ(F
 with a given u, v would have to jump by τ, and there is no bound: the flux is unbounded on the energy space.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -95,7 +93,7 @@ class Quantity:
         """The middle of the interval."""
         return (self.lower + self.upper) / 2
 
-    def divided(self, total: float, radius: float) -> Quantity:
+    def divided(self, total: float, radius: float) -> "Quantity":
         """The mean, whose value it has: by the interval of an integral and that of its weight, within a radius.
 
         Raises:

@@ -1,7 +1,5 @@
 """The quantities that there are."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

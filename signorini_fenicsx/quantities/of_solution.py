@@ -1,7 +1,5 @@
 """Quantities of a solution of any physics."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

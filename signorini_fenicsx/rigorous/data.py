@@ -1,7 +1,5 @@
 """The data of a case for the theorem: they are enclosed, never only sampled."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass

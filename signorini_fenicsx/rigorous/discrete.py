@@ -1,7 +1,5 @@
 """A discrete flux and trace as arrays of floats on one process; the theorem needs nothing else of a solution."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -16,8 +16,6 @@ x_v from the exact ones. A distance e of c from the centroid adds G·e, and usin
 3 |G|·pad.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -4,8 +4,6 @@ Vertices are the stored floats. The first axis of arrays is that of the cells. A
 nodes of P2: vertices first, then the midpoints of the edges in Basix's order. The last axis of a field has components.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -70,7 +68,7 @@ class Simplices:
         """The dimension d."""
         return self.vertices.shape[2]
 
-    def some(self, which: Indices) -> Simplices:
+    def some(self, which: Indices) -> "Simplices":
         """The geometry of some of the cells."""
         return Simplices(self.vertices[which], self.measure[which], self.gradients[which])
 

@@ -1,7 +1,5 @@
 """Symmetric matrices, such as κ, on simplices, enclosed."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 

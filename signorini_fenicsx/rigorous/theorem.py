@@ -20,8 +20,6 @@ Proof. The argument is that of `certificate`, here with exact ingredients.
 - *Data.* Enclosures over parts of cells and facets give means, and ‖e − p‖ and sup |e − p| with p linear or quadratic.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

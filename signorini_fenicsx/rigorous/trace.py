@@ -15,8 +15,6 @@ quadratic near ψ, and let ‖·‖ denote largest values.
   with edges e. This quadratic must be ≥ 0; `_lifts` tests it by Bernstein coefficients.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Times and steps of a problem in time, and what a physics says about its steps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -113,7 +111,7 @@ class Steps(Protocol):
             earlier: The same of the parts before; None for none.
         """
 
-    def halved(self, failure: NumericalFailure) -> Steps | None:
+    def halved(self, failure: NumericalFailure) -> "Steps | None":
         """The same with twice as many steps, for a step that has failed; None if that is no help."""
 
     def kept(self, solution: Any) -> dict[str, npt.NDArray]:

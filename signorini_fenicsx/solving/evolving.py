@@ -1,7 +1,5 @@
 """Problems in time: one solution after another, by one solver that is set up once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial

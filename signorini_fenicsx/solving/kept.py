@@ -1,7 +1,5 @@
 """What a physics says of the files in which its solutions are kept, and how it makes a solution of them again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """What the solver asks of a physics: systems, set up once on a mesh, and runs of their problems."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol

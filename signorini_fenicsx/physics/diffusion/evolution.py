@@ -11,8 +11,6 @@ balance has selected, so that nothing is lost. At the start θ is the least valu
 those of `soil_steps.py`.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -232,7 +230,7 @@ class DiffusionSteps:
         local = float(self.spaces.cell_measures @ owned_values(self.left_by(solution).content))
         return {"content": self.spaces.mesh.comm.allreduce(local)} | of_states
 
-    def halved(self, _failure: NumericalFailure) -> DiffusionSteps | None:
+    def halved(self, _failure: NumericalFailure) -> "DiffusionSteps | None":
         """None: each step is a convex problem."""
         return None
 

@@ -1,7 +1,5 @@
 """A discrete solution with RT1: fluxes of order two, u in P1 on cells, p linear on the facets of Γ_S."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self

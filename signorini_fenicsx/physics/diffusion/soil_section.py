@@ -1,7 +1,5 @@
 """`[soil.NAME]`: the soil of a region, or of "all", which stands for κ and, in time, for the storage of water."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Self
 

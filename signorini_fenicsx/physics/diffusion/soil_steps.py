@@ -4,8 +4,6 @@ A step is a problem for a κ and a content that depend on u, see `discrete/stori
 in halves. The history is the θ that the balance of a step has, so that no water is lost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -107,7 +105,7 @@ class SoilSteps(DiffusionSteps):
         dofs = cell_dofs(space)
         return np.asarray(sums_at(space.dofmap.index_map, dofs)[dofs] == 1)
 
-    def halved(self, failure: NumericalFailure) -> SoilSteps | None:
+    def halved(self, failure: NumericalFailure) -> "SoilSteps | None":
         """The same with twice as many steps of implicit Euler, unless something else has failed."""
         sought = failure.solution is None or "content_change" in failure.solution.outcome.details
         if not sought:

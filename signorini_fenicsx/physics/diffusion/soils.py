@@ -6,8 +6,6 @@ van Genuchten, Soil Sci. Soc. Am. J. 44, 1980, with Mualem's k_r; Gardner, Soil 
 1964, with Burdine's k_r. The `air_entry` is that of Vogel, van Genuchten and Cislerova, Adv. Water Resour. 24, 2000.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
 from numbers import Real

@@ -1,7 +1,5 @@
 """A discrete solution: its fields, sets and residuals, and numbers that summarise them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

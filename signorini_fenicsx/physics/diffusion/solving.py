@@ -1,7 +1,5 @@
 """How diffusion problems are solved: the system on a mesh, and what is checked before."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -95,7 +93,7 @@ class System:
             )
         return options.element == "RT1" or len(self.boundary.pairs) > 0
 
-    def prepared(self, problem: Problem, wish: Wish) -> DiffusionRun:
+    def prepared(self, problem: Problem, wish: Wish) -> "DiffusionRun":
         """Read the data and check them (collective).
 
         Raises:

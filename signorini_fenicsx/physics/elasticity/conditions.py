@@ -1,7 +1,5 @@
 """Conditions on elastic bodies where they meet something: contact, friction, pairs of surfaces."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -35,7 +33,7 @@ class CoulombLaw:
         """Refuse a string in the place of a list."""
         check_names("parts", self.parts)
 
-    def with_data(self, change: Callable[[str, Any], Any]) -> CoulombLaw:
+    def with_data(self, change: Callable[[str, Any], Any]) -> "CoulombLaw":
         """The law with μ changed by a function of its name and value, see `Law.with_data`."""
         return replace(self, mu=change(f"{self.name}.mu", self.mu))
 

@@ -4,8 +4,6 @@ The shear is within its bound, and against the way that u_t has gone since the l
 = g|u_t − w| with w = u_t at the end of the last step. This holds at every vertex, also at one that was open.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np

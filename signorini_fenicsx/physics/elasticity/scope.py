@@ -1,7 +1,5 @@
 """For which elastic problems there is a theorem."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

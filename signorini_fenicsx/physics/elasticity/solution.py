@@ -1,7 +1,5 @@
 """An elastic contact solution: its fields, sets and residuals, and the numbers that sum them up."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self

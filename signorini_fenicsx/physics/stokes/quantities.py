@@ -12,8 +12,6 @@ are multiplied by t. Testing the equations with u gives:
 `least` of an outlet is a given velocity, its `pressure` is a load.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

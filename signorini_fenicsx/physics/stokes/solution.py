@@ -1,7 +1,5 @@
 """A solution of viscous flow: velocity, stress, pressure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

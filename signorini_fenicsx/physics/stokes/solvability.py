@@ -6,8 +6,6 @@ the boundary, and no pressure. If it is both ends, p is known up to a constant; 
 under σ_nn of any size above a bound, so that p may fall by a constant; if it is the upper one, p may grow.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from mpi4py import MPI
 

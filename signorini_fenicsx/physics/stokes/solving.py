@@ -1,7 +1,5 @@
 """How problems of viscous flow are solved: as those of elasticity."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from signorini_fenicsx.base.errors import InputError

@@ -1,7 +1,5 @@
 """A discrete stress and displacement with the data of their problem, as arrays and trees on one process."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any

@@ -7,8 +7,6 @@ at its node, along which u is not given. Where u_n is given it may be equal to g
 Where two bodies touch v is the jump, and that of the named side is moved.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ constant on subcells and has these moments, and ‖f − f_h‖ ≤ ‖P − QP�
 but ĉ and t̂ are those of `scripts/proved_korn.py`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -47,7 +45,7 @@ class Moments:
     degree: int | None
 
     @classmethod
-    def of(cls, tree: Tree, vertices: Array, given: Given, name: str) -> Moments:
+    def of(cls, tree: Tree, vertices: Array, given: Given, name: str) -> "Moments":
         """The moments of a tree on simplices with these vertices, shape (n, k + 1, d)."""
         dim, degree = vertices.shape[1] - 1, polynomial_degree(tree)
         if degree is not None and degree <= 2:

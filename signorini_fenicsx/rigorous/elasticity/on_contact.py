@@ -6,8 +6,6 @@ that is linear on the facet, and |e||v_t| = |N×v|. |v_t| is at most the mean of
 Bernstein's basis, in space of those on parts of the facet, as in `FacetCoefficients.lengths`.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ Vertices are floats and data polynomials, so N = |e|n, |e|² and the coefficient
 basis are fractions, if the numbers of the data are. |e|g ≥ a is the same as |e|²g|g| ≥ a|a|, because t|t| grows with t.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any

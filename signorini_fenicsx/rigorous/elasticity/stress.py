@@ -14,8 +14,6 @@ by the traction q = α + β×(x − x_e) with this force and moment. A body on w
 is first brought in balance as a whole, by tractions in directions in which u is given, and by pressures.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from functools import lru_cache
 from itertools import combinations

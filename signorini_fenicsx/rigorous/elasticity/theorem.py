@@ -19,8 +19,6 @@ Proof. The argument is that of `forms.elasticity`, here with exact ingredients.
   what is left of it in its largest size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

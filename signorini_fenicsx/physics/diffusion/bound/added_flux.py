@@ -4,8 +4,6 @@
 `mismatch`. In the second |b − b_h| of a text is enclosed, and of data in Python taken by quadrature.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array

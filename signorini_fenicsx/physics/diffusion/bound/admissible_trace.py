@@ -3,8 +3,6 @@
 How it is made admissible under the laws on Γ_S is in `conforming`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -63,7 +61,7 @@ class Trace:
     altered: Indices
     hindrance: str
     degree: int
-    parts: LawTrace
+    parts: "LawTrace"
 
     def jet(self, points: Points, *, near: bool, gradient: bool = False) -> Array:
         """The jet of the admissible function in points of `cells` (near) or of others (collective)."""

@@ -6,8 +6,6 @@ cells v is kept off the nearest rigid segments. It may cross vertical ones: wher
 content usually is, that costs less than to bend v.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -53,7 +51,7 @@ class Pieces:
     rigid: Mask
 
     @classmethod
-    def of(cls, inside: Inside, metric: CellMetric, comm: MPI.Comm) -> Pieces:
+    def of(cls, inside: Inside, metric: CellMetric, comm: MPI.Comm) -> "Pieces":
         """Choose them (collective)."""
         chains, segment, rows = inside.chains, inside.segment, np.arange(len(inside.s))
         largest = LARGE * comm.allreduce(float(np.abs(inside.s).max(initial=0.0)), MPI.MAX)

@@ -1,7 +1,5 @@
 """κ as it was given, on whole cells and on parts of them: its bounds, and how far it is from polynomials."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

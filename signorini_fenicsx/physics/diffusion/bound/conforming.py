@@ -20,8 +20,6 @@ jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb
 u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D − I_hu_D) puts the jump beyond a bound.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

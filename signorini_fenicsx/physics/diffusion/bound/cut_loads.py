@@ -9,8 +9,6 @@ Proof. With the polynomials in the place of e_i all of this is exact without E. 
 its norm, in L² and by Q.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -66,7 +64,7 @@ class CutLoads:
     unsure: Array
     of_first: Array
 
-    def of(self, rows: Mask) -> CutLoads:
+    def of(self, rows: Mask) -> "CutLoads":
         """A selection of the cells."""
         return CutLoads(self.load.of(rows), self.delta[rows], self.mean[rows], self.unsure[rows], self.of_first[rows])
 

@@ -5,8 +5,6 @@ solve, needed only if c is more than rounding. Without Γ_D, z may be nonzero on
 large. In this way the bound contains no constant of the domain, except in a term for rounding.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import fields, replace

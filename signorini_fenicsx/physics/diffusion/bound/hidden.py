@@ -16,8 +16,6 @@ On Γ_S the gap has ⟨λ, v − ψ⟩, of which quadrature may miss λ_max time
 bound in Ω the gap has (λ, v − ψ) in the same way.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -74,7 +72,7 @@ def hidden_parts(
     trace: Trace,
     u_D: Datum,
     metric: CellMetric,
-    pressure: Pressure | None,
+    pressure: "Pressure | None",
     inside: Inside,
     of_discrete: float,
 ) -> Hidden:

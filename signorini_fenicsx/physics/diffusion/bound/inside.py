@@ -30,8 +30,6 @@ v is between the bounds, see `rays`.
 With a term cu, s_T = f_h + ∇·y − c_h u*, and both sides have the terms of `reaction`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -135,7 +133,7 @@ class Inside:
     @classmethod
     def of(
         cls, solution: Solution, metric: CellMetric, y: fem.Function, level: fem.Function, resolution: Resolution
-    ) -> Inside:
+    ) -> "Inside":
         """The laws with a flux, with u* as `level` (collective)."""
         spaces, data, laws = solution.spaces, solution.data, solution.data.inside
         if laws is None:

@@ -11,8 +11,6 @@ with f = 0, with the flux K n_z. So by comparison ψ ≤ 0 in all of Ω if f ≤
 that is at most z, and elsewhere the least flux is at most K n_z. All this is enclosed; the floor of k_r does not count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The admissible function of `conforming` as jets in points: u_D on Γ_D, and the bounds of u on Γ_S."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Data with which v varies where laws hold it: the levels of `conforming`, on Γ_S, in cells and in jumps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

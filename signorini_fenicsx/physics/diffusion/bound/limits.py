@@ -12,8 +12,6 @@ A node has the largest number that its simplices ask for. So where b jumps along
 v, as it holds u.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ If c is known well, the flux z for it gives (c, w) = (z, ∇w) ≤ ‖z‖ |w|. 
 ‖γ^-½c‖ ‖γ^½w‖.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Geometry of the cells in the metric of κ."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

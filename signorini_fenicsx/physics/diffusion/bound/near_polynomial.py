@@ -8,8 +8,6 @@ within ρ_e of a polynomial, a quadrature that is exact for products and squares
     2|T|^½ (δ(‖e‖ + 2ρ_e|T|^½) + ρ_e(‖r‖_Q + δ|T|^½)).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -66,7 +64,7 @@ class NearPolynomial:
     degree: int
 
     @classmethod
-    def of(cls, own: Admissible) -> NearPolynomial:
+    def of(cls, own: Admissible) -> "NearPolynomial":
         """The polynomials near the v of a solution (collective)."""
         spaces, data = own.solution.spaces, own.solution.data
         v = own.trace.v

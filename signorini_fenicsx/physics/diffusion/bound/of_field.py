@@ -1,7 +1,5 @@
 """How wrong a function is: a bound of its distance to an admissible one, and of what that leaves; see `of_field`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

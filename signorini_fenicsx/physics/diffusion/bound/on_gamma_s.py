@@ -1,7 +1,5 @@
 """Γ_S with the pieces of the laws near which the trace of a bound is to be, see `conforming`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -53,7 +51,7 @@ class OnGammaS:
     by_nodes: bool
 
     @classmethod
-    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function, of_cells: CellFlux) -> OnGammaS:
+    def of(cls, solution: Solution, goal: Goal, metric: CellMetric, y: fem.Function, of_cells: CellFlux) -> "OnGammaS":
         """The terms on Γ_S for a solution and a flux."""
         spaces, data, law = solution.spaces, solution.data, goal.chains
         kind, iterate, by_nodes = spaces.site_kinds["facet"], solution.outcome.iterate, spaces.degree > 0

@@ -8,8 +8,6 @@ as in `laws`. So y is admissible for the problem with the laws moved by r, which
 osc² = Σ osc_T² by `local_fields`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ coefficients between those of I_hψ, and then cut off by ψ itself. In vertices 
 moved beyond ψ by as much as I_hψ may be on the other side, so that v is ψ itself there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

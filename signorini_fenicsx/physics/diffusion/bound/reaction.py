@@ -16,8 +16,6 @@ Where S is not small, r − f + f_h is integrated part by part, see `cut_loads`,
 step in time what it takes from those before is a part of it, as both nearly cancel.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

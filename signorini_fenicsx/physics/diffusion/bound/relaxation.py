@@ -1,7 +1,5 @@
 """Reduces the gap of v, a quadratic function of Bernstein coefficients between bounds on Γ_S."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 
@@ -64,7 +62,7 @@ class Box:
     @classmethod
     def of(
         cls, hard: tuple[Array, Array], soft: tuple[Array, Array], fixed: Indices, v: Array, held: npt.NDArray[np.bool_]
-    ) -> Box:
+    ) -> "Box":
         """Bounds that must hold, and tighter ones; none if fixed.
 
         Where the tighter ones contradict one another v stays if it is held, and else they are left.

@@ -13,8 +13,6 @@ certificate replaces a load e by a polynomial p; d = e − p is the difference.
 Polynomials are integrated exactly. Data given in Python have no trees; for these the bound relies on quadrature.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -63,7 +61,7 @@ class Seen:
     norm: Array
     mean: Array
 
-    def of(self, rows: AnyIndices | Mask) -> Seen:
+    def of(self, rows: AnyIndices | Mask) -> "Seen":
         """A selection of the simplices."""
         return Seen(self.p.of(rows), self.norm[rows], self.mean[rows])
 

@@ -12,8 +12,6 @@ they leave. A step with soils is the problem with the last κ and with what soil
 a load that is constant on each cell, as is what it takes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -62,7 +60,7 @@ class Continuous:
     bubble: Array
 
     @classmethod
-    def of(cls, solution: Solution, v: fem.Function) -> Continuous:
+    def of(cls, solution: Solution, v: fem.Function) -> "Continuous":
         """The continuous function of a solution and the v of its certificate (collective)."""
         spaces, dim = solution.spaces, solution.spaces.mesh.topology.dim
         bubble = np.empty((len(spaces.cell_measures), dim + 1 if spaces.degree else 1))

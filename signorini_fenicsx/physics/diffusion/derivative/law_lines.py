@@ -1,7 +1,5 @@
 """How the lines of laws that sites are on change with the data of the laws."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

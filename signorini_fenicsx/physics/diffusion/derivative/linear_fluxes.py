@@ -12,8 +12,6 @@ J on the right side, and û = 0 where it is given, its solution is the adjoint s
 κ and c are seen by their values in the points of their quadratures, and so are data on the boundary; f by its moments.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import cached_property, partial
 from itertools import combinations

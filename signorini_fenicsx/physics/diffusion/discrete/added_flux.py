@@ -5,8 +5,6 @@ per facet. So û + z stands in the Crouzeix-Raviart form of the method where û 
 for a b that is constant on a cell z is κ_h⁻¹b·(x − x_T) in the midpoints of the facets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property

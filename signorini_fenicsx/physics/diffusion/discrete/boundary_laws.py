@@ -1,7 +1,5 @@
 """The laws of a problem on Γ_S: a chain per facet, from the means of their data over it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

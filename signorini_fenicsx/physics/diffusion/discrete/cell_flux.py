@@ -12,8 +12,6 @@ and as ∫_T ξ = 0, for a symmetric matrix B, with m = (1/|T|) ∫_T ξ·Bξ = 
 The components of a flux of RT1 are quadratic on each cell. There c and s are parts of it only.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self, cast

@@ -5,8 +5,6 @@ The mean u_T of u and the mean s_T of s are on the graph of the means of the dat
 obstacle its force. What is linear in u, s = cu, is no condition: it stands in the matrix, see `with_reactions`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -52,7 +50,7 @@ class CellLaws:
     means: Array
     chains: Chains
 
-    def less(self, constant: float) -> CellLaws:
+    def less(self, constant: float) -> "CellLaws":
         """The laws of the problem for u − constant."""
         return replace(self, means=self.means - constant)
 

@@ -1,7 +1,5 @@
 """κ and c on a mesh: the data as given, their means over the cells, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI

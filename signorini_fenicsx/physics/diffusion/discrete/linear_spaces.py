@@ -1,7 +1,5 @@
 """The spaces of RT1: fluxes of order two, u in P1 on each cell, traces that are linear on each facet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -10,8 +10,6 @@ L², and its jumps are. The linear part alone is of this order too, but where f 
 all vertices. Averages over the cells around a node are nearer to u, but no longer have the flux σ_h and the means u_h.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self, cast
 

@@ -4,8 +4,6 @@ The κ of a cell with RT0 is the mean of κ(x, û) over its facets, with x the m
 cell, at a vertex the mean over the facets there. From u_T instead fewer soils would have a solution that is found.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

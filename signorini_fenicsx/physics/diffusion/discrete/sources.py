@@ -1,7 +1,5 @@
 """The source of each cell as a function of u_CR, see `forms/crouzeix_raviart.py`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +30,7 @@ class Sources:
     moments: Array
     jumps: Array | float = 0.0
 
-    def renewed(self, data: Data) -> Sources:
+    def renewed(self, data: Data) -> "Sources":
         """The sources for another f_h, with the same κ_h and c_h."""
         if self.s is None or data.c_h is None:
             return replace(self, b=data.f_h)

@@ -5,8 +5,6 @@ equation for u_T, which grows with it. So θ needs no unknown of its own. Around
 and what the step leaves is the θ that its balance has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

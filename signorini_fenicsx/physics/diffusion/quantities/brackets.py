@@ -5,8 +5,6 @@ facets have the mean of u there: that of the function on the cell behind with th
 the first equation of the mixed method it is the multiplier of the facet, as p_h is.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

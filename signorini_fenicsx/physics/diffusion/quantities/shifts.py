@@ -1,7 +1,5 @@
 """Problems whose data differ a little: fluxes with more in them, laws moved in u or in κ∇u·n."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

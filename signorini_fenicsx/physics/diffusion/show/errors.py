@@ -1,7 +1,5 @@
 """Errors of a discrete solution where u is known."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +26,7 @@ if TYPE_CHECKING:  # it has these
     from signorini_fenicsx.physics.diffusion.solution import Solution
 
 
-def exact_errors(solution: Solution, exact: Datum) -> dict[str, float]:
+def exact_errors(solution: "Solution", exact: Datum) -> dict[str, float]:
     """The error of σ in the energy norm, and L² norms of those of σ, ∇·σ, u, ũ over Ω and of p over Γ_S (collective).
 
     Also the Hausdorff distance of the contact set. In time, and with laws in Ω, ∇·σ is not known from u and the data,

@@ -1,7 +1,5 @@
 """What a reader should know of the data of a scalar problem, in sentences."""
 
-from __future__ import annotations
-
 from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_words
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces

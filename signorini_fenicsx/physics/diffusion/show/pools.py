@@ -1,7 +1,5 @@
 """Water in pictures: its head, whatever of it u is, and the water outside; of Baiocchi's dam its streamlines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +34,7 @@ class Pools:
     pools: list[Array]
 
     @classmethod
-    def of(cls, scene: Scene) -> Pools | None:
+    def of(cls, scene: Scene) -> "Pools | None":
         """The water of a problem, None for other problems and of Baiocchi's dam."""
         water: Water | None = getattr(scene.solution, "water_kind", None)
         if water is None or water.u == INTEGRAL:

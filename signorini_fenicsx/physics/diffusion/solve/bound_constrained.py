@@ -6,8 +6,6 @@ solution of (MLM-I)_h. It is found without the set rules and the active-set loop
 them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from petsc4py import PETSc
 

@@ -1,7 +1,5 @@
 """The hybrid system of RT1: one SPD problem for û in P1 on facets, and σ and u recovered from it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The backend of RT1: the hybrid system with a condition per facet vertex of Γ_S, and per vertex of a cell in Ω."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The saddle-point backend of RT1: the forms of the mixed method on RT1, P1 and the traces of the boundary."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

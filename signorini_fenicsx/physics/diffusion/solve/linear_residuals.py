@@ -1,7 +1,5 @@
 """The residuals of a discrete problem with RT1, see `KKTResiduals` in `residuals.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

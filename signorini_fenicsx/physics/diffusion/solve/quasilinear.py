@@ -12,8 +12,6 @@ as κ is fixed. Where that fails `evolve` halves the step.
 What is judged is the largest change of κ, and the energy norm of (κ(x, u) − κ)∇u; a flux may repeat long before.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

@@ -11,8 +11,6 @@ at the r that are 1, or −1, on some components and 0 on the others: for each u
 between the least and the largest ∫_U f + ∫ g_N + ∫_∂U σ·n. A linear programme finds one for which it is not.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import partial

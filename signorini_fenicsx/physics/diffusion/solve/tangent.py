@@ -4,8 +4,6 @@ The residual is that of the hybrid system with the κ of û, and its derivative 
 ∫σ·n by κ times that of κ by û. Beside what the equations leave, the sites may be off their laws.
 """
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

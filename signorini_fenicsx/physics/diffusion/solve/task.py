@@ -1,7 +1,5 @@
 """What a method gets of a diffusion problem."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

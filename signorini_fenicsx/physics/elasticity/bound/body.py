@@ -29,8 +29,6 @@ Where 𝔸 varies in a cell, or leaves the volume as it is, it is replaced by on
 with which ‖τ_h‖ is larger.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable

@@ -25,8 +25,6 @@ Otherwise it is said which are not. The remainder is what the linear solver leav
 be missed of linear parts of loads.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ u_n < c ≤ g the best v is as good, and what g is beyond c, which may be steep 
 be below v_n where that is given. A g that is a quadratic stays, unless its coefficients are below c.
 """
 
-from __future__ import annotations
-
 import basix.ufl
 import numpy as np
 

@@ -10,8 +10,6 @@ pressures are then taken as given, as in `solve.mean_pressure`. The constant is 
 nodes around it have. A moderate bulk modulus is against this flow, and the same method takes it away.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -64,7 +62,7 @@ class Nodes:
     number_of: npt.NDArray[np.int32]
 
     @classmethod
-    def of(cls, split: SplitMesh, space: fem.FunctionSpace) -> Nodes:
+    def of(cls, split: SplitMesh, space: fem.FunctionSpace) -> "Nodes":
         """The nodes on the outer facets of the subcells, opposite to the last vertex (collective)."""
         everywhere = space.dofmap.index_map
         left = np.zeros(everywhere.size_local + everywhere.num_ghosts, dtype=bool)

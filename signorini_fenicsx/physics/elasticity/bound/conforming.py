@@ -5,8 +5,6 @@ stay off: at each node of Γ_C there is a condition for each facet, between two 
 friction, |v_t| is bounded by its coefficients, and there is one more term for each. `active_terms` is for the minimum.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cached_property
 

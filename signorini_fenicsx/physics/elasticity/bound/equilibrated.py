@@ -5,8 +5,6 @@ the jumps of σ_h n, of the tractions on Γ_N and of the signs on Γ_C. If that 
 again under the same sets, by a factorisation, and the stress of this solve is taken.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -22,8 +22,6 @@ For facets of weights ρ_e, C of `body` and t_T of `korn`, a_T the largest eigen
 so the load adds at most the root of this factor times (Σ ‖g − g̃‖_e²/ρ_e)^½. Good weights are like the load.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -354,7 +352,7 @@ class _RubbingLoads:
     rows: Indices
 
     @classmethod
-    def of(cls, spaces: ElasticSpaces, compliance: Array, like: Array) -> _RubbingLoads:
+    def of(cls, spaces: ElasticSpaces, compliance: Array, like: Array) -> "_RubbingLoads":
         """Those that are like these ‖d‖, of which the root mean squares on facets are the weights (collective)."""
         comm, weights = spaces.mesh.comm, like / np.sqrt(spaces.rough.measure)
         most = comm.allreduce(weights.max(initial=0.0), MPI.MAX)

@@ -19,8 +19,6 @@ is bounded in the same way. Where the data change the graph along a facet the in
 p, and with the kinks where the pressure jumps, at the coefficients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -66,7 +64,7 @@ class LawOnFacets:
     @classmethod
     def of(
         cls, spaces: ElasticSpaces, contact: ContactCoefficients, law: NormalLaw, chains: Chains, segment: Indices
-    ) -> LawOnFacets:
+    ) -> "LawOnFacets":
         """The law on its facets (collective).
 
         Args:

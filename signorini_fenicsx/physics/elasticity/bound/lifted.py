@@ -23,8 +23,6 @@ If ∇t is within ρ of the gradient of a polynomial of degree K on a part of e,
 shows that is exact for the squares of such polynomials, and 2|e|ρ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import basix

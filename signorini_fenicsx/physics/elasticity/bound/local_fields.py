@@ -9,8 +9,6 @@ The map from the reference simplex is that of σ_h, see `forms/elasticity.py`: z
 and zn |e| = F ẑn̂ |ê|.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations

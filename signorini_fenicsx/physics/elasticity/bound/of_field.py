@@ -1,7 +1,5 @@
 """How wrong a displacement is, by a stress that is near the exact one; see `certificate.of_field`."""
 
-from __future__ import annotations
-
 import numpy as np
 import ufl
 from dolfinx import fem

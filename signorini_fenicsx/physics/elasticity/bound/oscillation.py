@@ -6,8 +6,6 @@ after that is orthogonal to linear fields as well, and the constants of `korn` b
 this is in `hidden`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

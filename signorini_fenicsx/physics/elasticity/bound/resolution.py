@@ -19,8 +19,6 @@ plane has less energy, as it is what is left after σ_zz or ε_zz is chosen.
 `expressions.enclosures` has ρ where E and ν are texts, and from distances to constants how much a coefficient varies.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
@@ -155,7 +153,7 @@ class _Stiffness:
         change, _ = _distances(spaces, material, cells, vertices, 0, ROUGHLY)
         return cls(rho, middle - 2 * change, middle + 2 * change)
 
-    def on(self, subcells: Indices) -> _Stiffness:
+    def on(self, subcells: Indices) -> "_Stiffness":
         """What is known on some of the subcells, given by their numbers."""
         return _Stiffness(self.rho[:, subcells], self.least[:, subcells], self.most[:, subcells])
 

@@ -1,7 +1,5 @@
 """What elastic supports add to the gap of an elastic solution, ½∫ K(v − w)·(v − w); see `elasticity.supports`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +43,7 @@ class SupportsOfDisplacement:
         space: fem.FunctionSpace,
         stresses: Array,
         shear: Array,
-    ) -> SupportsOfDisplacement:
+    ) -> "SupportsOfDisplacement":
         """The supports for displacements in a space on the split mesh or a part of it, w from these stresses.
 
         On walls with slip friction has the shear, of shape (facets, d, d − 1), and the springs have the rest of σ_t.

@@ -26,8 +26,6 @@ depends on τ alone, all of which have the same share of the subcell, so that a 
 Where facets with given u, contact or springs, masters or slaves of another pair meet E, r has to be 0 in what is given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product

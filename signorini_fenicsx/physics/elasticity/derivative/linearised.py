@@ -14,8 +14,6 @@ side, and û = 0 where it is given, its solution (λ_σ, λ_u, λ_û) is the adj
 the reactions, so wμ/|e| with its sign is what λ_û is at the sites in contact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """What an elastic problem sees of data on the boundary: their moments ∫ d φ_a, and what it makes of these."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

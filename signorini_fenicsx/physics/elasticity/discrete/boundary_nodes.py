@@ -5,8 +5,6 @@ basis. As a polynomial is a mean of its coefficients, v_n ≤ g on a facet if th
 node has one such condition for each of its facets of Γ_C, each along the normal of that facet.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

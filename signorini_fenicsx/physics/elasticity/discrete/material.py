@@ -5,8 +5,6 @@ strain, ε_zz = 0, σ_zz is eliminated: 𝔸_ij − 𝔸_iz 𝔸_zj/𝔸_zz, and
 −𝔸σ₀.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
@@ -145,7 +143,7 @@ class Material:
             own = own - in_space[..., BEYOND] * (own[..., BEYOND] / in_space[..., BEYOND, BEYOND])[..., None]
         return own[..., self._kept]
 
-    def moved(self) -> Iterator[tuple[str, Expr, Material]]:
+    def moved(self) -> "Iterator[tuple[str, Expr, Material]]":
         """Each number in UFL by a name, with itself and the material in which it has an imaginary step."""
         return _moved(self, "material")
 

@@ -3,8 +3,6 @@
 Where two bodies touch p = g − [u_n]. How a graph is one of facet vertices: `discrete/vertex_laws.py`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What is given on facets: moments of data against the hats of the vertices, and tractions with their loads."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

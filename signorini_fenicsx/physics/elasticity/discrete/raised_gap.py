@@ -5,8 +5,6 @@ between them. So the gap is as the mesh of the body sees the tool: the tool itse
 The discrete problem has exactly this gap, and the bound is one of the distance to the solution with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +40,7 @@ class RaisedGap(Datum):
     slopes: Array
 
     @classmethod
-    def of(cls, gap: Datum, facets: BoundaryFacets, by: Array) -> RaisedGap:
+    def of(cls, gap: Datum, facets: BoundaryFacets, by: Array) -> "RaisedGap":
         """A gap raised by a function with these values at the vertices of facets, shape (facets, d)."""
         edges = facets.vertices[:, 1:] - facets.vertices[:, :1]
         slopes = np.einsum("nik,nk->ni", np.linalg.pinv(edges), by[:, 1:] - by[:, :1])

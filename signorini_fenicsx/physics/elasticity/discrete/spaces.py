@@ -1,7 +1,5 @@
 """The spaces of the hybrid elastic problem: traces linear on each facet, in frames that suit the conditions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

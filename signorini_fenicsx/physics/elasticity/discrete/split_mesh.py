@@ -1,7 +1,5 @@
 """The mesh of the subcells into which the Johnson-Mercier element splits cells."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,7 +41,7 @@ class SplitMesh:
         numbers.ravel()[self.subcells] = np.arange(len(self.subcells))
         return numbers
 
-    def part(self, cells: Indices) -> SplitMesh:
+    def part(self, cells: Indices) -> "SplitMesh":
         """The subcells of some owned cells of the domain (collective)."""
         mine = np.sort(self.cells[cells].ravel()).astype(np.int32)
         mesh, entities = fenicsx.submesh(self.mesh, self.mesh.topology.dim, mine)

@@ -15,8 +15,6 @@ to the right side, and on the left the same of (v, u) and of (u, w): twice (v �
 these two leave of it. For y = σ_h, w is û.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

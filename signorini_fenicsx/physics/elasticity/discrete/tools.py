@@ -10,8 +10,6 @@ r_k has a response z_k of the body, and ρ is found from as many equations as th
 matrix of the body stays as it is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A datum with a value for each coordinate, such as a force."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The law of a viscous fluid, ε = 𝔸σ with 𝔸σ = dev σ/2μ: that of an incompressible body, with E = 3μ and ν = ½."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,7 +23,7 @@ class Viscous(Material):
         return np.asarray(stresses - mean[..., None, None] * np.eye(self.dim))
 
     @classmethod
-    def of(cls, spaces: MeshSpaces, viscosity: GivenViscosity) -> Viscous:
+    def of(cls, spaces: MeshSpaces, viscosity: GivenViscosity) -> "Viscous":
         """Read the viscosity, a number or a text, or one of these for each region (collective).
 
         Raises:

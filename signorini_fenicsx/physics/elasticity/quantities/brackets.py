@@ -4,8 +4,6 @@ With ε(v), 𝔸 and g − v_n in the places of ∇v, κ⁻¹ and v − ψ, and 
 same. For forces see `motions`. Under Coulomb's friction it is Tresca's problem with the last bound of the shear.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -146,7 +144,7 @@ class _Side:
     past: str
 
     @classmethod
-    def of(cls, solution: ElasticSolution) -> _Side:
+    def of(cls, solution: ElasticSolution) -> "_Side":
         """The admissible fields of a solution (collective)."""
         y = admissible_stress(solution)
         spaces = solution.spaces

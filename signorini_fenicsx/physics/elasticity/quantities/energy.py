@@ -1,7 +1,5 @@
 """The energy of elastic bodies from both sides, and integrals of texts times displacements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -65,7 +63,7 @@ class Along:
     coefficients: Array
 
     @classmethod
-    def of(cls, v: fem.Function, subcells: AnyIndices, ways: Array) -> Along:
+    def of(cls, v: fem.Function, subcells: AnyIndices, ways: Array) -> "Along":
         """The components along a vector for each of some subcells, or one for all."""
         space = v.function_space
         coefficients = v.x.array.reshape(-1, ways.shape[-1])[space.dofmap.list[subcells]]

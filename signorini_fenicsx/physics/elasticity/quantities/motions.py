@@ -11,8 +11,6 @@ that of R(w). Where u is given on no other part ŵ is w, and |ŵ| = 0; where it 
 it is (v₊ − v₋)/2τ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -9,8 +9,6 @@ leaves more than there was is halved. The first g is T(∞), where nothing slips
 For large μ there may be several solutions, and no theorem known to us tells where there is one only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

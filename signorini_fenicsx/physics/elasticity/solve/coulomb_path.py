@@ -11,8 +11,6 @@ site changes its state, and what decides about the new state tells whether z fal
 different sites differ, so that no two change at once.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

@@ -10,8 +10,6 @@ and the matrix is that of an ordinary body. Now take m_T as a stress that is giv
 flow ∫_∂T û·n falls by about K each time. That is the method of Hestenes and Powell for [S Bᵀ; B 0].
 """
 
-from __future__ import annotations
-
 from typing import Self
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What limits rigid motions, and motions that meet no limit, found by cutting planes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

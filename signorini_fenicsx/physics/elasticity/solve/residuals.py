@@ -1,7 +1,5 @@
 """How well a stress and a contact gap satisfy the discrete elastic problem, and the forces that balance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rigid motions that nothing prevents: then an elastic contact problem has no solution, or many."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self

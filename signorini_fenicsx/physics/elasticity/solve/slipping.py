@@ -18,8 +18,6 @@ rises (switched evolution relaxation, see Kelley and Keyes, SIAM J. Numer. Anal.
 What differs from the plane is that σ_t turns; there three states are enough, and the loop alone finds them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

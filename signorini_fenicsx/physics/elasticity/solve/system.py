@@ -3,8 +3,6 @@
 See `forms/elasticity.py` for what is eliminated on each cell.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from hashlib import blake2b
 

@@ -1,7 +1,5 @@
 """What a method gets of an elastic problem: its starts, and Coulomb's friction as an outer method around the loop."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Weak springs at the sites, where the sets on the way to a solution are too small to hold the body."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is drawn of a viscous flow: the speed with streamlines, the pressure, u_n and σ_nn along laws."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is read off a viscous flow, in its words: speed and pressure, u_n and σ_nn along laws, flows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

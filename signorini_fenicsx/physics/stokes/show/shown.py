@@ -1,7 +1,5 @@
 """What is shown of a viscous flow: fields, tables, pictures, lines of a report."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
