@@ -1,4 +1,4 @@
-"""Controls by paths: numbers of a problem as case files name them, such as "problem.kappa.rock" and "law.0.g"."""
+"""Controls by paths: numbers of a problem as case files name them, such as "problem.kappa.rock" and "pair.0.mu"."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
@@ -13,8 +13,9 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.expressions import TREES, is_polynomial, values
 from signorini_fenicsx.expressions.given import parsed
+from signorini_fenicsx.meshes.paired_parts import named_laws
 
-SECTIONS = {"law": ["laws"], "soil": ["kappa"]}
+SECTIONS = {"law": ["laws"], "pair": ["laws"], "soil": ["kappa"]}
 """Where a problem has the sections of a case file other than `[problem]`."""
 
 
@@ -38,11 +39,20 @@ def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[An
             section, *names = control.split(".")
             if section == "soil" and names[:1] == [EVERYWHERE]:
                 names = names[1:]
+            if section == "pair":
+                names = _of_pair(problem, control, names)
             make = partial(_constant, control, solution.spaces.mesh, constants)
             problem = _replaced(problem, [*SECTIONS.get(section, []), *names], make, control)
         else:
             constants.append(control)
     return solution if problem is solution.problem else solution.of_problem(problem), constants
+
+
+def _of_pair(problem: Any, path: str, names: Sequence[str]) -> list[str]:
+    """A path in the laws of a problem, from one in the pairs."""
+    laws = [name for name, _ in named_laws(problem.laws, problem.boundary.pairs)]
+    pair = ".".join(path.split(".")[:2])
+    return [str(laws.index(pair)) if pair in laws else "", *names[1:]]
 
 
 def _constant(path: str, mesh: dolfinx.mesh.Mesh, constants: list[Any], given: Any) -> fem.Constant:

@@ -108,7 +108,7 @@ def facet_means(spaces: MeshSpaces, name: str, datum: Datum, facets: npt.NDArray
 
 def in_problem(name: str) -> str:
     """How a case file names a datum."""
-    return name if name.startswith(("law.", "[")) else f"[problem] {name}"
+    return name if name.startswith(("law.", "pair.", "[")) else f"[problem] {name}"
 
 
 def extent(values: Array, comm: MPI.Comm) -> tuple[float, float]:

@@ -41,7 +41,8 @@ class PartLaw:
 
     Attributes:
         law: The law.
-        name: How messages call it: "law.0" for the first one that is listed, empty for ψ and q_S of the problem.
+        name: How messages call it: "law.0" for the first one that is listed, "pair.0" for that of the first pair, empty
+            for ψ and q_S of the problem.
         rows: Its facets of this rank, as rows of `Spaces.facets`; of a law in regions its owned cells.
         data: Its data by their names.
         bounds: The data that are the least and the largest u, None where the graph does not end in a vertical segment.
@@ -136,22 +137,22 @@ def by_ends(spaces: MeshSpaces, part: PartLaw) -> list[PartLaw]:
     return [replace(part, rows=part.rows[ends == kind]) for kind in kinds]
 
 
-def parts_of_laws(spaces: MeshSpaces, laws: Sequence[Law]) -> set[str]:
-    """The parts of all laws.
+def parts_of_laws(spaces: MeshSpaces, laws: Sequence[tuple[str, Law]]) -> set[str]:
+    """The parts of all laws, each with its name in messages.
 
     Raises:
         InputError: If one is not of Γ_S, or is listed twice, or a law has neither parts nor a region.
     """
     listed: set[str] = set()
-    for i, law in enumerate(laws):
+    for name, law in laws:
         if not law.parts and not law.region:
-            raise InputError(f"law.{i}: has neither parts nor a region")
+            raise InputError(f"{name}: has neither parts nor a region")
         for part in law.parts:
             if part not in spaces.part_names:
-                names = ", ".join(spaces.part_names)
-                raise InputError(f"law.{i}.parts: '{part}' is not a part of Γ_S, whose parts are {names}")
+                parts = ", ".join(spaces.part_names)
+                raise InputError(f"{name}.parts: '{part}' is not a part of Γ_S, whose parts are {parts}")
             if part in listed:
-                raise InputError(f"law.{i}.parts: '{part}' is listed twice")
+                raise InputError(f"{name}.parts: '{part}' is listed twice")
             listed.add(part)
     return listed
 

@@ -60,6 +60,17 @@ def without_law(pairs: Sequence[PairedParts]) -> list[str]:
     return [*dict.fromkeys(part for pair in pairs for part in (*(pair.slave if pair.tied else ()), *pair.master))]
 
 
+def named_laws(laws: Sequence[Any], pairs: Sequence[PairedParts]) -> list[tuple[str, Any]]:
+    """Laws with their names in messages: "law.0" for the first one that is listed, "pair.0" for that of the first pair.
+
+    Args:
+        laws: All laws of a problem; that of a pair is on the slave.
+        pairs: The pairs.
+    """
+    of_slaves = {part: f"pair.{number}" for number, pair in enumerate(pairs) for part in pair.slave}
+    return [(of_slaves.get(next(iter(law.parts), ""), f"law.{i}"), law) for i, law in enumerate(laws)]
+
+
 def paired_parts(given: Sequence[PairedParts | Mapping[str, Any]]) -> list[PairedParts]:
     """Pairs, some of which are as a file has them."""
     return [PairedParts(**each) if isinstance(each, Mapping) else each for each in given]

@@ -71,9 +71,9 @@ def load_solution(
     options = options or _read_options(checkpoint)
     try:
         system = system_on(_read_domain(checkpoint, comm, boundary.named), posed)
-        rows = _rows_of_facets(checkpoint, system.spaces)
     except InputError as error:
         raise InputError(f"{checkpoint.path}: is damaged: its mesh: {error}") from None
+    rows = _rows_of_facets(checkpoint, system.spaces)
     solution = checkpoint.keeping.read(posed, system.spaces, _stored(checkpoint, posed, options, rows))
     damage = _damage_of(checkpoint.about, solution)
     if damage is not None:
@@ -145,7 +145,11 @@ def _rows_of_facets(checkpoint: Checkpoint, spaces: MeshSpaces) -> Indices:
     rows = find_rows(comm, facet_vertices(spaces.mesh, spaces.facets), [checkpoint.arrays["facet_vertices"]])[:, 0]
     missing, count = comm.allreduce(np.array([np.count_nonzero(rows < 0), len(rows)]))
     if missing > 0 or count != checkpoint.headers["facet_vertices"].shape[0]:
-        raise InputError("its facets with values are not those of Γ_S")
+        of_pairs = " that are covered in pairs now: it is damaged, or of another version; solve the case again"
+        paired = getattr(checkpoint.boundary, "pairs", ())
+        raise InputError(
+            f"{checkpoint.path}: its facets with values are not those{of_pairs if paired else ' of Γ_S: it is damaged'}"
+        )
     return rows
 
 

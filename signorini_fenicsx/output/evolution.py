@@ -1,7 +1,7 @@
 """Writes the results of a run in time: tables of all steps, the fields as one series, pictures."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,14 @@ from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.outlines import is_outline, write_outlines
-from signorini_fenicsx.output.steps import Row, StepFolder
+from signorini_fenicsx.output.steps import OPPOSITE, Row, StepFolder
 from signorini_fenicsx.output.tables import write_columns
 from signorini_fenicsx.output.writing import with_quantities, write_summary
 from signorini_fenicsx.pictures.gather import sample_of
 from signorini_fenicsx.quantities import Quantity
 from signorini_fenicsx.solving.evolving import Instant
 from signorini_fenicsx.solving.physics import PHYSICS
-from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.solving.solved import Columns, Solved
 
 BOUNDS = ("bound", "sigma_bound", "gap", "oscillation", "relative")
 UNBOUNDED = {**dict.fromkeys(BOUNDS, math.inf), "guaranteed": False, "relies_on": "", "bound_is": ""}
@@ -83,13 +83,23 @@ def write_evolution(
         OSError: On all ranks, if the disk is full.
     """
     solution, rows = last.solution, steps.rows()
-    comm, kind, readings = solution.spaces.mesh.comm, type(solution.table()), solution.readings
-
+    comm, kind, readings, opposite = (
+        solution.spaces.mesh.comm,
+        type(solution.table()),
+        solution.readings,
+        solution.opposite,
+    )
+    many = len(rows) * solution.spaces.Lambda.dofmap.index_map.size_global > solution.options.tuning.one_table_up_to
     times = [row["t"] for row in rows]
 
     def tables() -> None:
         write_rows(results.path / "steps.csv", dict.fromkeys(key for row in rows for key in row), rows)
-        _write_sites(results.path, steps, rows, solution, kind)
+        _write_sites(results.path / kind.name, rows, lambda step: solution.columns(steps.table(step, kind)), many=many)
+        if opposite is not None:
+            columns = opposite.columns
+            _write_sites(
+                results.path / "pairs", rows, lambda step: columns(steps.table(step, kind, OPPOSITE)), many=many
+            )
         for name, table in readings.items():
             write_columns(results.path / f"{name}.csv", (steps.readings(row, name) for row in rows))
             if is_outline(table):
@@ -132,24 +142,23 @@ def _along(rows: Sequence[Row]) -> dict[str, Any]:
     return {"iterations": iterations, "time": end | {"largest": largest | guaranteed}}
 
 
-def _write_sites(folder: Path, steps: StepFolder, rows: Sequence[Row], solution: Solved, kind: type[SiteTable]) -> None:
-    """Write the table of sites, one row for each site and step, as text, or as Parquet if they are many (rank 0)."""
+def _write_sites(path: Path, rows: Sequence[Row], of_step: Callable[[int], Columns], *, many: bool) -> None:
+    """Write a table of sites, one row for each site and step, as text, or as Parquet if they are many (rank 0)."""
 
     def columns(row: Row) -> dict[str, Any]:
-        table = steps.table(row["step"], kind)
-        when = {key: np.full(len(table.part), row[key]) for key in ("step", "t")}
-        return {**when, **solution.columns(table)}
+        table = of_step(row["step"])
+        length = len(next(iter(table.values())))
+        return {**{key: np.full(length, row[key]) for key in ("step", "t")}, **table}
 
-    number = len(rows) * solution.spaces.Lambda.dofmap.index_map.size_global
-    if number > solution.options.tuning.one_table_up_to:
+    if many:
         import pyarrow.parquet  # takes a second to import
 
         first = pyarrow.table(columns(rows[0]))
-        with pyarrow.parquet.ParquetWriter(folder / f"{kind.name}.parquet", first.schema) as writer:
+        with pyarrow.parquet.ParquetWriter(path.with_suffix(".parquet"), first.schema) as writer:
             for row in rows:
                 writer.write_table(pyarrow.table(columns(row), schema=first.schema))
         return
-    write_columns(folder / f"{kind.name}.csv", map(columns, rows))
+    write_columns(path.with_suffix(".csv"), map(columns, rows))
 
 
 def _draw(
@@ -174,7 +183,8 @@ def _draw(
     def write() -> None:
         if scene is not None:
             tables = [steps.table(step, kind) for step in range(1, len(times) + 1)]
+            others = [steps.table(step, kind, OPPOSITE) for step in range(1, len(times) + 1) if scene.opposite]
             readings = {name: [steps.readings(row, name) for row in rows] for name in solution.readings}
-            drawing.draw_steps(folder, scene, Steps(times, tables, rows, kept, readings))
+            drawing.draw_steps(folder, scene, Steps(times, tables, rows, kept, readings, others))
 
     on_root(comm, write)

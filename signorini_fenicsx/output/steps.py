@@ -34,6 +34,7 @@ from signorini_fenicsx.solving.solved import Columns
 
 CASE, ROW, READINGS, MESH = "case.json", "row.json", "readings.json", "mesh-"
 MEANS = "means_of_"
+OPPOSITE = "opposite"
 FORMAT = 4
 """Format of what is kept of a step; 3 had no readings, versions up to 0.4 kept no fields, and wrote no format."""
 type Row = Mapping[str, Any]
@@ -125,6 +126,8 @@ class StepFolder:
         part = place.with_suffix(".part")
         on_root(comm, part.mkdir)
         tables = {f"table_{key}": rows for key, rows in vars(solution.table()).items()}
+        if (opposite := solution.opposite) is not None:
+            tables |= {f"{OPPOSITE}_{key}": rows for key, rows in vars(opposite.table).items()}
         fields = [(_key(name, field), field) for name, of_file in solution.fields().items() for field in of_file]
         means = {MEANS + key: field.cell_means for key, field in fields if field.cell_means is not None}
         values = {key: field.values for key, field in fields}
@@ -184,15 +187,15 @@ class StepFolder:
 
         return {name: [again(_key(name, field), field) for field in of_file] for name, of_file in like.items()}
 
-    def table(self, step: int, kind: type[SiteTable]) -> SiteTable:
-        """The table of Γ_S after a step (rank 0, not collective).
+    def table(self, step: int, kind: type[SiteTable], of: str = "table") -> SiteTable:
+        """The table of Γ_S after a step, or of what is `OPPOSITE` to it (rank 0, not collective).
 
         Raises:
             InputError: If it cannot be read.
         """
         place = self._place(step)
         with self._told():
-            return kind(**{each.name: np.load(place / f"table_{each.name}.npy") for each in fields(kind)}).in_order()
+            return kind(**{each.name: np.load(place / f"{of}_{each.name}.npy") for each in fields(kind)}).in_order()
 
     def readings(self, row: Row, name: str) -> Columns:
         """A table of what was read off after the step with this row (rank 0, not collective).
@@ -221,7 +224,7 @@ class StepFolder:
             places_of_file = self._read(self.path / f"{MESH}{first:06}" / f"{kind}.npy")
             rows = find_rows(self._comm, _places(spaces)[kind], [places_of_file])[:, 0]
             if self._comm.allreduce(int(np.count_nonzero(rows < 0))) > 0:
-                raise InputError(f"--restart: {self.path} is of another mesh")
+                raise InputError(f"--restart: {self.path} is of another mesh, or of another version of the program")
             self._rows[first, kind] = rows
         return fetch_rows(self._comm, self._rows[first, kind], self._read(self._place(step) / f"{key}.npy"))
 

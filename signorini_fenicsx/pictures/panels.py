@@ -142,6 +142,7 @@ class Steps:
         rows: Its numbers.
         kept: What steps kept in cells, by name and number of the step.
         readings: What was read off after each step, by the name of its table.
+        opposite: The table of what is opposite to Γ_S after each step, if there is such.
     """
 
     times: Sequence[float]
@@ -149,3 +150,4 @@ class Steps:
     rows: Sequence[Mapping[str, Any]]
     kept: Mapping[str, Mapping[int, Any]]
     readings: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+    opposite: Sequence[Any] = ()

@@ -1,6 +1,6 @@
 """What a physics gives of a solution for its pictures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,11 +26,13 @@ class Surfaces:
         names: Their parts.
         facets: The facets, `part` an index into these.
         table: Their values, a `SiteTable`.
+        columns: The columns that are written of such a table.
     """
 
     names: Sequence[str]
     facets: Facets
     table: Any
+    columns: Callable[[Any], Mapping[str, npt.NDArray]]
 
 
 @dataclass(frozen=True)

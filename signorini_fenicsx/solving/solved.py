@@ -25,7 +25,7 @@ from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.methods.registry import Method
-from signorini_fenicsx.solving.drawn import Drawn
+from signorini_fenicsx.solving.drawn import Drawn, Surfaces
 from signorini_fenicsx.solving.fields import Fields
 from signorini_fenicsx.solving.options import Options
 
@@ -333,6 +333,11 @@ class Solved(ABC):
     def other_tables(self) -> dict[str, Columns]:
         """Further tables by the names of their files, with their columns on rank 0 (collective)."""
         return {}
+
+    @property
+    def opposite(self) -> Surfaces | None:
+        """What is opposite to Γ_S in pairs and has a table, `pairs.csv`, also of steps in time (collective)."""
+        return None
 
     @abstractmethod
     def drawn(self) -> Drawn:

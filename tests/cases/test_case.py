@@ -39,6 +39,7 @@ def test_examples_are_shipped():
             "electropainting_growth",
             "drawdown",
             "earth_dam",
+            "heat_sink",
             "hillslope",
             "soil_column",
             "tracy_box",

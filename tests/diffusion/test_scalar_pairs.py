@@ -25,8 +25,10 @@ from signorini_fenicsx.api import (
     TwoSided,
     Wall,
     certify,
+    load_case,
     load_solution,
     solve,
+    solve_case,
 )
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.quantities.kinds import Energy
@@ -164,6 +166,16 @@ def test_a_case_file(tmp_path: Path) -> None:
     assert "pieces; distance 0 to 0" in ended.stdout
 
 
+def test_a_heat_sink() -> None:
+    """All heat of the chip goes through the joint and into the air; the chip is nearly as hot as by a sum by hand."""
+    solution = solve_case(load_case("heat_sink"))
+    chip = solution.spaces.domain.regions["chip"]
+    measure = solution.spaces.cell_measures[chip]
+    heat = [sum_over(solution, part) for part in ("chip.top", "sink.base", "sink.air")]
+    np.testing.assert_allclose(heat, [-1, 1, -1], rtol=1e-9)
+    assert 100.2 < measure @ solution.u_values[chip].mean(axis=1) / measure.sum() < 1.03 * 100.2
+
+
 @pytest.mark.parametrize(
     ("pair", "words"),
     [
@@ -172,6 +184,7 @@ def test_a_case_file(tmp_path: Path) -> None:
         (PAIR.replace("graph", "river"), "unknown kind of a pair 'river'"),
         (PAIR.replace("up.bottom", "up.tip"), "unknown part 'up.tip'"),
         (PAIR.replace("up.bottom", "up.left"), "is listed twice"),
+        (PAIR.replace("[[-1, 4], [1, -4]]", '[["log(x - 1)", 0]]'), "pair.0.corners.0.0: not finite everywhere"),
         (PAIR + "direction = [0, -1]\n", "no facet of the slave is covered"),
         (PAIR + "[solve]\nelement = 'RT0'\n", "pairs of surfaces take RT1"),
         (PAIR + "[solve]\nbackend = 'mixed'\n", "pairs take the hybrid"),

@@ -13,6 +13,7 @@ from mpi4py import MPI
 from signorini_fenicsx import load_case, solve_case
 from signorini_fenicsx.cases.inspection import check
 from signorini_fenicsx.cases.solving import evolve_case
+from signorini_fenicsx.discrete import overlay
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.pictures.scene import gathered_scene
 
@@ -116,6 +117,39 @@ def test_tables_and_pictures_have_the_other_side(tmp_path: Path, kind: str) -> N
     assert (("sliding_vector", "up.bottom") in shown) == (kind != "tied")
 
 
+@pytest.mark.parametrize("kind", ["friction", "tied"])
+def test_steps_have_the_other_side(tmp_path: Path, kind: str) -> None:
+    """The tables and pictures of steps have what acts on masters and tied slaves in each of them."""
+    pair = "mu = 0.3\n" if kind == "friction" else ""
+    text = BLOCKS.replace("[0, -0.05]", '["0.02*t", "-0.05*t"]') + PAIR.replace("contact", kind) + pair
+    (tmp_path / "case.toml").write_text(text + "[time]\nend = 1\nsteps = 2\n")
+    done = signorini(tmp_path, "solve", "case.toml", "--output", "out", "--plot")
+    assert done.returncode == 0
+    with (tmp_path / "out" / "pairs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with (tmp_path / "out" / "steps.csv").open() as file:
+        steps = list(csv.DictReader(file))
+    for part in {"low.top", "up.bottom"} if kind == "tied" else {"low.top"}:
+        for step in steps:
+            here = [row for row in rows if (row["part"], row["step"]) == (part, step["step"])]
+            force = sum(float(row["measure"]) * float(row["pressure"]) / 2 for row in here)
+            assert abs(force) == pytest.approx(abs(float(step[f"{part}_force_y"])), rel=1e-12)
+    assert (tmp_path / "out" / "pairs.png").exists()
+    assert (tmp_path / "out" / "contact.png").exists() == (kind == "friction")
+
+
+def test_results_of_other_coverage_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an earlier overlay left uncovered is said, not called damaged alone."""
+    case = tmp_path / "case.toml"
+    case.write_text(BLOCKS.replace("[0.2, 0.8]", "[0.2, 1.01]") + PAIR)
+    monkeypatch.setattr(overlay, "NEARLY", 0.0)
+    write_solution(solve_case(load_case(case)), tmp_path / "out", fields=False)
+    monkeypatch.undo()
+    done = signorini(tmp_path, "export", "out", "--output", "out2")
+    assert done.returncode == 2
+    assert "covered in pairs now: it is damaged, or of another version" in " ".join(done.stderr.split())
+
+
 def test_curved_bodies_are_not_drawn_in_one_another() -> None:
     """A cylinder on a block is drawn apart from it; a shaft in its hub cannot be, so nothing is enlarged."""
     for name, enlarged in (("roller", True), ("press_fit", False)):
@@ -139,6 +173,8 @@ WRONG = [
     (PAIR.replace("low.top", "low.left"), "listed twice"),
     (PAIR.replace("contact", "glue"), "unknown kind of a pair 'glue'; use one of contact, friction, tied"),
     (PAIR.replace("contact", "friction"), "must have either g"),
+    (PAIR.replace("contact", "friction") + 'mu = "x - 5"', "pair.0.mu: must be finite and not negative"),
+    (PAIR.replace("contact", "wall") + "beta = -1", "pair.0 (wall): beta must not be negative"),
     (PAIR + "within = 1e-3\ndirection = [0, 1]", "no facet of the slave is covered"),
     ('[[law]]\nkind = "contact"\nparts = ["up.bottom", "low.top"]', "in a case file [[pair]]"),
 ]

@@ -22,7 +22,7 @@ from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
-from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts, without_law
+from signorini_fenicsx.meshes.paired_parts import PairedParts, named_laws, paired_parts, without_law
 from signorini_fenicsx.physics.elasticity.conditions import (
     Closed,
     Contact,
@@ -373,8 +373,13 @@ class ElasticProblem(Body):
 
     def _changed(self, change: Callable[[str, Any], Any]) -> ElasticProblem:
         """The problem with changed data, also those of the laws, see `with_data`."""
-        laws = [law.with_data(partial(_changed_in, index, change)) for index, law in enumerate(self.laws)]
+        laws = [law.with_data(partial(_changed_in, name, change)) for name, law in self.named_laws]
         return replace(with_data(self, change, but=("plane", "laws", "surface", "boundary")), laws=laws)
+
+    @property
+    def named_laws(self) -> list[tuple[str, ElasticLaw]]:
+        """All laws with their names in messages."""
+        return named_laws(self.laws, self.boundary.pairs)
 
     @property
     def rough(self) -> list[str]:
@@ -382,16 +387,16 @@ class ElasticProblem(Body):
         return [part for law in self.laws if not is_normal(law) for part in law.parts]
 
     @property
-    def normal(self) -> list[tuple[int, Law]]:
-        """The laws between opening and pressure, each with its number among all laws, and that of closed parts."""
-        laws = [(index, law) for index, law in enumerate(self.laws) if is_normal(law)]
+    def normal(self) -> list[tuple[str, Law]]:
+        """The laws between opening and pressure with their names in messages, and that of closed parts."""
+        laws = [(name, law) for name, law in self.named_laws if is_normal(law)]
         closed = [part for part in self.boundary.contact if self.boundary.fixed.get(part) == NORMAL]
-        return [*laws, *([(len(self.laws), Closed(closed))] if closed else [])]
+        return [*laws, *([("fixed", Closed(closed))] if closed else [])]
 
 
-def _changed_in(index: int, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:
-    """A datum of the law with this number, changed under the name of it that messages have."""
-    return change(f"law.{index}.{key.partition('.')[2]}", given)
+def _changed_in(law: str, change: Callable[[str, Any], Any], key: str, given: Any) -> Any:
+    """A datum of the law with this name, changed under the name of it that messages have."""
+    return change(f"{law}.{key.partition('.')[2]}", given)
 
 
 def nothing_for_0(value: Any) -> Any:

@@ -75,6 +75,7 @@ class ElasticSolution(Solution):
     offers = (*Solution.offers, *_own)
     fields, drawn, lines = shown.fields, shown.drawn, shown.lines
     table, columns, other_tables = tables.table, tables.columns, tables.other_tables
+    opposite = cached_property(tables.opposite_surfaces)
     differences = differences
 
     def of_problem(self, problem: ElasticProblem) -> Self:

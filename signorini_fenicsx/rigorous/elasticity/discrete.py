@@ -243,9 +243,9 @@ def _contact(solution: ElasticSolution, collected: _Collected) -> dict[str, npt.
     gap, rubbing, pair = (_nowhere(spaces) for _ in range(3))
     contact, rough, coulomb = spaces.contact, spaces.rough, data.friction.coulomb
     gap[contact.cells, contact.local] = collected.on_facets(data.gap, "gap", contact.facets)
-    for index, law in enumerate(solution.problem.laws):
+    for of_law, law in solution.problem.named_laws:
         for part in [] if isinstance(law, CoulombLaw) else law.parts:
-            facets, name = spaces.part(part), f"law.{index}.g"
+            facets, name = spaces.part(part), f"{of_law}.g"
             most = datum_of(spaces, name, parsed(getattr(law, "g"), "xyz"[:dim], name))  # noqa: B009
             rubbing[facets.cells, facets.local] = collected.on_facets(most, name, facets.facets)
     bound = np.zeros((*gap.shape, dim))

@@ -11,6 +11,7 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.part_laws import PartLaw, by_ends, chains_of, checked, data_of_law, parts_of_laws
+from signorini_fenicsx.meshes.paired_parts import named_laws
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -62,14 +63,15 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
     Raises:
         InputError: If data are not what their law allows; the message says where.
     """
-    listed = parts_of_laws(spaces, problem.laws)
+    given = named_laws(problem.laws, problem.boundary.pairs)
+    listed = parts_of_laws(spaces, given)
     plain = [part for part in spaces.part_names if part not in listed]
     laws: list[tuple[str, Law, Mapping[str, Datum]]] = []
     if plain or all(law.region for law in problem.laws):
         laws.append(("", Signorini(plain), {"psi": psi, "q_S": q_S}))
-    for i, law in enumerate(problem.laws):
+    for name, law in given:
         if not law.region:
-            laws.append((f"law.{i}", law, data_of_law(spaces, law, f"law.{i}")))
+            laws.append((name, law, data_of_law(spaces, law, name)))
     number = len(spaces.facets)
     psi_h, q_Sh = np.empty(number), np.empty(number)
     of_parts, chains = [], []

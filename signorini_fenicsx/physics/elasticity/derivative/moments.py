@@ -75,11 +75,11 @@ def of_friction(spaces: ElasticSpaces, problem: ElasticProblem, directions: Arra
     rough, slip, dim = spaces.rough.facets, spaces.site_kinds["slip"], spaces.dim
     order, sites = np.argsort(rough), slip.first + np.arange(len(slip)).reshape(len(rough), dim * (dim - 1))
     shear = np.eye(dim)[:, None] * directions.reshape(len(rough), dim, dim - 1, 1)
-    for index, law in enumerate(problem.laws):
+    for of_law, law in problem.named_laws:
         if is_normal(law):
             continue
         name = "mu" if isinstance(law, CoulombLaw) else "g"
-        key = f"law.{index}.{name}"
+        key = f"{of_law}.{name}"
         datum = datum_of(spaces, key, parsed(getattr(law, name), "xyz"[:dim], key))
         _check_linear(key, datum)
         for part in law.parts:

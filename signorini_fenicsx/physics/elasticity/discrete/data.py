@@ -257,7 +257,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         lift=lift.x.array.astype(np.float64),
         load=load.array,
         fixed=fixed,
-        friction=friction_bounds(spaces, problem.laws) if before.friction is None else before.friction,
+        friction=friction_bounds(spaces, problem.named_laws) if before.friction is None else before.friction,
         slipped=slipped,
         tools=tools_of(spaces, problem),
         moved=np.zeros(len(spaces.site_kinds)),

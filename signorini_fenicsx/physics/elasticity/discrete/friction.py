@@ -270,13 +270,13 @@ def law_of_sites(normal: Chains, friction: FrictionBounds) -> Chains:
     return normal.followed_by(friction.chains) if friction else normal
 
 
-def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> FrictionBounds:
-    """Read the laws of friction (collective).
+def friction_bounds(spaces: ElasticSpaces, laws: Sequence[tuple[str, ElasticLaw]]) -> FrictionBounds:
+    """Read the laws of friction, each with its name in messages (collective).
 
     Raises:
         InputError: If g or μ is negative or not finite somewhere.
     """
-    rubbing = [(index, law) for index, law in enumerate(laws) if not is_normal(law)]
+    rubbing = [(name, law) for name, law in laws if not is_normal(law)]
     rough, dim = spaces.rough, spaces.dim
     number = len(rough.facets)
     coulomb = any(isinstance(law, CoulombLaw) for _, law in rubbing)
@@ -284,9 +284,9 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[ElasticLaw]) -> Fricti
     slipping = Slipping.nowhere(number) if dim == 3 and rubbing else None
     bounds = FrictionBounds(none, none.copy(), np.zeros(number, dtype=bool), (), coulomb, bool(rubbing), slipping)
     texts = []
-    for index, law in rubbing:
+    for of_law, law in rubbing:
         key = "mu" if isinstance(law, CoulombLaw) else "g"
-        name, given = f"law.{index}.{key}", getattr(law, key)
+        name, given = f"{of_law}.{key}", getattr(law, key)
         for part in law.parts:
             rows = np.flatnonzero(np.isin(rough.facets, spaces.domain.facets[part]))  # a pair leaves some facets out
             facets = rough.take(rows)

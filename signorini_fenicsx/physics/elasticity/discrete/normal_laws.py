@@ -70,17 +70,17 @@ class NormalLaw(PartLaw):
         return all(degree <= most.get(name, 0) for name, degree in degrees.items())
 
 
-def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[int, Law]]) -> VertexLaws:
-    """Read the laws, each with its number in the list of all laws; elsewhere Γ_C is in contact (collective).
+def normal_laws(spaces: ElasticSpaces, laws: Sequence[tuple[str, Law]]) -> VertexLaws:
+    """Read the laws, each with its name in messages; elsewhere Γ_C is in contact (collective).
 
     Raises:
         InputError: If data are not what their law allows; the message says where.
     """
-    parts_of_laws(spaces, [law for _, law in laws])
+    parts_of_laws(spaces, laws)
     parts = []
-    for index, law in laws:
+    for name, law in laws:
         numbers = [spaces.part_names.index(part) for part in law.parts]
         rows = np.flatnonzero(np.isin(spaces.part_of_facet, numbers))
-        parts.append(NormalLaw(law, f"law.{index}", rows, data_of_law(spaces, law, f"law.{index}")))
+        parts.append(NormalLaw(law, name, rows, data_of_law(spaces, law, name)))
         refuse_data(spaces, parts[-1])
     return vertex_laws(spaces, parts)

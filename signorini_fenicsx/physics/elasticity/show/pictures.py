@@ -248,12 +248,14 @@ def _rounded(value: float) -> float:
 
 
 def in_time(folder: Path, scene: Scene, steps: Steps) -> None:
-    """Draw `forces.png` and, where there is Γ_C, `contact.png`."""
+    """Draw `forces.png`, where there is Γ_C `contact.png`, and where there are pairs `pairs.png`."""
     _forces(scene, steps.rows).save(folder / "forces.png")
+    shown = [each for each in _on_gamma(scene) if each.where is Where.GAMMA and each.what != "gap"]
     if scene.labels:
-        shown = [each for each in _on_gamma(scene) if each.where is Where.GAMMA and each.scene is None]
-        panels = [each for each in shown if each.what != "gap"]
-        draw_over_time(folder / "contact.png", scene, steps, panels)
+        draw_over_time(folder / "contact.png", scene, steps, [each for each in shown if each.scene is None])
+    if scene.opposite is not None:
+        panels = [replace(each, scene=None) for each in shown if each.scene is not None]
+        draw_over_time(folder / "pairs.png", scene.opposite, replace(steps, tables=steps.opposite), panels)
 
 
 def _forces(scene: Scene, rows: Sequence[Mapping[str, Any]]) -> Sheet:

@@ -22,7 +22,6 @@ from signorini_fenicsx.physics.elasticity.show.tables import (
     friction_vectors,
     labels,
     middles,
-    opposite_surfaces,
     segment_names,
     vertex_numbers,
 )
@@ -117,7 +116,7 @@ def drawn(solution: ElasticSolution) -> Drawn:
         cells={"u": u.mean(axis=1), "stress": stress},
         segments=[*segment_names(solution), *STATES] if named else (),
         inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
-        opposite=opposite_surfaces(solution),
+        opposite=solution.opposite,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import dolfinx.mesh
@@ -217,7 +218,7 @@ def opposite_surfaces(solution: ElasticSolution) -> Surfaces | None:
     first = slice(None, None, spaces.dim)
     numbers, _ = vertex_numbers(spaces, facets)
     surface = Facets(places["part"][first], places["middle"][first], places["facet"][first], facets.measure, numbers)
-    return Surfaces(names, surface, rows)
+    return Surfaces(names, surface, rows, partial(_opposite_columns, names, solution))
 
 
 def vertex_numbers(spaces: ElasticSpaces, facets: BoundaryFacets) -> tuple[Indices, Indices]:
@@ -230,24 +231,24 @@ def vertex_numbers(spaces: ElasticSpaces, facets: BoundaryFacets) -> tuple[Indic
 
 def other_tables(solution: ElasticSolution) -> dict[str, Columns]:
     """`pairs.csv`: the tractions on masters and on tied slaves, see `Solved.other_tables` (collective)."""
-    surfaces = opposite_surfaces(solution)
-    if surfaces is None:
+    if (surfaces := solution.opposite) is None:
         return {}
     table = surfaces.table.gathered(solution.spaces.mesh.comm)
-    if table is None:
-        return {"pairs": {}}
+    return {"pairs": {} if table is None else surfaces.columns(table)}
+
+
+def _opposite_columns(names: Sequence[str], solution: ElasticSolution, table: ContactTable) -> Columns:
+    """The columns of `pairs.csv`, whose parts have these names."""
     masters = [name for pair in solution.boundary.pairs for name in pair.master]
     return {
-        "pairs": {
-            "part": np.array(surfaces.names)[table.part],
-            "side": np.array(["master" if name in masters else "slave" for name in surfaces.names])[table.part],
-            "facet": table.number,
-            "measure": table.measure,
-            **dict(zip("xyz", table.x.T, strict=True)),
-            "pressure": table.pressure,
-            "shear": table.shear,
-            **_vectors({"shear": table.shear_vector}, solution.spaces.dim),
-        }
+        "part": np.array(names)[table.part],
+        "side": np.array(["master" if name in masters else "slave" for name in names])[table.part],
+        "facet": table.number,
+        "measure": table.measure,
+        **dict(zip("xyz", table.x.T, strict=True)),
+        "pressure": table.pressure,
+        "shear": table.shear,
+        **_vectors({"shear": table.shear_vector}, solution.spaces.dim),
     }
 
 
