@@ -30,7 +30,7 @@ from rich.table import Table
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case
-from signorini_fenicsx.certificate.adaptive import FIRST_MESH, AdaptRow, MeasuredRow
+from signorini_fenicsx.certificate.adaptive import ALONE, FIRST_MESH, AdaptRow
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.quantities import Integral, Kind, Mean, Quantity
 from signorini_fenicsx.solving.solved import Solved
@@ -56,16 +56,16 @@ def of_quantities(max_cells: int) -> None:
     ways = {"interval": (False, 0.5), "energy": (True, 0.5), "uniform": (True, 1.0)}
     table = Table("quantity", "length", *(f"{way}: {what}" for way in ways for what in ("cells", "s")))
     for name, kind in QUANTITIES.items():
-        rows: dict[str, list[MeasuredRow]] = {}
+        rows: dict[str, list[AdaptRow]] = {}
         for way, (of_energy, theta) in ways.items():
             rows[way] = []
             measure = partial(measured, kind=kind, of_energy=of_energy)
             adapt_case(case, max_cells=max_cells, theta=theta, measure=measure, on_row=rows[way].append)
-        last = rows["energy"][-1].upper - rows["energy"][-1].lower
+        last = rows["energy"][-1].quantities[ALONE].width
         for factor in (4, 2, 1):
             cells = []
             for of_way in rows.values():
-                reached = next((row for row in of_way if row.upper - row.lower <= factor * last), None)
+                reached = next((row for row in of_way if row.quantities[ALONE].width <= factor * last), None)
                 cells += ["–", "–"] if reached is None else [str(reached.cells), f"{reached.seconds:.1f}"]
             table.add_row(name, f"{factor * last:.2e}", *cells)
     if MPI.COMM_WORLD.rank == 0:

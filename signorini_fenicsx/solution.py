@@ -65,18 +65,19 @@ class Solution(Solved):
         return derivative(self, direction, **tolerance)
 
     @collector_off()
-    def quantity(self, kind: Kind) -> Quantity:
+    def quantity(self, kind: Kind, near: Quantity | None = None) -> Quantity:
         """Prove a quantity of the exact solution from both sides (collective).
 
         Args:
             kind: What quantity, of `signorini_fenicsx.quantities`.
+            near: That of the step or on the mesh before, from which fewer problems are solved.
 
         Raises:
             InputError: If it is not one of this problem.
         """
         from signorini_fenicsx.quantities.of_solution import quantity
 
-        return quantity(self, kind)
+        return quantity(self, kind, near)
 
     @collector_off()
     def _repr_html_(self) -> str | None:

@@ -1,6 +1,6 @@
 """Solving the problem of a case file."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -94,13 +94,29 @@ def check_quantities_of(case: CaseFile, domain: Domain, posed: Any) -> None:
     check_quantities(domain, posed, [each.made() for each in case.quantity])
 
 
+def check_named(case: CaseFile, name: str | None) -> None:
+    """Refuse a name that no quantity of a case has.
+
+    Raises:
+        InputError: If it has none of that name.
+    """
+    names = [each.name for each in case.quantity]
+    if name not in (None, *names):
+        raise InputError(f"--quantity {name}: {case.name} has {', '.join(names) or 'no [[quantity]]'}")
+
+
 @collector_off()
-def quantities_of(solution: Solution) -> dict[str, Quantity]:
-    """The intervals for the quantities of the case of a solution, by their names (collective)."""
-    found = {}
+def quantities_of(solution: Solution, near: Mapping[str, Quantity | None] | None = None) -> dict[str, Quantity]:
+    """The intervals for the quantities of the case of a solution, by their names (collective).
+
+    Args:
+        solution: The solution.
+        near: Those of the step or on the mesh before, as far as they are known.
+    """
+    found, before = {}, near or {}
     for each in solution.source.quantity if isinstance(solution.source, CaseFile) else []:
         try:
-            found[each.name] = solution.quantity(each.made())
+            found[each.name] = solution.quantity(each.made(), before.get(each.name))
         except InputError as error:
             error.args = (f"[[quantity]] {each.name}: {error}",)
             raise
@@ -168,20 +184,29 @@ def adapt_case(
     on_row: Callable[[AdaptRow], None] = lambda row: None,
     on_step: OnStep = lambda step: None,
     measure: Callable[[Any], Quantity] | None = None,
+    by: str | None = None,
     width: float | None = None,
     on_note: Callable[[str], None] = lambda note: None,
 ) -> tuple[Any, Certificate]:
     """Solve a case on meshes refined where the error is, see `certificate.adaptive.adapt` (collective).
 
+    Without `measure` the quantities of the case are found on each mesh; `by` is the name of one.
+
     Raises:
-        InputError: If the first mesh cannot be made or has too many cells.
+        InputError: If there is no such quantity, or if the first mesh cannot be made or has too many cells.
         LaterFailure: If something fails after the problem has been solved on a mesh, see there.
         NumericalFailure: If the problem on the first mesh cannot be solved.
     """
+    near: dict[str, Quantity | None] = {}
 
     def solve_on(domain: Domain, start: Solved | None) -> Any:
         return solve_case(case, domain=domain, start=start, on_step=on_step)
 
+    def of_case(solution: Any) -> dict[str, Quantity]:
+        near.update(found := quantities_of(solution, near))
+        return found
+
+    check_named(case, by)
     with naming(case.name):
         first = mesh_case(case, comm)
     options, lacking = refining(case.posed(first.mesh.geometry.dim), options_of(case))
@@ -196,7 +221,8 @@ def adapt_case(
         max_cells=max_cells,
         theta=theta,
         on_row=on_row,
-        measure=measure,
+        measure=measure or of_case,
+        by=by,
         width=width,
     )
 

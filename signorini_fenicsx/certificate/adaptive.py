@@ -2,8 +2,8 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,6 +37,8 @@ DEFAULT_THETA = 0.5
 MARGIN, LEAST = 1.3, 0.05
 """Near the target so many times the share of Σ η_T² is refined that is above it, and no less than the second."""
 DEFAULT_MAX_CELLS = 10**6
+ALONE = "quantity"
+"""The name in rows of a quantity that is measured alone."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class AdaptRow:
         oscillation: The data oscillation in the bound.
         relative: bound/‖σ_h‖.
         seconds: Wall time since the start, all meshes included.
+        quantities: Quantities that are found on each mesh, with their intervals, by name.
     """
 
     refinement: str
@@ -72,19 +75,13 @@ class AdaptRow:
     oscillation: float
     relative: float
     seconds: float
+    quantities: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
 
-
-@dataclass(frozen=True)
-class MeasuredRow(AdaptRow):
-    """One mesh of an adaptive run for a quantity.
-
-    Attributes:
-        lower: Lower bound of the quantity.
-        upper: Upper bound.
-    """
-
-    lower: float
-    upper: float
+    def columns(self) -> dict[str, Any]:
+        """All of it for a row of a table."""
+        of_quantities = [quantity.columns(name) for name, quantity in self.quantities.items()]
+        own = {key: value for key, value in vars(self).items() if key != "quantities"}
+        return own | {key: value for columns in of_quantities for key, value in columns.items()}
 
 
 class Measured(Protocol):
@@ -106,6 +103,9 @@ class Measured(Protocol):
     def shares(self) -> Array | None:
         """What each owned cell adds to this length; None if that is not known."""
 
+    def columns(self, name: str) -> dict[str, Any]:
+        """All of it for a row of a table, under a name."""
+
 
 @collector_off()
 def adapt[S: Solved](
@@ -116,7 +116,8 @@ def adapt[S: Solved](
     max_cells: int = DEFAULT_MAX_CELLS,
     theta: float = DEFAULT_THETA,
     on_row: Callable[[AdaptRow], None] = lambda row: None,
-    measure: Callable[[S], Measured] | None = None,
+    measure: Callable[[S], Measured | Mapping[str, Measured]] | None = None,
+    by: str | None = None,
     width: float | None = None,
 ) -> tuple[S, Certificate]:
     """Refine a mesh where the certificate of its solution finds the error (collective).
@@ -130,9 +131,10 @@ def adapt[S: Solved](
         target: Relative bound at which to stop; with None only the number of cells ends the refinement.
         max_cells: Meshes with more cells are not used.
         theta: The refined cells have this share of Σ η_T²; 1 refines uniformly.
-        on_row: Called on all ranks after each mesh, with a `MeasuredRow` if there is a quantity.
+        on_row: Called on all ranks after each mesh.
         measure: Gives a quantity of a solution with its interval, such as `lambda solution: solution.quantity(Mean())`;
-            then the mesh is refined where this is long (collective). None for the bound of the energy error.
+            then the mesh is refined where this is long (collective). Or some by name, which are in the rows.
+        by: The name of that among these for which the mesh is refined; None for the bound of the energy error.
         width: Length of its interval at which to stop.
 
     Returns:
@@ -161,13 +163,15 @@ def adapt[S: Solved](
         start = solution if solution.method.starts_from_sets else None
         with _after(solution):
             certificate = certify(solution)
-            interval = None if measure is None else measure(solution)
+            measured = {} if measure is None else measure(solution)
+            found = measured if isinstance(measured, Mapping) else {ALONE: measured}
+            interval = found.get(ALONE if found is not measured else by or "")
         largest = comm.allreduce(float(owned_values(certificate.indicator).max(initial=0.0)), MPI.MAX)
         if theta < 1 and interval is None and certificate.if_none and largest == 0:
             raise InputError(f"adapt: there is no error bound by which to refine the mesh: {certificate.if_none}")
         seconds = comm.allreduce(time.perf_counter() - began, MPI.MAX)
         row = _row("uniform" if theta >= 1 else "adaptive", mesh, solution, certificate, seconds)
-        on_row(row if interval is None else MeasuredRow(**vars(row), lower=interval.lower, upper=interval.upper))
+        on_row(replace(row, quantities=found))
         narrow = interval is not None and width is not None and interval.width <= width
         if narrow or (target is not None and certificate.relative <= target):
             return solution, certificate

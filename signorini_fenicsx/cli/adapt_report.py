@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping
 
-from signorini_fenicsx.certificate.adaptive import AdaptRow, MeasuredRow, rate
+from signorini_fenicsx.cases.case import CaseFile
+from signorini_fenicsx.certificate.adaptive import AdaptRow, rate
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.cli.solution_report import bound, interval
@@ -16,11 +17,11 @@ class AdaptReport(CaseReport):
         super().__init__(**options)
         self.rows: list[AdaptRow] = []
 
-    def columns(self, target: float | None, max_cells: int, widths: Mapping[str, float | None]) -> None:
+    def columns(self, target: float | None, max_cells: int, widths: Mapping[str, float | None], case: CaseFile) -> None:
         """Print when refinement ends, and name the columns; `widths` are lengths of intervals to reach."""
         wanted = "" if target is None else f"relative error ≤ {target:g} or "
         wanted += "".join(f"{name} is known to {width:g} or " for name, width in widths.items())
-        length = f" {'length':>10}" if widths else ""
+        length = "".join(f" {each.name:>11} {'length':>10}" for each in case.quantity)
         self.line(f"until {wanted}{max_cells} cells")
         sizes = "".join(f" {name:>9}" for name in ("cells", "unknowns", "contact"))
         self.table(f"{'mesh':>13}{sizes} {'n':>3} {'error ≤':>10} {'relative':>9} {'seconds':>9}{length}")
@@ -31,7 +32,9 @@ class AdaptReport(CaseReport):
         self.row(
             f"{row.refinement:>9}{row.mesh:4d} {row.cells:9d} {row.unknowns:9d} {row.contact_measure:9.5g} "
             f"{row.iterations:3d} {row.bound:10.4e} {row.relative:9.3e} {row.seconds:9.2f}"
-            + (f" {row.upper - row.lower:10.3e}" if isinstance(row, MeasuredRow) else "")
+            + "".join(
+                f" {each.value:{max(11, len(name))}.6g} {each.width:10.3e}" for name, each in row.quantities.items()
+            )
         )
 
     def adapted(self, best: float, certificate: Certificate, quantities: Mapping[str, Quantity]) -> None:

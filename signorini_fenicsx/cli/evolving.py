@@ -151,7 +151,7 @@ def _go_on(
     """
     from signorini_fenicsx.cases.solving import evolve_case, quantities_of, shared_domain
     from signorini_fenicsx.output.evolution import UNBOUNDED, row_of
-    from signorini_fenicsx.quantities.bracket import NOT_FOUND
+    from signorini_fenicsx.quantities.bracket import NOT_FOUND, Quantity
 
     assert case.time is not None
     comm = folder.comm
@@ -160,6 +160,8 @@ def _go_on(
     past = None if told == 0 else (lambda own: steps.past(own, told))
     domain = shared_domain(start, case)
     last, quantities = None, dict[str, "Quantity"]()
+    before = steps.rows()[done - 1] if done else {}
+    near = {each.name: Quantity.in_row(each.name, before) for each in case.quantity}
     began = time.perf_counter()
     try:
         for instant in evolve_case(
@@ -170,8 +172,9 @@ def _go_on(
                 certificate = folder.attempt("error bounds", partial(bounds.certify, instant))
             if instant.step <= done:
                 continue
-            found = folder.attempt("quantities", partial(quantities_of, instant.solution))
+            found = folder.attempt("quantities", partial(quantities_of, instant.solution, near))
             quantities = dict.fromkeys((each.name for each in case.quantity), NOT_FOUND) if found is None else found
+            near |= quantities
             now = time.perf_counter()
             row = row_of(instant, certificate, quantities, now - began)
             row |= UNBOUNDED if certificate is None and bounds is not None else {}

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from signorini_fenicsx.certificate.proof import Proof
     from signorini_fenicsx.physics.diffusion.case import Case
     from signorini_fenicsx.quantities import Quantity
-    from signorini_fenicsx.solution import Solution
     from signorini_fenicsx.solving.solved import Solved
 
 MIN_THETA = 1e-3
@@ -174,7 +173,7 @@ def adapt(
       signorini adapt lprism --max-cells 50000 --uniform
       signorini adapt my-case.toml --quantity discharge --width 0.01
     """
-    from signorini_fenicsx.cases.solving import adapt_case
+    from signorini_fenicsx.cases.solving import adapt_case, check_named
     from signorini_fenicsx.cli.adapt_report import AdaptReport
     from signorini_fenicsx.output.writing import Found, SolutionFiles, draw_adapt, write_adapt
 
@@ -182,16 +181,17 @@ def adapt(
     wanted, part, narrow, most = _checked(target, max_cells, theta, quantity, width)
     problem = on_root(comm, lambda: _on_first_mesh(case, new | {"h": h}))
     _refuse_lacking(problem, {"--html": html})
-    measured, measure = _measuring(problem, quantity)
+    check_named(problem, quantity)
     end: Any = {"target": wanted, "max_cells": most, "width": narrow, "on_step": lambda _: end_if_told(comm)}
-    refined = partial(adapt_case, problem, comm, **end, measure=measure, on_row=report.mesh, on_note=report.line)
+    refined = partial(adapt_case, problem, comm, **end, by=quantity, on_row=report.mesh, on_note=report.line)
     with ResultsFolder(comm, results_place(output, f"{problem.name}-adapt")) as folder:
         report.heading(problem, comm)
-        report.columns(wanted, most, {} if quantity is None else {quantity: narrow})
+        report.columns(wanted, most, {} if quantity is None else {quantity: narrow}, problem)
         with failure_kept(folder, plot=plot, html=html):
             solution, certificate, later = _so_far(partial(refined, theta=part))
-        quantities = {} if certificate is None else dict(measured)
-        missed = "" if later else _missed(certificate, wanted, quantities, narrow)
+        quantities = {} if certificate is None or not report.rows else report.rows[-1].quantities
+        measured = {name: each for name, each in quantities.items() if name == quantity}
+        missed = "" if later else _missed(certificate, wanted, measured, narrow)
         table = partial(write_adapt, report.rows, comm)
         files = SolutionFiles(solution).publish(folder, failed=bool(missed), others={"adapt.csv": table})
         if uniform and later is None:
@@ -224,28 +224,6 @@ def _missed(
     if any(value <= limit for _, value, limit in reached):
         return ""
     return ", ".join(f"{what} ≤ {value:.3g}, not {limit:g}" for what, value, limit in reached)
-
-
-def _measuring(
-    case: "CaseFile", name: str | None
-) -> "tuple[dict[str, Quantity], Callable[[Solution], Quantity] | None]":
-    """Where the last interval of a quantity of a case is put, by its name, and what finds it; None without a name.
-
-    Raises:
-        InputError: If the case has no such quantity.
-    """
-    measured: dict[str, Quantity] = {}
-    if name is None:
-        return measured, None
-    kinds = {each.name: each.made() for each in case.quantity}
-    if name not in kinds:
-        raise InputError(f"--quantity {name}: {case.name} has {', '.join(kinds) or 'no [[quantity]]'}")
-
-    def measure(solution: "Solution") -> "Quantity":
-        measured[name] = solution.quantity(kinds[name])
-        return measured[name]
-
-    return measured, measure
 
 
 def _checked(

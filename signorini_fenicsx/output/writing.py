@@ -315,7 +315,8 @@ def publish_convergence(
 def write_adapt(rows: list[AdaptRow], comm: MPI.Comm, folder: Path) -> None:
     """Write `adapt.csv` of an adaptive run, if there is a row (collective)."""
     if rows:
-        on_root(comm, lambda: write_table(folder / "adapt.csv", type(rows[0]), rows))
+        tables = [row.columns() for row in rows]
+        on_root(comm, lambda: write_rows(folder / "adapt.csv", tables[0], tables))
 
 
 def draw_adapt(solution: Solved, rows: list[AdaptRow], folder: Path) -> None:

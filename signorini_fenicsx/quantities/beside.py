@@ -62,13 +62,26 @@ class Beside[Fields](ABC):
         self._solver: Solver | None = None
         self._options = Options(element=solution.options.element, tuning=solution.options.tuning)
 
-    def interval(self) -> Quantity:
-        """The interval (collective)."""
+    def interval(self, near: Quantity | None = None) -> Quantity:
+        """The interval (collective).
+
+        Args:
+            near: That of the step or the mesh before, with a τ near the best one. In a step on whose sets the last one
+                has ended no other is tried.
+        """
         size, response = self.size(), self.response()
+        if near is not None and near.tau * size > 0:
+            stays = self.solution.step is not None and len(self.solution.outcome.history) == 1
+            return self._found(near.tau * size, size, response, before=near.width, alone=stays)
         moves = response * self.softness() * self.spaces.length ** (1 - self.domain.mesh.topology.dim / 2)
         first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
         first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
-        quantity = bracket(lambda tau: self.ends(tau, size, response), first, self.discrete())
+        return self._found(first, size, response)
+
+    def _found(self, first: float, size: float, response: float, **how: Any) -> Quantity:
+        """The interval from a first τ, see `bracket` (collective)."""
+        quantity = bracket(lambda tau: self.ends(tau, size, response), first, self.discrete(), **how)
+        quantity = replace(quantity, tau=quantity.tau / size if size > 0 else 0.0)
         self._solver = None
         PETSc.garbage_cleanup(self.comm)  # of the solver; when the mesh is freed, it is too late
         if not math.isfinite(quantity.width) and self.of_flux and not quantity.reason.startswith(FAILED):
@@ -113,7 +126,7 @@ class Beside[Fields](ABC):
         """
         posed = self.posed(tau)
         if self._solver is None:
-            self._solver = Solver(self.domain, posed)
+            self._solver = Solver.of(self.solution, posed)
         return self._solver.solve(posed, self._options, start=self.start(posed), memory=self.memory(tau))
 
     @abstractmethod
@@ -184,9 +197,9 @@ class Integrals[Fields](Beside[Fields]):
         names = "xyz"[: self.spaces.mesh.geometry.dim]
         self.weight: Datum = datum_of(self.spaces, "weight", parsed(kind.weight, names, "weight"))
 
-    def interval(self) -> Quantity:
+    def interval(self, near: Quantity | None = None) -> Quantity:
         """The interval (collective)."""
-        quantity = super().interval()
+        quantity = super().interval(near)
         if not isinstance(self.kind, Mean):
             return quantity
         integral, square, measure = self._sizes()

@@ -31,8 +31,9 @@ with a given u, v would have to jump by τ, and there is no bound: the flux is u
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
@@ -46,6 +47,8 @@ ENOUGH = 0.98
 NEAR, AHEAD = 1.5, 2
 """In each direction the search ends with an interval that is so many times as long as the best, or after so many that
 gain nothing: where sets of contact change between two τ, one of them may be longer than its neighbours."""
+FARTHER = 3.0
+"""An interval that is so many times as long as that of a problem nearby has another τ."""
 PASSES = "passes where the pressure is negative, in soil that is taken for saturated"
 """What is said of that share."""
 QUANTITY, VALUE = "quantities.", ".value"
@@ -66,6 +69,7 @@ class Quantity:
         reason: Why they are not; empty if they are.
         of: Of which solution it is a quantity, in words; empty if it is that of the problem itself.
         above_table: Of a discharge of groundwater the share that passes where the pressure is negative, else None.
+        tau: The τ with the shortest interval, divided by ‖σ_h‖; 0 where there is none.
         shares: What each owned cell adds to the length of the interval; None where there is none.
     """
 
@@ -76,7 +80,17 @@ class Quantity:
     reason: str = ""
     of: str = ""
     above_table: float | None = None
+    tau: float = 0.0
     shares: Array | None = field(default=None, compare=False, repr=False)
+
+    @classmethod
+    def in_row(cls, name: str, row: Mapping[str, Any]) -> Self | None:
+        """What a row of a table has of a quantity for the next one; None without it."""
+        keys = [f"{QUANTITY}{name}.{key}" for key in ("value", "lower", "upper", "tau")]
+        if any(key not in row for key in keys):
+            return None
+        value, lower, upper, tau = (float(row[key]) for key in keys)
+        return cls(value, lower, upper, False, tau=tau)
 
     @property
     def guaranteed(self) -> bool:
@@ -106,7 +120,7 @@ class Quantity:
 
     def columns(self, name: str) -> dict[str, float | bool | str]:
         """All of it for a row of a table."""
-        return {f"{QUANTITY}{name}.{key}": value for key, value in self.summary().items()}
+        return {f"{QUANTITY}{name}.{key}": value for key, value in (self.summary() | {"tau": self.tau}).items()}
 
     def summary(self) -> dict[str, float | bool | str]:
         """The quantity ready for JSON; an interval of another problem is guaranteed only with the name of that one."""
@@ -160,13 +174,21 @@ class Ends:
         return self.upper - self.lower
 
 
-def bracket(ends: Callable[[float], Ends], first: float, value: float) -> Quantity:
+def bracket(
+    ends: Callable[[float], Ends], first: float, value: float, *, before: float = 0.0, alone: bool = False
+) -> Quantity:
     """The interval from several τ: that which the first one suggests, and others by factors of 2 (collective).
 
     Args:
         ends: Bounds from one τ.
         first: The first τ, of the right size but for a factor.
         value: That of the discrete solution.
+        before: Length of the interval of a problem nearby, whose best τ is the first one: others start from it unless
+            the interval is now much longer.
+        alone: Whether then no other is tried.
+
+    Returns:
+        The interval; its `tau` is the best τ itself.
     """
     tried: dict[float, Ends] = {}
 
@@ -180,13 +202,14 @@ def bracket(ends: Callable[[float], Ends], first: float, value: float) -> Quanti
 
     while not math.isfinite(width(first)) and tried[first].scale == 0 and len(tried) < AGAIN:
         first /= SMALLER
-    scale = tried[first].scale
+    near = width(first) <= FARTHER * before < math.inf
+    scale = 0.0 if near else tried[first].scale
     tau = float(2.0 ** round(math.log2(scale))) if 0 < scale < math.inf else first
     while not math.isfinite(width(tau)) and tau > 2 * first and math.isfinite(width(first)) and len(tried) < MOST:
         tau = 2.0 ** round(math.log2(tau * first) / 2)  # too far from the problem itself for its solver
     if not width(tau) <= width(first):  # such as one with which u_D is beyond a bound
         tau = first
-    for factor in (0.5, 2.0) if math.isfinite(width(tau)) else ():
+    for factor in (0.5, 2.0) if math.isfinite(width(tau)) and not (near and alone) else ():
         ahead, misses = tau * factor, 0
         while misses < AHEAD and len(tried) < MOST and width(ahead) < NEAR * width(tau):
             if width(ahead) < ENOUGH * width(tau):
@@ -200,5 +223,6 @@ def bracket(ends: Callable[[float], Ends], first: float, value: float) -> Quanti
     if lower > upper:
         reason, lower, upper = f"the bounds exclude each other by {lower - upper:.1e}", upper, lower
     finite = math.isfinite(upper - lower)
-    shares = min(tried.values(), key=lambda each: each.width).shares if finite else None
-    return Quantity(value, lower, upper, finite and not reason, reason, shares=shares() if shares else None)
+    shares = min(tried.values(), key=lambda each: each.width).shares if finite and not (near and alone) else None
+    proved, of_cells = finite and not reason, shares() if shares else None
+    return Quantity(value, lower, upper, proved, reason, tau=tau if finite else 0.0, shares=of_cells)

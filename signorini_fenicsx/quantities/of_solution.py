@@ -34,7 +34,7 @@ class Quantities:
     named_for: Callable[[Any], str]
 
 
-def quantity(solution: Solved, kind: Kind) -> Quantity:
+def quantity(solution: Solved, kind: Kind, near: Quantity | None = None) -> Quantity:
     """The interval for a quantity, see `Solved.quantity` (collective).
 
     Raises:
@@ -49,7 +49,7 @@ def quantity(solution: Solved, kind: Kind) -> Quantity:
             interval: Quantity = physics.energy(solution)
         else:
             of = physics.integrals if isinstance(kind, Integral) else physics.fluxes
-            interval = of(solution, kind).interval()
+            interval = of(solution, kind).interval(near)
     interval = replace(interval, of=interval.of or physics.named_for(solution))
     if interval.proved and (names := lost_digits(solution)):
         return replace(interval, proved=False, reason=f"{', '.join(names)} {LOST}")

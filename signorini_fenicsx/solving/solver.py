@@ -49,6 +49,19 @@ class Solver[S: Solved]:
         domain = with_sides(domain, problem)
         self._system = system_on(domain, sorted_on(domain, problem))
 
+    @classmethod
+    def of(cls, solution: Solved, problem: Any) -> "Solver[Any]":
+        """What has solved a solution if it is alive and the parts of a sorted problem are the same, else a new one.
+
+        Collective.
+        """
+        system = None if solution.system is None else solution.system()
+        if system is None or problem.boundary != system.boundary:
+            return Solver(solution.spaces.domain, problem)
+        solver: Solver[Any] = cls.__new__(cls)
+        solver._system = system
+        return solver
+
     @property
     def spaces(self) -> Any:
         """The discrete spaces; `spaces.mesh` is the mesh, which must not move."""

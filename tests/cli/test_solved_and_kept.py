@@ -143,7 +143,7 @@ def test_adapt_whose_next_mesh_is_not_solved(case: str, tmp_path: Path, monkeypa
     assert summary["converged"]
     assert summary["cells"] == int(rows[-1]["cells"]) < 20
     assert summary["certificate"]["bound"] == float(rows[-1]["bound"])
-    assert summary["quantities"]["q"]["upper"] == float(rows[-1]["upper"])
+    assert summary["quantities"]["q"]["upper"] == float(rows[-1]["quantities.q.upper"])
     failed = json.loads((place / "x.failed" / "summary.json").read_text())
     assert (failed["converged"], failed["cells"] > 20) == (False, True)
     assert names(place) == {"x", "x.failed"}

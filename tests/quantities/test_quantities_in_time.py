@@ -11,6 +11,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import evolve_case
+from signorini_fenicsx.quantities import Mean
+from signorini_fenicsx.quantities.beside import Beside
+from signorini_fenicsx.solving.solver import Solver
 
 COMM = MPI.COMM_WORLD
 FALLING = """
@@ -124,6 +128,27 @@ def test_each_step(folder: Path):
             assert refused.returncode == 2, refused.stdout
             assert words in refused.stderr
     assert not (folder / "results").exists()
+
+
+def test_what_changes_alone_is_solved_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """A step on whose sets the last one has ended takes the τ of its interval, and the matrix of the step."""
+    (folder / "case.toml").write_text(FALLING.replace("h = 1\n", 'h = "1/4"\n'), encoding="utf-8")
+    solved, made, found, counts = list[float](), list[object](), None, list[int]()
+    of_tau, set_up = Beside.solved, Solver.__init__
+    monkeypatch.setattr(Beside, "solved", lambda self, tau: (solved.append(tau), of_tau(self, tau))[1])
+    monkeypatch.setattr(Solver, "__init__", lambda self, *given: (made.append(self), set_up(self, *given))[1])
+    for instant in evolve_case(load_case(folder / "case.toml").with_values({"time.end": 1, "time.steps": 5})):
+        solved.clear()
+        found = instant.solution.quantity(Mean(), found)
+        assert found.proved
+        counts.append(len(solved))
+        if instant.step == 5:
+            whole = instant.solution.quantity(Mean())
+            assert 0.8 * whole.width < found.width < 1.2 * whole.width
+            assert max(found.lower, whole.lower) < min(found.upper, whole.upper)
+    assert counts[0] > 2
+    assert counts[-1] == 2
+    assert len(made) == 1
 
 
 def test_after_a_restart(folder: Path):

@@ -24,7 +24,7 @@ class _Integrals:
     def __init__(self, solution, kind):
         self.solution = solution
 
-    def interval(self):
+    def interval(self, near=None):
         return _exactly(self.solution, self.solution.u.x.array)
 
 

@@ -39,6 +39,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenSupports,
     GivenVector,
     GivenVectorByPart,
+    GivenVectorByRegion,
     Plane,
     of_meeting,
 )
@@ -85,6 +86,7 @@ class ElasticParts(Parts):
 OF_DATA = OF_LAWS | {
     GivenVector: Vector,
     GivenVectorByPart: VectorByPart,
+    GivenVectorByRegion: VectorByPart,
     GivenByPart: ExpressionByPart,
     GivenModulus: Moduli,
     GivenSupports: Stiffnesses,

@@ -40,6 +40,8 @@ type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
 (3, n) with values of shape (d, n)."""
 type GivenVectorByPart = GivenVector | Mapping[str, GivenVector | None]
 """A vector, or one for each part of the boundary."""
+type GivenVectorByRegion = GivenVector | Mapping[str, GivenVector]
+"""A vector, or one for each region of the mesh."""
 type GivenByPart = Mapping[str, Given]
 """A scalar for each part of the boundary."""
 type GivenModulus = Given | Sequence[Given] | Mapping[str, Given | Sequence[Given]]
@@ -93,7 +95,7 @@ class Body:
 
     young: GivenModulus
     poisson: GivenModulus
-    f: GivenVector | None = None
+    f: GivenVectorByRegion | None = None
     u_D: GivenVectorByPart | None = None
     plane: str = Plane.STRAIN
     exact: GivenVector | None = None
@@ -124,7 +126,7 @@ class Elasticity(Body):
             the coordinates.
         eigenstrain: ε₀, such as the expansion of heat: a number times the unit matrix of space, or a matrix.
         initial_stress: σ₀ likewise.
-        f: Force per volume; None for none.
+        f: Force per volume, or one for each region of the mesh; None for none.
         u_D: Displacement on the parts that no condition names; None for 0.
         plane: Plane "strain" or plane "stress", in two dimensions.
         exact: u itself, where it is known.
@@ -282,7 +284,7 @@ class ElasticProblem(Body):
     """−∇·σ = f, σ = ℂε(u), u = u_D on Γ_D, σn = g_N on Γ_N; u_n ≤ g, σ_nn ≤ 0, one of them equal, σ_t = 0 on Γ_C.
 
     Attributes:
-        f: Force per volume; None for none.
+        f: Force per volume, or one for each region of the mesh; None for none.
         young: E, or three; or one of these for each region of the mesh.
         poisson: ν likewise.
         u_D: Displacement on Γ_D and, in the fixed components, on parts that are fixed in some; or one for each of these

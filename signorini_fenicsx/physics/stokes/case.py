@@ -21,7 +21,13 @@ from signorini_fenicsx.cases.values import (
 )
 from signorini_fenicsx.contact.law import NO_DATA, Law
 from signorini_fenicsx.contact.laws import LAWS, Corners
-from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
+from signorini_fenicsx.physics.elasticity.problem import (
+    GivenByPart,
+    GivenVector,
+    GivenVectorByPart,
+    GivenVectorByRegion,
+    GivenViscosity,
+)
 from signorini_fenicsx.physics.elasticity.solving import rule_of
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, StokesProblem, of_laws, velocities
 from signorini_fenicsx.solving.options import Options
@@ -31,6 +37,7 @@ COSTS = {2: Cost(4, 1e4, 4.8e3, 2.4e3), 3: Cost(9, 4.5e4, 390, 170)}
 OF_DATA = OF_LAWS | {
     GivenVector: Vector,
     GivenVectorByPart: VectorByPart,
+    GivenVectorByRegion: VectorByPart,
     GivenByPart: ExpressionByPart,
     GivenViscosity: ExpressionByRegion,
 }

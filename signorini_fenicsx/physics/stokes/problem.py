@@ -20,6 +20,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     ElasticBoundary,
     ElasticProblem,
     GivenVector,
+    GivenVectorByRegion,
     GivenViscosity,
     Pressure,
     nothing_for_0,
@@ -105,7 +106,7 @@ class Flow:
     """What a problem of flow has wherever its conditions are, see `Stokes`."""
 
     viscosity: GivenViscosity
-    f: GivenVector | None = None
+    f: GivenVectorByRegion | None = None
     u_D: GivenVector | None = None
 
 

@@ -184,9 +184,9 @@ class Fluxes(_Beside):
         facets = [self.domain.facets[part] for part in kind.parts]
         self._rows = np.flatnonzero(np.isin(self.spaces.facets, np.concatenate(facets)))
 
-    def interval(self) -> Quantity:
+    def interval(self, near: Quantity | None = None) -> Quantity:
         """The interval (collective)."""
-        quantity = replace(super().interval(), above_table=share_above_table(self.solution, self.kind.parts))
+        quantity = replace(super().interval(near), above_table=share_above_table(self.solution, self.kind.parts))
         if math.isfinite(quantity.width) and self.by_quadrature:
             return replace(quantity, proved=False, reason=quantity.reason or self.by_quadrature)
         return quantity
@@ -407,9 +407,9 @@ class _OfKirchhoff(Fluxes):
         super().__init__(of_w, kind)
         self._value = flux_through(solution.spaces, solution.sigma, kind.parts, self.weight.ufl)
 
-    def interval(self) -> Quantity:
+    def interval(self, near: Quantity | None = None) -> Quantity:
         """The interval (collective)."""
-        return replace(super().interval(), value=self._value, of=NAMED)
+        return replace(super().interval(near), value=self._value, of=NAMED)
 
 
 def _fluxes(solution: Solution, kind: Flux) -> Fluxes:

@@ -94,13 +94,15 @@ class VectorDatum:
 def vector_datum_of(spaces: MeshSpaces, name: str, given: Any, *, continuous: bool = True) -> VectorDatum:
     """A vector from what was given, see `problem.GivenVector`; None is 0 (collective).
 
-    If it need not be continuous, a component may have a value for each region.
+    If it need not be continuous, it or a component may have a value for each region.
 
     Raises:
         InputError: If it cannot be read, has not a component per coordinate, or is UFL on another mesh.
     """
     dim = spaces.mesh.geometry.dim
-    entries = (parsed(entry, "xyz"[:dim], f"[problem] {name}") for entry in _components(dim, name, given))
+    if continuous and isinstance(given, Mapping):
+        raise InputError(f"[problem] {name}: must be one list of {dim} components, not one for each region")
+    entries = (parsed(entry, "xyz"[:dim], f"[problem] {name}") for entry in components_of(dim, name, given))
     read = datum_of if continuous else regional_datum
     return VectorDatum(name, tuple(read(spaces, name, entry) for entry in entries))
 
@@ -114,19 +116,21 @@ def vector_on_parts(spaces: MeshSpaces, name: str, given: Any) -> VectorDatum:
     dim = spaces.mesh.geometry.dim
     if not isinstance(given, Mapping):
         return vector_datum_of(spaces, name, given)
-    of_parts = {part: _components(dim, f"{name}.{part}".rstrip("."), value) for part, value in given.items()}
-    components = ({part: entries[i] for part, entries in of_parts.items()} for i in range(dim))
+    components = components_of(dim, name, given)
     return VectorDatum(name, tuple(datum_on_parts(spaces, name, component) for component in components))
 
 
-def _components(dim: int, name: str, given: Any) -> list[Any]:
-    """The components of a vector as they were given.
+def components_of(dim: int, name: str, given: Any) -> list[Any]:
+    """The components of a vector, or of one for each region or part, as they were given.
 
     Raises:
         InputError: If there are not as many as coordinates.
     """
     if given is None:
         return [0.0] * dim
+    if isinstance(given, Mapping):
+        of_places = {place: components_of(dim, f"{name}.{place}".rstrip("."), value) for place, value in given.items()}
+        return [{place: entries[i] for place, entries in of_places.items()} for i in range(dim)]
     if isinstance(given, Expr):
         if given.ufl_shape != (dim,):
             raise InputError(f"[problem] {name}: has shape {given.ufl_shape}, not ({dim},)")

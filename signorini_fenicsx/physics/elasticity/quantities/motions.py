@@ -27,6 +27,7 @@ from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool
+from signorini_fenicsx.physics.elasticity.discrete.vector_datum import components_of
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.quantities.beside import added, check_part
 from signorini_fenicsx.quantities.kinds import Force, Moment
@@ -70,7 +71,7 @@ def components(given: Any, dim: int) -> list[Given]:
         return [0.0] * dim
     if callable(given) and not hasattr(given, "ufl_shape"):
         raise InputError("quantities need data that are numbers, texts or UFL, not functions of points")
-    return [given[i] for i in range(dim)]
+    return components_of(dim, "f", given)
 
 
 def check_parts(domain: Domain, boundary: ElasticBoundary, kind: Force) -> None:
