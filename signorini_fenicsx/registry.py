@@ -1,8 +1,5 @@
 """All physics, and what writes and draws solutions; nothing of it is imported before it is used."""
 
-# ruff: noqa: D102 - `Physics` says what its attributes are
-
-from functools import cached_property
 from typing import Any
 
 from signorini_fenicsx.solving.physics import DIFFUSION, OUTPUT, PHYSICS, Physics
@@ -11,157 +8,79 @@ from signorini_fenicsx.solving.physics import DIFFUSION, OUTPUT, PHYSICS, Physic
 class Diffusion(Physics):
     """A scalar u, its flux and Signorini's conditions."""
 
-    @cached_property
-    def problem(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.problem import Diffusion
-
-        return Diffusion
-
-    @cached_property
-    def system(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.solving import System
-
-        return System
-
-    @cached_property
-    def refining(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.solving import refining
-
-        return refining
-
-    @cached_property
-    def keeping(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.kept import KEEPING
-
-        return KEEPING
-
-    @cached_property
-    def case(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.case import Case
-
-        return Case
-
-    @cached_property
-    def bound(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.bound.bounds import BOUNDS
-
-        return BOUNDS
-
-    @cached_property
-    def quantities(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.quantities.brackets import QUANTITIES
-
-        return QUANTITIES
-
-    @cached_property
-    def pictures(self) -> Any:
-        from signorini_fenicsx.physics.diffusion.show.pictures import PICTURES
-
-        return PICTURES
-
-    @cached_property
-    def proofs(self) -> Any:
-        from signorini_fenicsx.rigorous.theorem import PROOFS
-
-        return PROOFS
+    def late(self, what: str) -> Any:
+        """See `Physics.late`."""
+        found: Any = None
+        match what:
+            case "problem":
+                from signorini_fenicsx.physics.diffusion.problem import Diffusion as found
+            case "system":
+                from signorini_fenicsx.physics.diffusion.solving import System as found
+            case "refining":
+                from signorini_fenicsx.physics.diffusion.solving import refining as found
+            case "keeping":
+                from signorini_fenicsx.physics.diffusion.kept import KEEPING as found
+            case "case":
+                from signorini_fenicsx.physics.diffusion.case import Case as found
+            case "bound":
+                from signorini_fenicsx.physics.diffusion.bound.bounds import BOUNDS as found
+            case "quantities":
+                from signorini_fenicsx.physics.diffusion.quantities.brackets import QUANTITIES as found
+            case "pictures":
+                from signorini_fenicsx.physics.diffusion.show.pictures import PICTURES as found
+            case "proofs":
+                from signorini_fenicsx.rigorous.theorem import PROOFS as found
+        return found
 
 
 class Elasticity(Physics):
     """A body, its stress and contact with friction."""
 
-    @cached_property
-    def problem(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.problem import Elasticity
-
-        return Elasticity
-
-    @cached_property
-    def system(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.solving import System
-
-        return System
-
-    @cached_property
-    def keeping(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.kept import KEEPING
-
-        return KEEPING
-
-    @cached_property
-    def case(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.case import ElasticCase
-
-        return ElasticCase
-
-    @cached_property
-    def bound(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.bound.bounds import BOUNDS
-
-        return BOUNDS
-
-    @cached_property
-    def quantities(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.quantities.brackets import QUANTITIES
-
-        return QUANTITIES
-
-    @cached_property
-    def pictures(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES
-
-        return PICTURES
-
-    @cached_property
-    def proofs(self) -> Any:
-        from signorini_fenicsx.rigorous.elasticity.theorem import PROOFS
-
-        return PROOFS
+    def late(self, what: str) -> Any:
+        """See `Physics.late`."""
+        found: Any = None
+        match what:
+            case "problem":
+                from signorini_fenicsx.physics.elasticity.problem import Elasticity as found
+            case "system":
+                from signorini_fenicsx.physics.elasticity.solving import System as found
+            case "keeping":
+                from signorini_fenicsx.physics.elasticity.kept import KEEPING as found
+            case "case":
+                from signorini_fenicsx.physics.elasticity.case import ElasticCase as found
+            case "bound":
+                from signorini_fenicsx.physics.elasticity.bound.bounds import BOUNDS as found
+            case "quantities":
+                from signorini_fenicsx.physics.elasticity.quantities.brackets import QUANTITIES as found
+            case "pictures":
+                from signorini_fenicsx.physics.elasticity.show.pictures import PICTURES as found
+            case "proofs":
+                from signorini_fenicsx.rigorous.elasticity.theorem import PROOFS as found
+        return found
 
 
 class Stokes(Physics):
     """A viscous flow, its pressure and laws on its boundary."""
 
-    @cached_property
-    def problem(self) -> Any:
-        from signorini_fenicsx.physics.stokes.problem import Stokes
-
-        return Stokes
-
-    @cached_property
-    def system(self) -> Any:
-        from signorini_fenicsx.physics.stokes.solving import System
-
-        return System
-
-    @cached_property
-    def keeping(self) -> Any:
-        from signorini_fenicsx.physics.stokes.kept import KEEPING
-
-        return KEEPING
-
-    @cached_property
-    def case(self) -> Any:
-        from signorini_fenicsx.physics.stokes.case import StokesCase
-
-        return StokesCase
-
-    @cached_property
-    def bound(self) -> Any:
-        from signorini_fenicsx.physics.elasticity.bound.bounds import BOUNDS
-
-        return BOUNDS
-
-    @cached_property
-    def quantities(self) -> Any:
-        from signorini_fenicsx.physics.stokes.quantities import QUANTITIES
-
-        return QUANTITIES
-
-    @cached_property
-    def pictures(self) -> Any:
-        from signorini_fenicsx.physics.stokes.show.pictures import PICTURES
-
-        return PICTURES
+    def late(self, what: str) -> Any:
+        """See `Physics.late`."""
+        found: Any = None
+        match what:
+            case "problem":
+                from signorini_fenicsx.physics.stokes.problem import Stokes as found
+            case "system":
+                from signorini_fenicsx.physics.stokes.solving import System as found
+            case "keeping":
+                from signorini_fenicsx.physics.stokes.kept import KEEPING as found
+            case "case":
+                from signorini_fenicsx.physics.stokes.case import StokesCase as found
+            case "bound":
+                from signorini_fenicsx.physics.elasticity.bound.bounds import BOUNDS as found
+            case "quantities":
+                from signorini_fenicsx.physics.stokes.quantities import QUANTITIES as found
+            case "pictures":
+                from signorini_fenicsx.physics.stokes.show.pictures import PICTURES as found
+        return found
 
 
 def _write(*given: Any, **wanted: Any) -> None:

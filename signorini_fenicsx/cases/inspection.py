@@ -14,7 +14,7 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.domains import mesh_case, rough_cells
 from signorini_fenicsx.cases.solving import check_quantities_of, options_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
-from signorini_fenicsx.discrete.paired import overviews
+from signorini_fenicsx.discrete.pair_overviews import overviews
 from signorini_fenicsx.meshes.checks import faces, left_over, neighbours
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.memory import FACETS_PER_CELL, PROCESS_BYTES

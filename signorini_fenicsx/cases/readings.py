@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.reading import text_of
+from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.cases.parts import Section as CaseSection
 from signorini_fenicsx.cases.values import number
@@ -119,14 +120,10 @@ def check_places(domain: Domain, probes: Sequence[ProbeTexts], sections: Sequenc
         counts = domain.mesh.comm.allreduce(np.bincount(places.rows, minlength=len(each.points)))
         for point, label, count in zip(each.points, each.labels, counts, strict=True):
             if count == 0:
-                raise InputError(f"[[probe]] {label}: {_in_words(point)} is outside the domain, {_box(domain)}")
+                raise InputError(f"[[probe]] {label}: {place_in_words(point)} is outside the domain, {_box(domain)}")
     for section in sections:
         if section.made().measure(domain) == 0:
             raise InputError(f"[[section]] {section.name}: does not cross the domain, {_box(domain)}")
-
-
-def _in_words(point: Sequence[float]) -> str:
-    return f"({', '.join(f'{each:g}' for each in point)})"
 
 
 def _box(domain: Domain) -> str:

@@ -51,7 +51,6 @@ class Inexact(Protocol):
     @property
     def cheap(self) -> bool:
         """Whether they cost so little that a prediction is worth it at any size."""
-        ...
 
     def solve_until(self, conditions: SiteConditions, enough: Callable[[Array, Array], bool]) -> tuple[Array, Array]:
         """Solve from the last solution, to the tolerance or until `enough` returns True (collective).
@@ -68,7 +67,6 @@ class Inexact(Protocol):
         Raises:
             LinearSolveFailure: If the linear solver does not converge.
         """
-        ...
 
     def reached(self, conditions: SiteConditions) -> Iterate | None:
         """The iterate that the last `solve_until` has reached (collective).
@@ -79,7 +77,6 @@ class Inexact(Protocol):
         Returns:
             The iterate as `Backend.solve` gives it; None if it would cost more than the solve.
         """
-        ...
 
     def solve_near(
         self, sites: Mask, layers: int, share: float
@@ -95,7 +92,6 @@ class Inexact(Protocol):
             A function from conditions to `Pairs.p` and `Pairs.flux` (collective; raises LinearSolveFailure if a
             factorisation fails); None if it would have more unknowns than `share` allows.
         """
-        ...
 
 
 class Anchored[I: Pairs](Protocol):
@@ -115,15 +111,12 @@ class Anchored[I: Pairs](Protocol):
         Returns:
             Whether those that there were pulled.
         """
-        ...
 
     def release(self) -> None:
         """Take these springs away."""
-        ...
 
     def solve(self, conditions: SiteConditions) -> I:
         """Solve as `Backend.solve`, with any p on ZERO_TRACE sites (collective)."""
-        ...
 
 
 class Backend[I: Pairs](Protocol):
@@ -146,17 +139,14 @@ class Backend[I: Pairs](Protocol):
     @property
     def chains(self) -> Chains:
         """The law of each site."""
-        ...
 
     @property
     def inexact(self) -> Inexact | None:
         """The solves that predict the sets; None if the backend has none that are cheaper than `solve`."""
-        ...
 
     @property
     def anchored(self) -> Anchored[I] | None:
         """The weak springs of the backend; None if its problem has one solution under all conditions."""
-        ...
 
     @property
     def precise(self) -> "Callable[[], Backend[I]] | None":
@@ -164,11 +154,9 @@ class Backend[I: Pairs](Protocol):
 
         None if the flux of this backend is as precise, or if such a backend would cost too much.
         """
-        ...
 
     def solver(self) -> str:
         """Name of the linear solver in use, after the user's PETSc options."""
-        ...
 
     def solve(self, conditions: SiteConditions) -> I:
         """Solve with these conditions on Γ_S, u = u_D on Γ_D, σ·n = g_N on Γ_N (collective).
@@ -177,7 +165,6 @@ class Backend[I: Pairs](Protocol):
             InputError: If it cannot take one of the conditions.
             LinearSolveFailure: If the linear solver does not converge.
         """
-        ...
 
     def without_flux(self, iterate: I, where: Mask) -> I:
         """The iterate with σ·n = q_S on these sites, and the p that belongs to it (collective).
@@ -185,23 +172,18 @@ class Backend[I: Pairs](Protocol):
         Raises:
             InputError: If the backend cannot do this.
         """
-        ...
 
     def scales(self, iterate: I) -> tuple[Array, Array]:
         """Per site, the size of the terms that add up to p and to σ·n; values far below are rounding (collective)."""
-        ...
 
     def change(self, iterate: I, before: I) -> tuple[float, float]:
         """Norms of what changed, ‖σ − σ'‖ and ‖u − u'‖ (collective)."""
-        ...
 
     def places(self) -> Array:
         """One row per owned site that identifies it: no two are equal, and the bits do not depend on the ranks."""
-        ...
 
     def in_mixed_spaces(self, iterate: I, conditions: SiteConditions) -> tuple[Iterate, SiteConditions]:
         """σ_h, u_h, p_h and conditions of facets and cells that belong to an iterate (collective)."""
-        ...
 
 
 class PlainBackend:
@@ -242,7 +224,6 @@ class Renewable[I: Pairs](Backend[I], Protocol):
 
     def renew(self, data: Any) -> bool:
         """Go on with other data, with the results of a new backend; False if a new one is needed (collective)."""
-        ...
 
 
 class BackendFactory(Protocol):
@@ -255,4 +236,3 @@ class BackendFactory(Protocol):
             spaces: The discrete spaces of a physics.
             data: Its data on them.
         """
-        ...

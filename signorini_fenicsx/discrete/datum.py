@@ -179,7 +179,6 @@ class _ByRegion(Datum):
     @property
     def number(self) -> None:
         """None: it is not one number."""
-        return
 
     @property
     def polynomial(self) -> int | None:
@@ -228,7 +227,6 @@ class _OnParts(Datum):
     @property
     def number(self) -> None:
         """None: it is not one number."""
-        return
 
     def _look(self, points: Points, *, slope: bool) -> Array:
         assert isinstance(points, FacetPoints)
@@ -262,7 +260,6 @@ class OnFacets(Datum):
     @property
     def number(self) -> None:
         """None: it is not one number."""
-        return
 
     @property
     def polynomial(self) -> int:
@@ -272,7 +269,6 @@ class OnFacets(Datum):
     @property
     def pieces(self) -> None:
         """None: it was given as no text."""
-        return
 
     def _look(self, points: Points, *, slope: bool) -> Array:
         assert isinstance(points, FacetPoints)

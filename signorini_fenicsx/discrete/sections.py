@@ -28,7 +28,8 @@ GAUSS = 0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)
 """Two points on an interval, by which the integral of a cubic is exact."""
 MIDDLES = np.array([[0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
 """Three points on a triangle, by which that of a quadratic is."""
-TRIANGLES = {
+PIECES = {
+    **{(1, 0, 2): [[(0, 1), (0, 2)]], (2, 0, 1): [[(0, 2), (1, 2)]]},
     **{(1, 0, 3): [[(0, 1), (0, 2), (0, 3)]], (3, 0, 1): [[(0, 3), (1, 3), (2, 3)]]},
     (2, 0, 2): [[(0, 2), (0, 3), (1, 3)], [(0, 2), (1, 3), (1, 2)]],
     **{(1, 1, 2): [[(1, 1), (0, 2), (0, 3)]], (2, 1, 1): [[(2, 2), (0, 3), (1, 3)]]},
@@ -36,7 +37,7 @@ TRIANGLES = {
     **{(0, 3, 1): [[(0, 0), (1, 1), (2, 2)]], (1, 3, 0): [[(1, 1), (2, 2), (3, 3)]]},
 }
 """What a plane cuts out of a tetrahedron with so many vertices below, on and above it, in this order: triangles whose
-corners are on edges between two of these, or are a vertex."""
+corners are on edges between two of these, or are a vertex. Of a triangle between vertices a line with such ends."""
 
 
 class Through(NamedTuple):
@@ -102,7 +103,7 @@ class Section:
         if paired and mesh.comm.allreduce(bool((counts[:, 1] == 3).any()), MPI.LOR):
             raise InputError("section: beside pairs of surfaces a plane must not follow facets; move it a little")
         rows = [np.empty((0, 3 + 1 + len(np.atleast_1d(np.zeros(sigma.ufl_shape[1:])))))]
-        for key, triangles in TRIANGLES.items():
+        for key, triangles in (each for each in PIECES.items() if sum(each[0]) == 4):
             cells = np.flatnonzero((counts == key).all(axis=1))
             for edges in triangles:
                 cut = np.stack([_between(x[cells], away[cells], *edge) for edge in edges], axis=1)

@@ -11,7 +11,7 @@ DIFFUSION = "diffusion"
 
 
 class Physics:
-    """A physics; what a subclass has as a `cached_property` is imported when it is first used.
+    """A physics; its attributes are found, by `late`, when they are first used, so that little is imported.
 
     Attributes:
         problem: The class of its problems, which are `Posed`.
@@ -29,12 +29,23 @@ class Physics:
     problem: Any
     system: Any
     keeping: Any
-    case: Any = None
-    bound: Any = None
-    quantities: Any = None
-    pictures: Any = None
-    proofs: Any = None
-    refining: Any = None
+    case: Any
+    bound: Any
+    quantities: Any
+    pictures: Any
+    proofs: Any
+    refining: Any
+
+    def __getattr__(self, what: str) -> Any:
+        if what not in Physics.__annotations__:
+            raise AttributeError(what)
+        found = self.late(what)
+        setattr(self, what, found)
+        return found
+
+    def late(self, _what: str) -> Any:
+        """Import an attribute; None if there is none."""
+        return None
 
 
 PHYSICS: dict[str, Physics] = {}

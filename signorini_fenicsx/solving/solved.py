@@ -1,6 +1,5 @@
 """What the solutions of all physics have in common."""
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -46,11 +45,6 @@ class InContact(NamedTuple):
 
     facets: int
     measure: float
-
-    def __call__(self) -> "InContact":
-        """The contact itself, with a warning: version 0.4 had a method."""
-        warnings.warn("solution.contact() is solution.contact now", DeprecationWarning, stacklevel=2)
-        return self
 
 
 class PointValues(NamedTuple):

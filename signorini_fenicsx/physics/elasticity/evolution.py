@@ -73,7 +73,6 @@ class ElasticSteps:
 
     def halved(self, _failure: NumericalFailure) -> None:
         """None: a step without time is not easier if it is shorter."""
-        return
 
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
         """For each vertex of Γ_C its segments, its slip as a vector and the bound of the shear."""

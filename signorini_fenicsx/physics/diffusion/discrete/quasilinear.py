@@ -53,7 +53,6 @@ class OnCells(Datum):
     @property
     def number(self) -> None:
         """None: it is not one number."""
-        return
 
     @property
     def polynomial(self) -> int:

@@ -17,6 +17,7 @@ from signorini_fenicsx.base.owned import cell_nodes, sums_at
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.discrete.cell_shapes import corners
+from signorini_fenicsx.discrete.sections import PIECES
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.pictures.sample import MeansAround
 from signorini_fenicsx.solving.solved import Columns
@@ -26,15 +27,6 @@ if TYPE_CHECKING:  # it has these
 
 ZERO = 1e-9
 """A pressure head of less than this share of the size of the domain is 0."""
-BETWEEN = {
-    (2, 1): [[(0, 1), (0, 2)]],
-    (2, 2): [[(0, 2), (1, 2)]],
-    (3, 1): [[(0, 1), (0, 2), (0, 3)]],
-    (3, 2): [[(0, 2), (0, 3), (1, 3)], [(0, 2), (1, 3), (1, 2)]],
-    (3, 3): [[(0, 3), (1, 3), (2, 3)]],
-}
-"""By the dimension and the number of dry vertices, which are the first ones: the edges of a cell that the line crosses,
-in space those of one triangle of the surface, or two."""
 
 
 def phreatic(solution: Solution) -> list[Array]:
@@ -83,8 +75,8 @@ def _joined(numbers: Indices, pressure: Array, x: Array) -> list[Array]:
     numbers, pressure = np.take_along_axis(numbers, order, axis=1), np.take_along_axis(pressure, order, axis=1)
     x, dry = np.take_along_axis(x, order[:, :, None], axis=1), (pressure < 0).sum(axis=1)
     keys, places = [np.empty((0, dim, 2), dtype=np.int64)], [np.empty((0, dim, dim))]
-    for (of_dim, number), pieces in BETWEEN.items():
-        for edges in pieces if of_dim == dim else ():
+    for number in range(1, dim + 1):
+        for edges in PIECES[number, 0, dim + 1 - number]:  # dry vertices are the first ones
             one, other = np.array(edges).T
             rows = np.flatnonzero(dry == number)[:, None]
             share = pressure[rows, other] / (pressure[rows, other] - pressure[rows, one])

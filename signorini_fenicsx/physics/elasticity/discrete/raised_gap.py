@@ -56,7 +56,6 @@ class RaisedGap(Datum):
     @property
     def number(self) -> None:
         """The gap is not one number: None."""
-        return
 
     @property
     def polynomial(self) -> int | None:

@@ -9,7 +9,7 @@ import numpy as np
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_words
 from signorini_fenicsx.discrete.curved import curved_parts
-from signorini_fenicsx.discrete.paired import overviews
+from signorini_fenicsx.discrete.pair_overviews import overviews
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
