@@ -12,7 +12,8 @@ With --alone it solves one mesh by ours and bounds the error, once each, and pri
 the process after the solve and after the bound. With --iterations it prints instead how many iterations CG with
 multigrid takes from ν = 0.3 to ν = 0.4999.
 
-With --libraries, P2 is also that of scikit-fem and of NGSolve, see `p2_libraries`: `uv run --group bench` has both.
+With --libraries, P2 is also that of scikit-fem and of NGSolve, see `measure.py libraries`; `uv run --group
+bench` has both.
 
 With --friction, `tresca` or `coulomb`, the block is pushed along the foundation too, and with --bodies 2 the lower half
 is a body of its own that is fixed below. Then the table has ours and the known set alone, with the bounds of the
@@ -40,7 +41,7 @@ from typing import Any
 import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
-from p2_contact import Box, solve_p2
+from p2 import Box, solve_p2
 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.meshes.domain import Domain
@@ -203,9 +204,9 @@ def print_flow(cells: dict[int, tuple[int, ...]]) -> None:
 
 
 def by_libraries(dim: int, sizes: tuple[int, ...]) -> list[dict]:
-    """What `p2_libraries` prints."""
-    script = str(Path(__file__).with_name("p2_libraries.py"))
-    command = [sys.executable, script, "--dim", str(dim), *map(str, sizes)]
+    """What `measure.py libraries` prints."""
+    script = str(Path(__file__).with_name("measure.py"))
+    command = [sys.executable, script, "libraries", "--dim", str(dim), *map(str, sizes)]
     lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
     return [json.loads(line) for line in lines if line.startswith("{")]
 

@@ -2,6 +2,7 @@
 
     uv run python scripts/fuzz.py --count 2000 [--seed 0] [--kind mesh --kind geo] [--ranks 2]
     uv run python scripts/fuzz.py --only mesh17 [--seed 0]      # that input again; its folder is kept
+    uv run python scripts/fuzz.py --texts 10 [--seed 1]         # texts for the reader alone, for so many minutes
 
 Each input is run in a folder with files of the user. It must be solved (0), fail (1) or be refused (2) with one
 sentence. For no input may the program crash, hang, write outside the output folder or lose a file. The columns on the
@@ -17,21 +18,29 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 
 from fuzzing.judge import BAD, ENDINGS, Ending, Verdict, judged, put_files_of_the_user, snapshot
-from fuzzing.runner import Runner, begin_again, import_everything, numbered
+from fuzzing.runner import Runner, begin_again, import_everything, make_folders, numbered
 
-KINDS = (
-    *("case", "law", "elastic", "option", "expression", "mesh", "geo", "checkpoint", "study"),
-    *("forged", "config", "far", "pulse", "early", "unjoined", "drawn", "opened"),
-    "quantity",
-)
+KINDS = {
+    **{"case": "texts.case_file", "law": "texts.law_file", "elastic": "problems.few_facets"},
+    **{"option": "options.option", "expression": "expressions.expression", "mesh": "meshes.mesh_file"},
+    **{"geo": "geometries.geometry", "checkpoint": "checkpoints.checkpoint", "study": "texts.study"},
+    **{"forged": "options.forged", "config": "options.configuration", "far": "problems.far_place"},
+    **{"pulse": "problems.pulses", "early": "options.ends_early", "unjoined": "meshes.unjoined"},
+    **{"drawn": "problems.drawn", "opened": "problems.opened", "quantity": "problems.quantities"},
+}
+"""The functions of `fuzzing` that make inputs, by kind."""
 
 
 def main() -> None:
     """Run all inputs; print each bad outcome at once, and the table at the end."""
     options = _options()
+    if options.texts:
+        import_module("fuzzing.expressions").read_texts(options.texts, options.seed)
+        return
     begin_again()
     pencil = Path(tempfile.mkdtemp(prefix="signorini-fuzz-"))
     import_everything(pencil)
@@ -56,6 +65,7 @@ def _options() -> argparse.Namespace:
         parser.add_argument(option, type=int, default=default)
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind; may be repeated")
     parser.add_argument("--only", help="run this input alone and keep its folder")
+    parser.add_argument("--texts", type=float, help="read random texts in this process for so many minutes")
     return parser.parse_args()
 
 
@@ -63,11 +73,12 @@ class Fuzz:
     """Makes, runs and judges inputs, and counts the verdicts."""
 
     def __init__(self, pencil: Path, seed: int, runner: Runner):
-        from fuzzing.kinds import GENERATORS, make_valid
-
-        self._generators = GENERATORS
+        places = {kind: name.split(".") for kind, name in KINDS.items()}
+        self._generators = {
+            kind: getattr(import_module(f"fuzzing.{module}"), name) for kind, (module, name) in places.items()
+        }
         self._pencil, self._seed, self.runner = pencil, seed, runner
-        self._valid = make_valid(pencil, runner)
+        self._valid = import_module("fuzzing.problems").make_valid(pencil, runner)
         self._counts: dict[str, Counter[str]] = {kind: Counter() for kind in KINDS}
 
     def run(self, kind: str, index: int, keep: bool = False) -> None:
@@ -75,8 +86,7 @@ class Fuzz:
         name = f"{kind}{index}"
         root = self._pencil / name
         rng = random.Random(f"{self._seed}/{name}")
-        for folder in ("work", "home", "tmp", "said"):
-            (root / folder).mkdir(parents=True)
+        make_folders(root)
         (root / "home" / ".profile").write_text("the user's", encoding="utf-8")
         (root / "work" / "notes.txt").write_text("the user's", encoding="utf-8")
         broken = self._generators[kind](rng, root / "work", self._valid)

@@ -14,7 +14,6 @@ row has ε, the true error |∇(v − u)|, its bounds, and the distance of the r
 import argparse
 import json
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +22,6 @@ import meshio
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import cg, spsolve
-
-sys.path.append(str(Path(__file__).parent / "benchmark"))
 
 type Array = np.ndarray
 type Assembled = tuple[csr_array, Array, Array]
@@ -72,7 +69,7 @@ def by_numpy(points: Array, cells: Array) -> Assembled:
 def by_skfem(points: Array, cells: Array) -> Assembled:
     """P1 by scikit-fem."""
     import skfem
-    from conforming import stiffness
+    from measuring.conforming import stiffness
 
     mesh = skfem.MeshTri(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
     bottom = mesh.facets_satisfying(lambda x: x[1] < 1e-12, boundaries_only=True)
@@ -86,7 +83,7 @@ def by_skfem(points: Array, cells: Array) -> Assembled:
 def by_ngsolve(points: Array, cells: Array) -> Assembled:
     """P1 by NGSolve."""
     import ngsolve
-    from conforming import netgen_mesh
+    from measuring.conforming import netgen_mesh
     from ngsolve import ds, dx, grad
 
     mesh = netgen_mesh(points, cells)

@@ -9,27 +9,10 @@ from pathlib import Path
 from signorini_fenicsx.base.shipped import data_folder
 
 JUNK = (
-    "true",
-    "-1",
-    "0",
-    "[]",
-    "{}",
-    '""',
-    '"nonsense"',
-    "nan",
-    "inf",
-    "1e999",
-    "-1e308",
-    "[[[[1]]]]",
-    "{a = {b = {c = 1}}}",
-    "1979-05-27",
-    "\"__import__('os').system('true')\"",
-    '"' + "(" * 500 + '"',
-    '"x" * 3',
-    "9" * 400,
-    '["bottom", 3, false]',
-    '"\\u0000"',
-)
+    "true", "-1", "0", "[]", "{}", '""', '"nonsense"', "nan", "inf", "1e999", "-1e308", "[[[[1]]]]",
+    "{a = {b = {c = 1}}}", "1979-05-27", "\"__import__('os').system('true')\"", '"' + "(" * 500 + '"', '"x" * 3',
+    "9" * 400, '["bottom", 3, false]', '"\\u0000"',
+)  # fmt: skip
 
 
 def write_broken_case(folder: Path, rng: random.Random, index: int) -> Path:

@@ -3,5 +3,4 @@
 import sys
 from pathlib import Path
 
-for folder in ("scripts", "tests"):  # folders of `fuzz_expressions` and `broken_input`
-    sys.path.append(str(Path(__file__).parents[2] / folder))
+sys.path.append(str(Path(__file__).parents[2] / "tests"))  # the folder of `broken_input`

@@ -15,20 +15,10 @@ from fuzzing.broken import BINARY, OUTPUT, Broken, Valid, damaged
 type Arrays = dict[str, npt.NDArray]
 
 JUNK: tuple[Any, ...] = (
-    *(None, True, 0, -1, 3, 1e308, float("nan"), float("inf"), 10**400, "", "x", "\0", "é" * 300, [], [[]], {}, [None]),
-    *(
-        {"a": {"b": []}},
-        ["top"],
-        ["top", "bottom", "nowhere"],
-        "square",
-        "cube",
-        "2",
-        2.5,
-        [[0.5]],
-        "2^-1000",
-        "hybrid",
-    ),
-)
+    None, True, 0, -1, 3, 1e308, float("nan"), float("inf"), 10**400, "", "x", "\0", "é" * 300, [], [[]], {},
+    [None], {"a": {"b": []}}, ["top"], ["top", "bottom", "nowhere"], "square", "cube", "2", 2.5, [[0.5]], "2^-1000",
+    "hybrid",
+)  # fmt: skip
 
 
 def checkpoint(rng: random.Random, folder: Path, valid: Valid) -> Broken:

@@ -72,6 +72,12 @@ def import_everything(pencil: Path) -> None:
         sys.exit("MPI or a thread has begun too early: nothing can be forked")
 
 
+def make_folders(root: Path) -> None:
+    """Make the folders of an input: those of its run, and one for what it says."""
+    for folder in ("work", "home", "tmp", "said"):
+        (root / folder).mkdir(parents=True)
+
+
 @dataclass
 class Process:
     """A running input: its process, the function to call when it has ended, and its time limit."""

@@ -8,9 +8,8 @@ from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 from elastic import box, two_boxes
 from mpi4py import MPI
-from p2_contact import Box, solve_p2, stress, stress_norm
-from p2_friction import GAP as OBLIQUE_GAP
-from p2_friction import LAWS, oblique
+from p2 import GAP as OBLIQUE_GAP
+from p2 import LAWS, Box, oblique, solve_p2, stress, stress_norm
 
 from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca
 from signorini_fenicsx import solve as solve_problem

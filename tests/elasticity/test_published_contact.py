@@ -5,9 +5,8 @@ from pathlib import Path
 import dolfinx.mesh
 import numpy as np
 import pytest
-from mindlin import steps
+from measuring.published import steps, values
 from mpi4py import MPI
-from plate_values import values
 
 from signorini_fenicsx import Coulomb, Elasticity, evolve_case, load_case, solve, solve_case
 from signorini_fenicsx.base.arrays import Array
@@ -137,7 +136,7 @@ def test_mindlin_in_space():
 
 
 PLATE = {0.0: 2.86e-5, 1.25e-3: 2.72e-5, 5e-3: 2.28e-5, 7.5e-3: 1.98e-5}
-"""Published u_x on the plane; the fifth, 1.50e-5 at 11.25 mm, is wrong by 2.7 percent, see scripts/plate_values.py."""
+"""Published u_x on the plane; the fifth, 1.50e-5 at 11.25 mm, is wrong by 2.7 percent, see scripts/measure.py."""
 
 
 def test_a_plate_of_code_aster():

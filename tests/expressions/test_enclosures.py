@@ -5,7 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from fuzz_expressions import valid
+from fuzzing.expressions import valid
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import ufl
-from fuzz_expressions import check_enclosures, interval_and_gradient, outcome, texts
+from fuzzing.expressions import check_enclosures, interval_and_gradient, outcome, texts
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import reference_coordinate
@@ -146,7 +146,7 @@ def test_not_numbers(text: str):
 
 
 def test_random_texts():
-    """The test of `scripts/fuzz_expressions.py` for a short time."""
+    """The test of `scripts/fuzz.py --texts` for a short time."""
     for text in itertools.islice(texts(seed=7), 400):
         outcome(text, X)
 
@@ -158,7 +158,7 @@ def test_messages_can_be_printed():
 
 
 def test_enclosures_hold():
-    """Random trees, boxes and points in them, as in `scripts/fuzz_expressions.py`, for a short time."""
+    """Random trees, boxes and points in them, as in `scripts/fuzz.py --texts`, for a short time."""
     assert sum(check_enclosures(seed) for seed in range(150)) > 50
 
 

@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from exact import F, exact_sigma, exact_u
 from made_cases import case_of, make_case
-from method_rows import compare_methods, distance, mass_imbalance
+from measuring.methods import compare_methods, distance, mass_imbalance
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import NumericalFailure

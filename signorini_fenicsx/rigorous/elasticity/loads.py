@@ -5,7 +5,7 @@ constant on subcells and has these moments, and ‖f − f_h‖ ≤ ‖P − QP�
 `bound.korn`. Tractions and pressures likewise, with the projection Π₁ to linear functions in the place of Q.
 
 (f − f_h, w)_T ≤ c_T‖f − f_h‖ ‖ε(w)‖_T and ⟨g − Π₁g, w⟩_e ≤ t_T‖g − Π₁g‖ ‖ε(w)‖_T, with c_T and t_T as in `bound.korn`,
-but ĉ and t̂ are those of `scripts/proved_korn.py`.
+but ĉ and t̂ are those of `scripts/measure.py proved-korn`.
 """
 
 import math

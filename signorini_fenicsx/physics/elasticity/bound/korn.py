@@ -34,7 +34,7 @@ each of these stands a regular simplex K with edges 1/n; K is in T̂, and no two
 the middle of its facet. r − v is orthogonal to linear fields on each facet, and t_K = t̂/√n. So (v, w) = (τ_h(v), ε(w))
 and ⟨r, w⟩ ≤ (t_h ‖v‖ + t̂ ‖r − v‖/√n) ‖ε(w)‖, where ‖v‖² + ‖r − v‖² = 1: t̂² ≤ t_h² + t̂²/n. ∎
 
-c_h² and t_h² are the largest eigenvalues of finite problems. `scripts/korn_constants.py` computes them and prints the
+c_h² and t_h² are the largest eigenvalues of finite problems. `scripts/measure.py korn` computes them and prints the
 bounds.
 """
 

@@ -1,20 +1,20 @@
-"""Compares the speed of this program with P1 and P2 of general libraries at equal errors: a table and a picture.
+"""Speed beside P1 and P2 of general libraries at equal errors.
 
 Each program solves on structured meshes of growing size, in a process for each round; rounds follow one another. Its
 seconds at an error are found between its sizes by a power law. Ratios are taken within a round, and the least and the
 largest are printed: ours divided by those of the other program. In the first line of a mesh both have the same error of
 the flux; in the second line ours has found its bound too, and this bound is the error that the other one really has.
 Where the flux is not known (`example1`), its error is taken from energies, and of ours the bound for σ_h.
-
-    uv run --group bench python scripts/benchmark.py                       # all problems, both elements
-    uv run --group bench python scripts/benchmark.py --quick --element RT0 singular
 """
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
 import json
 import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,15 +26,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-sys.path.append(str(Path(__file__).parent / "benchmark"))
-from problem import PROBLEMS, Problem
-
+from measuring.problem import PROBLEMS, Problem
 from signorini_fenicsx.base.text import write_table
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.meshes.grids import Share
 from signorini_fenicsx.meshes.shapes import SHAPES
 
-WORKERS = Path(__file__).with_name("benchmark")
+MEASURE = str(Path(__file__).parents[1] / "measure.py")
 OTHERS = {f"{library} P{degree}": (library, degree) for degree in (1, 2) for library in ("scikit-fem", "NGSolve")}
 SIZES = {  # of all, from which those are taken that a program needs for 10³ to 10⁶ unknowns
     2: [f"2^-{exponent}" for exponent in (2, 3, 4, 5, 6, 7, 8, 9)],
@@ -82,7 +81,7 @@ class Run:
     bound: float = float("nan")
 
 
-def main(
+def benchmark(
     problems: Annotated[list[str] | None, typer.Argument(help=f"Some of {', '.join(PROBLEMS)}; or all.")] = None,
     element: Annotated[list[str], typer.Option(help="RT0 or RT1; may be given twice.")] = ["RT0", "RT1"],  # noqa: B006
     rounds: Annotated[int, typer.Option(min=1, help="How often all is run.")] = 3,
@@ -117,11 +116,12 @@ def launch(name: str, program: str, number: int, sizes: Sequence[str], folder: P
     if program in OTHERS:
         library, degree = OTHERS[program]
         meshes = [mesh_of(problem, h, folder) for h in sizes]
-        command = [WORKERS / "conforming.py", library, str(degree), name, str(AGAIN), *meshes]
+        command = ["conforming", library, str(degree), name, str(AGAIN), *map(str, meshes)]
     else:
-        command = [WORKERS / "mixed.py", program, name, str(AGAIN), *sizes]
+        command = ["ours", program, name, str(AGAIN), *sizes]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, env=environment, check=False)
+    command = [sys.executable, MEASURE, *command]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     if done.returncode != 0 or len(lines) != len(sizes):
         raise RuntimeError(f"{program}, {name}: {done.stderr[-2000:]}")
@@ -215,7 +215,37 @@ def draw(runs: Sequence[Run], path: Path) -> None:
     plt.close(figure)
 
 
-if __name__ == "__main__":
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(main)
-    app()
+PHASES = "assembly", "prediction", "solve"
+"""What a solver does."""
+ENOUGH = 5.0
+"""Seconds after which a problem is not solved again."""
+WARM = {2: "0.2", 3: "0.5"}
+"""Sizes of problems that are solved before, so that no compilation is timed."""
+
+
+def ours(element: str, name: str, again: int, sizes: list[str]) -> None:
+    """Solve with each size and print a line of JSON, with the fastest of several solves with one size."""
+    problem = PROBLEMS[name]
+    values = {"geometry.mesh": "structured", "solve.element": element, **problem.values}
+    case = load_case(problem.case).with_values(values)
+    for number, h in enumerate((WARM[problem.dim], *sizes)):
+        runs: list[tuple[float, float]] = []
+        while len(runs) < again and sum(map(sum, runs)) < ENOUGH:
+            solution = solve_case(case.with_values({"solve.h": h}))
+            began = time.perf_counter()
+            certificate = solution.certify()
+            bounded = time.perf_counter() - began
+            seconds = sum(solution.timings.get(phase, 0.0) for phase in PHASES)
+            runs.append((seconds, bounded))
+        seconds, bounded = (min(each) for each in zip(*runs, strict=True))
+        errors = solution.errors()
+        about = {
+            "unknowns": solution.outcome.dofs,
+            "steps": len(solution.outcome.history),
+            "seconds": seconds,
+            "error": certificate.sigma_bound if errors is None else errors["energy"],
+            "seconds_of_bound": bounded,
+            "bound": certificate.bound,
+        }
+        if number > 0:
+            print(json.dumps(about), flush=True)

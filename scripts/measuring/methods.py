@@ -1,16 +1,25 @@
-"""The rows of `compare_methods.py`: all algorithms on one mesh, by work, accuracy, mass balance and contact set."""
+"""All algorithms on all examples: work, accuracy, mass balance, contact set."""
 
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 import ufl
 from dolfinx import fem
+from matplotlib.figure import Figure
 from mpi4py import MPI
+from rich.console import Console
+from rich.table import Table
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.errors import NumericalFailure
-from signorini_fenicsx.base.parallel import collector_off
+from signorini_fenicsx.base.parallel import collector_off, on_root
+from signorini_fenicsx.base.text import write_table
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.forms.norms import l2
@@ -18,6 +27,22 @@ from signorini_fenicsx.meshes.sampling import measure, sampled, squares_degree
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
+
+COMM = MPI.COMM_WORLD
+PANELS = {
+    "iterations": "iterations",
+    "seconds": "seconds",
+    "flux": "‖σ_ref − σ_h‖ / ‖σ_ref‖",
+    "mass": "‖∇·σ_h + f_h‖ / ‖f_h‖",
+}
+FAMILIES = {
+    "C0": ("alg1", "alg2", "vi", "qp"),
+    "C1": ("alg3", "alg4", "snes1", "snes2"),
+    "C2": ("mixed-uzawa1", "mixed-uzawa2", "mixed-uzawa-h12", "mixed-uzawa-wang"),
+    "C3": ("uzawa", "psor", "primal-pdas", "primal-penalty"),
+    "C4": ("slimane",),
+}
+STYLES = ("o-", "s--", "^:", "v-.")
 
 
 @dataclass(frozen=True)
@@ -47,6 +72,90 @@ class MethodRow:
     mass: float
     contact: float
     distance: float
+
+
+def complain(method: str, failure: NumericalFailure) -> None:
+    """Print which method failed and why."""
+    if COMM.rank == 0:
+        print(f"{method} failed: {failure}")
+
+
+def show(rows: list[MethodRow]) -> None:
+    """Print the rows of one example."""
+    if COMM.rank == 0:
+        columns = [field.name for field in fields(MethodRow)][1:]
+        table = Table(*columns, title=rows[0].case)
+        for row in rows:
+            values = (getattr(row, name) for name in columns)
+            table.add_row(*(f"{value:.2e}" if isinstance(value, float) else str(value) for value in values))
+        Console(width=130).print(table)
+
+
+def summarise(rows: dict[int, list[MethodRow]]) -> None:
+    """Print the values of the figure, and for each method its largest distance from Algorithm 1."""
+    if COMM.rank == 0:
+        title = "geometric means over the examples, h ≤ " + " / ".join(f"2^-{level}" for level in rows)
+        table = Table("method", *PANELS, "distance", title=title)
+        for method in METHODS:
+            means = [" / ".join(f"{mean(some, method, column):.2g}" for some in rows.values()) for column in PANELS]
+            distance = max(row.distance for some in rows.values() for row in some if row.method == method)
+            table.add_row(method, *means, f"{distance:.1e}")
+        Console(width=130).print(table)
+
+
+def mean(rows: list[MethodRow], method: str, column: str) -> float:
+    """Geometric mean of a column over the rows of one method."""
+    values = [getattr(row, column) for row in rows if row.method == method]
+    return float(np.exp(np.mean(np.log(np.maximum(values, 1e-17)))))
+
+
+def draw(path: Path, rows: dict[int, list[MethodRow]]) -> None:
+    """Geometric means over the examples, over h; rows by level."""
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    h = [2.0**-level for level in rows]
+    for axes, (column, label) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
+        for colour, methods in FAMILIES.items():
+            for method, style in zip(methods, STYLES, strict=False):
+                means = [mean(of_level, method, column) for of_level in rows.values()]
+                axes.loglog(h, means, style, color=colour, label=method, markersize=4)
+        axes.set_xscale("log", base=2)
+        axes.set(xlabel="h", ylabel=label)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right center")
+    figure.savefig(path, dpi=150)
+
+
+def methods(
+    examples: str = "1,2,3,4,5,6",
+    levels: str = "3:5",
+    reference: int = 7,
+    output: Path = Path("results/compare_methods"),
+) -> None:
+    """All algorithms on all examples and three mesh sizes: work, accuracy, mass balance, contact set.
+
+    For h ≤ 2^-level it prints, and writes into methods.csv, one row per algorithm, then means over the examples; the
+    columns are explained in `MethodRow`. The reference is Algorithm 1 with h ≤ 2^-reference, and ε is 1e-8 in all
+    examples. methods.png shows four of the columns over h, as geometric means over the examples.
+    """
+    first, last = (int(level) for level in levels.split(":"))
+    for method in METHODS:  # compiles the forms, so that no time contains this
+        solve_case(load_case("example1").with_values({"solve.algorithm": method, "solve.h": 0.25}))
+    rows: dict[int, list[MethodRow]] = {level: [] for level in range(first, last + 1)}
+    for example in examples.split(","):
+        case = load_case(f"example{example}")
+        fine = solve_case(case.with_values({"solve.algorithm": "alg1", "solve.h": 2.0**-reference}))
+        comparisons = {level: compare_methods(case, 2.0**-level, fine, on_failure=complain) for level in rows}
+        for level, of_level in comparisons.items():
+            rows[level] += of_level
+        show([row for of_level in comparisons.values() for row in of_level])
+
+    summarise(rows)
+
+    def write() -> None:
+        output.mkdir(parents=True, exist_ok=True)
+        write_table(output / "methods.csv", MethodRow, itertools.chain(*rows.values()))
+        draw(output / "methods.png", rows)
+
+    on_root(COMM, write)
 
 
 @collector_off()

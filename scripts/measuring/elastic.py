@@ -1,18 +1,13 @@
-"""How many linear problems friction in space takes: a block pressed, tilted, pushed and twisted on a plane.
-
-For each mesh and each μ: facet vertices that stick, slip and are open, linear problems, and the bound of the error as a
-share of the stress. The first line for a mesh is Tresca's law with g = 0.03. With `--twisted N`
-so many blocks with random motions of their tops are solved for each μ on the first mesh: how many have a solution, and
-how many linear problems they took.
-"""
+"""What elastic contact costs."""
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-import argparse
 import contextlib
+from typing import Annotated
 
 import dolfinx.mesh
 import numpy as np
+import typer
 from mpi4py import MPI
 
 from signorini_fenicsx.api import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca, domain_of, solve
@@ -53,27 +48,28 @@ def survey(n: int, blocks: int, values: list[float]) -> None:
             )
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, nargs="*", default=[1, 2, 4], help="cells along the height")
-    parser.add_argument("--mu", type=float, nargs="*", default=[0.1, 0.3, 1.0])
-    parser.add_argument("--twisted", type=int, default=0, help="number of blocks with random motions")
-    arguments = parser.parse_args()
-    if arguments.twisted:
-        survey(arguments.cells[0], arguments.twisted, arguments.mu)
+def friction(
+    cells: Annotated[list[int], typer.Option(help="Cells along the height.")] = [1, 2, 4],  # noqa: B006
+    mu: Annotated[list[float], typer.Option()] = [0.1, 0.3, 1.0],  # noqa: B006
+    twisted: Annotated[int, typer.Option(help="Number of blocks with random motions.")] = 0,
+) -> None:
+    """How many linear problems friction in space takes: a block pressed, tilted, pushed and twisted on a plane.
+
+    For each mesh and each μ: facet vertices that stick, slip and are open, linear problems, and the bound of the error
+    as a share of the stress. The first line for a mesh is Tresca's law with g = 0.03. With --twisted so many blocks
+    with random motions of their tops are solved for each μ on the first mesh: how many have a solution, and how many
+    linear problems they took.
+    """
+    if twisted:
+        survey(cells[0], twisted, mu)
         return
     print("cells  law    stick  slip  open  solves  bound")
-    for n in arguments.cells:
+    for n in cells:
         domain = block(n)
-        for law in (Tresca(0.03), *map(Coulomb, arguments.mu)):
+        for law in (Tresca(0.03), *map(Coulomb, mu)):
             solution = solve(domain, problem(law))
             states = [solution.friction_states()[name]["vertices"] for name in ("stick", "slip", "open")]
             bound, name = solution.certify().relative, f"mu {law.mu:g}" if isinstance(law, Coulomb) else "Tresca"
             solves = len(solution.outcome.history)
             if MPI.COMM_WORLD.rank == 0:
                 print(f"{n:5} {name:7} {states[0]:5} {states[1]:5} {states[2]:5} {solves:7} {bound:6.1%}")
-
-
-if __name__ == "__main__":
-    main()

@@ -10,9 +10,6 @@ counts while it assembles and solves, and the products and norms of vectors, eac
 
 The results are `scaling.json`, `table.md` and `scaling.png`. The machine should be idle; `--quick` is a trial on small
 meshes.
-
-    uv run python scripts/scaling.py
-    uv run python scripts/scaling.py --quick --output results/trial
 """
 
 import ast
@@ -83,7 +80,7 @@ class Run:
         return (self.memory - self.empty) / self.unknowns
 
 
-def main(
+def scaling(
     quick: Annotated[bool, typer.Option(help="Small meshes, up to 4 ranks.")] = False,
     rounds: Annotated[
         int, typer.Option(min=1, help="Repeats of the runs whose seconds count; the fastest is kept.")
@@ -227,7 +224,3 @@ def draw(runs: dict[str, list[Run]], path: Path) -> None:
         axis.legend(fontsize=8)
     figure.savefig(path, dpi=120)
     plt.close(figure)
-
-
-if __name__ == "__main__":
-    typer.run(main)

@@ -1,14 +1,11 @@
 """The yardstick f₀: one linear solve of the facet system with known facet conditions, from assembly to recovery.
 
-[mpirun -n N] python yardstick.py CASE H
-
 It is the solver of version 0.2 and stays as it is: whole runs and later versions are measured against it. Γ_S facets
 below the middle of Γ_S have p = 0, the others σ·n = 0. It prints JSON: cells, unknowns, iterations, and the seconds of
 assembly, set-up, solve and recovery, each the longest over the ranks.
 """
 
 import json
-import sys
 import time
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
@@ -29,9 +26,8 @@ from signorini_fenicsx.meshes.domain import Domain
 COMM = MPI.COMM_WORLD
 
 
-def main() -> None:
+def yardstick(name: str, h: str) -> None:
     """Run once on a small mesh, so that no compilation is timed, and then on the mesh of the case."""
-    name, h = sys.argv[1:]
     case = load_case(name)
     for size in (0.2, h):
         case = case.with_values({"solve.h": size})
@@ -148,7 +144,3 @@ def recover(facets: fem.FunctionSpace, x: PETSc.Vec) -> fem.Function:
     flux = ufl.grad(u) - (ufl.SpatialCoordinate(mesh) - centroid) / dim
     sigma.interpolate(fem.Expression(flux, V.element.interpolation_points))
     return sigma
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,55 @@
+"""Measures the program: seconds and memory, beside other programs, and beside known values.
+
+    uv run python scripts/measure.py WHAT …          (WHAT --help tells the options)
+
+`benchmark`   seconds beside P1 and P2 of scikit-fem and NGSolve at equal errors (`uv run --group bench`)
+`libraries`   a pressed block by P2 of scikit-fem and NGSolve (`uv run --group bench`)
+`whole-runs`  whole runs as multiples of one linear solve
+`phases`      where the seconds of the solver go
+`scaling`     seconds, memory and messages over ranks
+`repeated`    solves per second on one mesh
+`steps`       steps in time whose sets stand still (also under mpirun)
+`gradients`   seconds and memory of gradients beside solves
+`methods`     all algorithms on all examples
+`adaptive`    what adaptive refinement gains; `quantities` for intervals of quantities
+`cubics`      bounds of bodies by quadratics and by cubics
+`quadratics`  how far quadratic elements pass a bound, and how wrong they are
+`friction`    how many linear problems friction in space takes
+`korn`        constants of bounds of bodies; `proved-korn` with rounding included
+`mindlin`     a sphere pressed onto a block and pushed, beside the theory of half-spaces
+`plate`       what the error bound says of published values
+`penalty`     the statements of the slides on the penalty formulations
+
+`ours`, `conforming` and `yardstick` are what `benchmark` and `whole-runs` start in processes of their own.
+"""
+
+import sys
+from importlib import import_module
+
+import typer
+
+MODULES = {
+    **dict.fromkeys(["benchmark", "ours"], "benchmark"),
+    **dict.fromkeys(["libraries", "conforming"], "conforming"),
+    **dict.fromkeys(["whole-runs", "phases", "repeated", "steps", "gradients"], "runs"),
+    **dict.fromkeys(["adaptive", "quantities", "cubics", "quadratics"], "bounds"),
+    "friction": "elastic",
+    **dict.fromkeys(["korn", "proved-korn"], "korn"),
+    **dict.fromkeys(["mindlin", "plate", "penalty"], "published"),
+    **{name: name for name in ("methods", "scaling", "yardstick")},
+}
+"""Where each is, in `measuring`."""
+
+
+def main() -> None:
+    """Measure what is asked for."""
+    what = sys.argv.pop(1) if len(sys.argv) > 1 else ""
+    if what not in MODULES:
+        sys.exit(__doc__)
+    app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
+    app.command()(getattr(import_module(f"measuring.{MODULES[what]}"), what.replace("-", "_")))
+    app()
+
+
+if __name__ == "__main__":
+    main()

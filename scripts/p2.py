@@ -1,0 +1,329 @@
+"""Elastic contact by conforming P2 displacements, as a second program: SciPy, one process.
+
+The coefficients are those of Bernstein's basis, so that v_n ≤ g holds on whole facets if the coefficients satisfy it.
+Then the energy of v is above that of the exact u, and the complementary energy of an admissible stress below. Without
+friction a primal-dual active set finds v. With friction, condensed to Γ_C, u is u₀ + Fλ with the forces λ of the
+coefficients. These satisfy λ_n ≥ 0, u_n ≤ g, λ_n(g − u_n) = 0, and |λ_t| ≤ k, −λ_t·u_t = k|u_t|; k is ∫ gB with a
+bound g of the shear (Tresca), and μλ_n by Coulomb's law. Block by block, projections find them (Gauss and Seidel).
+|u_t| is at most the mean of the lengths of its coefficients, so with Tresca's law the energy is above that of the exact
+u.
+
+Usage: python scripts/p2.py [--cells N …]     print the block of `oblique` beside the solution of the package
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+
+import argparse
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import basix.ufl
+import dolfinx.mesh
+import numpy as np
+import scipy.sparse.linalg
+import ufl
+from dolfinx import fem
+from measuring.problem import primal_dual_active_set
+from mpi4py import MPI
+
+from signorini_fenicsx import Contact, Coulomb, Dirichlet, Elasticity, Neumann, Tresca, domain_of, solve
+
+SINGULAR = 1e-10
+"""Pivots below this share of the largest one are rounding."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """An elastic box whose last coordinate is 0 on Γ_C.
+
+    Attributes:
+        mesh: Its mesh, on one process.
+        young: E, a number or UFL on the mesh.
+        poisson: ν.
+        g_N: Tractions by side: the coordinate and its value there.
+        fixed: For a side the components of v that are 0.
+        gap: g, a number.
+        f: Force per volume; none if it is empty.
+    """
+
+    mesh: dolfinx.mesh.Mesh
+    young: float | ufl.core.expr.Expr
+    poisson: float
+    g_N: Mapping[tuple[int, float], Sequence[float]]
+    fixed: Mapping[tuple[int, float], Sequence[int]]
+    gap: float
+    f: Sequence[float] = ()
+
+
+@dataclass(frozen=True)
+class P2Contact:
+    """A solution by P2 displacements.
+
+    Attributes:
+        v: The displacement.
+        energy: ½(ℂε(v), ε(v)) − (f, v) − ⟨g_N, v⟩.
+        touching: Number of coefficients in contact.
+        steps: Set updates.
+        unknowns: Unknowns of the linear systems.
+        seconds: Of the processor, from the mesh to v.
+    """
+
+    v: fem.Function
+    energy: float
+    touching: int
+    steps: int
+    unknowns: int
+    seconds: float
+
+
+def stress(v: ufl.core.expr.Expr, young: float | ufl.core.expr.Expr, poisson: float) -> ufl.core.expr.Expr:
+    """ℂε(v), plane strain in two dimensions."""
+    strain = ufl.sym(ufl.grad(v))
+    mu, lame = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    return 2 * mu * strain + lame * ufl.tr(strain) * ufl.Identity(len(v))
+
+
+def solve_p2(box: Box, *, between: bool = False) -> P2Contact:
+    """Solve on a box.
+
+    If Γ_C is between two bodies, the mesh is cut there, and the body above is pressed onto that below. Then all of Γ_C
+    is in contact in the first step: nothing else may hold the body above.
+
+    Args:
+        box: The box.
+        between: Whether Γ_C is between two bodies.
+
+    Raises:
+        RuntimeError: If the sets do not settle, or one of them lets a body move freely.
+    """
+    began = time.process_time()
+    space, A, b, held, contact = assembled(box)
+    jumps = scipy.sparse.eye_array(len(b)).tocsr()
+    if between:
+        contact, jumps = _jumps(space, contact, len(b))
+        A, b = (jumps.T @ A @ jumps).tocsr(), jumps.T @ b
+
+    def under(active: np.ndarray, _before: np.ndarray) -> np.ndarray:
+        x = np.where(active, -box.gap, 0.0)
+        free = np.setdiff1d(np.flatnonzero(~active), held)
+        x[free] = factorised(A[free][:, free]).solve((b - A @ x)[free])
+        return x
+
+    first = np.isin(np.arange(len(b)), contact) if between else None
+    settled = primal_dual_active_set(under, lambda x: A @ x - b, contact, np.zeros(len(b)), -box.gap, first)
+    x, touching = settled.u, int(settled.active.sum())
+    v = fem.Function(space)
+    v.x.array[:] = jumps @ x
+    energy, unknowns = float(x @ (A @ x) / 2 - b @ x), len(b) - len(held) - touching
+    return P2Contact(v, energy, touching, settled.steps, unknowns, time.process_time() - began)
+
+
+def factorised(matrix: scipy.sparse.csr_array) -> scipy.sparse.linalg.SuperLU:
+    """The factors of a matrix.
+
+    Raises:
+        RuntimeError: If it is singular up to rounding.
+    """
+    factors = scipy.sparse.linalg.splu(matrix.tocsc())
+    pivots = np.abs(factors.U.diagonal())
+    if pivots.min() <= SINGULAR * pivots.max():
+        raise RuntimeError("the matrix is singular: a body moves freely")
+    return factors
+
+
+def assembled(box: Box) -> tuple[fem.FunctionSpace, scipy.sparse.csr_array, np.ndarray, np.ndarray, np.ndarray]:
+    """The space, A, b, the unknowns that are 0, and the normal ones on Γ_C."""
+    mesh = box.mesh
+    assert mesh.comm.size == 1
+    dim = mesh.geometry.dim
+    element = basix.ufl.element("P", mesh.basix_cell(), 2, basix.LagrangeVariant.bernstein, shape=(dim,))
+    space = fem.functionspace(mesh, element)
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    load = ufl.dot(fem.Constant(mesh, np.array(box.f or [0.0] * dim, dtype=float)), v) * ufl.dx
+    sides = [_facets(mesh, side) for side in box.g_N]
+    numbers = np.concatenate([np.full(len(facets), number, dtype=np.int32) for number, facets in enumerate(sides)])
+    facets = np.concatenate(sides)
+    order = np.argsort(facets)
+    tags = dolfinx.mesh.meshtags(mesh, dim - 1, facets[order], numbers[order])
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    for number, traction in enumerate(box.g_N.values()):
+        load += ufl.dot(ufl.as_vector([float(x) for x in traction]), v) * ds(number)
+    form = ufl.inner(stress(u, box.young, box.poisson), ufl.sym(ufl.grad(v))) * ufl.dx
+    A = fem.assemble_matrix(fem.form(form)).to_scipy().tocsr()
+    b = fem.assemble_vector(fem.form(load)).array
+    zero = [_dofs(space, mesh, side, k) for side, components in box.fixed.items() for k in components]
+    held = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *zero]))
+    contact = np.setdiff1d(_dofs(space, mesh, (dim - 1, 0.0), dim - 1), held)
+    return space, A, b, held, contact
+
+
+def stress_norm(mesh: dolfinx.mesh.Mesh, sigma: ufl.core.expr.Expr, young: float, poisson: float) -> float:
+    """‖σ‖ in the energy norm."""
+    theta = poisson if mesh.geometry.dim == 2 else poisson / (1 + poisson)
+    product = (1 + poisson) / young * (ufl.inner(sigma, sigma) - theta * ufl.tr(sigma) ** 2)
+    return float(np.sqrt(mesh.comm.allreduce(fem.assemble_scalar(fem.form(product * ufl.dx)), MPI.SUM)))
+
+
+def _jumps(space: fem.FunctionSpace, both: np.ndarray, size: int) -> tuple[np.ndarray, scipy.sparse.csr_array]:
+    """The unknowns of the upper body among normal ones of both bodies, and the basis in which they are jumps."""
+    mesh, dim = space.mesh, space.mesh.geometry.dim
+    cells = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
+    above = dolfinx.mesh.compute_midpoints(mesh, dim, cells)[:, dim - 1] > 0
+    of_upper = np.unique(space.dofmap.list[above].ravel()) * dim + dim - 1
+    upper, lower = both[np.isin(both, of_upper)], both[~np.isin(both, of_upper)]
+    lagrange = fem.functionspace(mesh, ("P", 2))  # with the nodes of Bernstein's basis at its points
+    x = lagrange.tabulate_dof_coordinates()[:, : dim - 1]
+    upper, lower = (side[np.lexsort(np.round(x[side // dim], 9).T)] for side in (upper, lower))
+    ones = scipy.sparse.coo_array((np.ones(len(upper)), (upper, lower)), (size, size))
+    return upper, (scipy.sparse.eye_array(size) + ones).tocsr()
+
+
+def _facets(mesh: dolfinx.mesh.Mesh, side: tuple[int, float]) -> np.ndarray:
+    axis, place = side
+    return dolfinx.mesh.locate_entities_boundary(mesh, mesh.geometry.dim - 1, lambda x: np.isclose(x[axis], place))
+
+
+def _dofs(space: fem.FunctionSpace, mesh: dolfinx.mesh.Mesh, side: tuple[int, float], component: int) -> np.ndarray:
+    """Unknowns of a component on a side; in Bernstein's basis as in Lagrange's."""
+    nodes = fem.locate_dofs_topological(space, mesh.geometry.dim - 1, _facets(mesh, side))
+    return nodes.astype(np.int64) * mesh.geometry.dim + component
+
+
+SWEEPS, ENOUGH = 20_000, 1e-10
+"""Sweeps at most, and the change of the forces in one, as a share of the largest, with which they end."""
+GAP, PUSH, LIFT = 0.01, [0.05, 0.03, -0.1], [0.0, 0.0, 0.03]
+"""Of the block of `oblique`: the gap, and the tractions on its top and on its end."""
+LAWS = (Tresca(0.02), Coulomb(0.1), Coulomb(0.3), Coulomb(1.0))
+
+
+@dataclass(frozen=True)
+class P2Friction:
+    """A solution by P2 displacements.
+
+    Attributes:
+        v: The displacement.
+        energy: ½(ℂε(v), ε(v)) − (f, v) − ⟨g_N, v⟩ + Σ k|v_t|.
+        force: ∫ σn over Γ_C.
+        sweeps: Sweeps.
+        unknowns: Unknowns of the linear system.
+    """
+
+    v: fem.Function
+    energy: float
+    force: np.ndarray
+    sweeps: int
+    unknowns: int
+
+
+def solve_p2_friction(box: Box, law: Tresca | Coulomb) -> P2Friction:
+    """Solve on a box with this law on Γ_C.
+
+    Raises:
+        RuntimeError: If the forces do not settle, or nothing else holds the body.
+    """
+    dim = box.mesh.geometry.dim
+    space, A, b, held, contact = assembled(box)
+    free = np.setdiff1d(np.arange(len(b)), held)
+    nodes = contact[np.isin(contact, free)] // dim
+    rows = np.searchsorted(free, nodes[:, None] * dim + np.arange(dim))
+    factors = factorised(A[free][:, free])
+    pulls = np.zeros((len(free), rows.size))
+    pulls[rows.ravel(), np.arange(rows.size)] = 1.0
+    flexible = factors.solve(pulls)
+    at_rest = factors.solve(b[free])
+    bound_of_law = law.g * _weights(space, nodes) if isinstance(law, Tresca) else None
+    mu = law.mu if isinstance(law, Coulomb) else 0.0
+    forces, sweeps = _forces(flexible[rows.ravel()], at_rest[rows], box.gap, mu, bound_of_law)
+    x = np.zeros(len(b))
+    x[free] = at_rest + flexible @ forces.ravel()
+    slips = np.linalg.norm(x[nodes[:, None] * dim + np.arange(dim - 1)], axis=1)
+    bound = mu * forces[:, -1] if bound_of_law is None else bound_of_law
+    u = fem.Function(space)
+    u.x.array[:] = x
+    energy = float(x @ (A @ x) / 2 - b @ x + bound @ slips)
+    return P2Friction(u, energy, forces.sum(axis=0), sweeps, len(free))
+
+
+def _weights(space: fem.FunctionSpace, nodes: np.ndarray) -> np.ndarray:
+    """∫ B over Γ_C, where the last coordinate is 0, for the B of each of these nodes."""
+    mesh, dim = space.mesh, space.mesh.geometry.dim
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, lambda x: np.isclose(x[dim - 1], 0))
+    tags = dolfinx.mesh.meshtags(mesh, dim - 1, np.sort(facets), np.zeros(len(facets), dtype=np.int32))
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
+    sums = fem.assemble_vector(fem.form(ufl.TestFunction(space)[dim - 1] * ds(0))).array
+    return np.asarray(sums[nodes * dim + dim - 1])
+
+
+def _forces(
+    flexible: np.ndarray, at_rest: np.ndarray, gap: float, mu: float, given: np.ndarray | None
+) -> tuple[np.ndarray, int]:
+    """The forces on the coefficients of Γ_C, the normal one upwards and last, and the number of sweeps.
+
+    Args:
+        flexible: F.
+        at_rest: u₀, shape (nodes, d).
+        gap: g; −u_last ≤ g.
+        mu: μ of Coulomb's law.
+        given: The k of Tresca's law.
+    """
+    number, dim = at_rest.shape
+    forces, u = np.zeros((number, dim)), at_rest.copy()
+    blocks = flexible.reshape(number, dim, number, dim)
+    normal = np.array([blocks[i, -1, i, -1] for i in range(number)])
+    along = np.array([np.linalg.norm(blocks[i, :-1, i, :-1], 2) for i in range(number)])
+    for sweeps in range(1, SWEEPS + 1):
+        change = 0.0
+        for i in range(number):
+            new = forces[i].copy()
+            new[-1] = max(new[-1] - (u[i, -1] + gap) / normal[i], 0.0)
+            u_t = u[i, :-1] + blocks[i, :-1, i, -1] * (new[-1] - forces[i, -1])
+            new[:-1] -= u_t / along[i]
+            bound, size = mu * new[-1] if given is None else given[i], np.linalg.norm(new[:-1])
+            new[:-1] *= min(1.0, bound / size) if size > 0 else 1.0
+            u += (blocks[:, :, i] @ (new - forces[i])).reshape(number, dim)
+            change, forces[i] = max(change, float(np.abs(new - forces[i]).max())), new
+        if change <= ENOUGH * np.abs(forces).max():
+            return forces, sweeps
+    raise RuntimeError("the forces do not settle")
+
+
+def oblique(n: int, law: Tresca | Coulomb) -> tuple[Any, P2Friction]:
+    """A block, n cells high, that is held at one end and pushed obliquely on a plane: by the package, and by P2."""
+    mesh = dolfinx.mesh.create_box(MPI.COMM_SELF, [[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]], [2 * n, n, n])
+    places = {
+        "bottom": (2, 0.0),
+        "top": (2, 1.0),
+        "held": (0, 0.0),
+        "end": (0, 2.0),
+        "front": (1, 0.0),
+        "back": (1, 1.0),
+    }
+    parts = {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in places.items()}
+    contact = Contact("bottom", gap=GAP, friction=law)
+    sides = [Neumann("top", PUSH), Neumann("end", LIFT), Neumann(["front", "back"]), Dirichlet("held", 0)]
+    solution = solve(domain_of(mesh, parts), Elasticity(1.0, 0.3, conditions=[contact, *sides]))
+    other = solve_p2_friction(Box(mesh, 1.0, 0.3, {(2, 1.0): PUSH, (0, 2.0): LIFT}, {(0, 0.0): [0, 1, 2]}, GAP), law)
+    return solution, other
+
+
+def main() -> None:
+    """Print a line for each law and mesh."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cells", type=int, nargs="*", default=[2, 3], help="cells along the height")
+    print("law     cells  stick slip open  energies: P2, ours, between   stress: P2, ours     ", end="")
+    print("force on the plane: P2; ours")
+    for law in LAWS:
+        for n in parser.parse_args().cells:
+            solution, other = oblique(n, law)
+            norms = solution.norms()
+            complementary = norms["energy"] ** 2 / 2 + GAP * norms["contact_force"]
+            size = stress_norm(solution.spaces.mesh, stress(other.v, 1.0, 0.3), 1.0, 0.3)
+            name = f"mu {law.mu:g}" if isinstance(law, Coulomb) else "Tresca"
+            states = "".join(f"{each['vertices']:6d}" for each in solution.friction_states().values())
+            told = (
+                f"{name:7} {n:5} {states}  {other.energy:.6f} {-complementary:.6f} {other.energy + complementary:.1e}"
+            )
+            pulls = ("  ".join(f"{x:.5f}" for x in each[:3]) for each in (other.force, solution.resultants()["bottom"]))
+            print(f"{told}    {size:.5f} {norms['energy']:.5f}   {';  '.join(pulls)}")
