@@ -96,7 +96,7 @@ def _draw_along(
         axes.set(
             xlabel=f"${label}$" if len(label) == 1 else label, ylabel="$t$", title=f"{panel.title} on {parts[part]}"
         )
-    return sheet, len(parts), [Patch(color="0.85", label="apart")] if blank else []
+    return sheet, len(parts), [Patch(color="0.85", label=scene.word("apart"))] if blank else []
 
 
 def _groups(scenes: Sequence[Scene]) -> dict[str, str]:
@@ -140,8 +140,9 @@ def _draw_views(
     columns = [panel.what for panel in panels if panel.where is Where.GAMMA]
     rim = any(len(each.rim.lines) > 0 for each in spaces) and bool(columns)
     blank = any(np.isnan(each.on_facets(column)).any() for each in shown for column in columns)
-    around = Line2D([], [], color=style.CONTACT, linewidth=2.5, label="around the contact set")
-    return sheet, len(rows), [around] * rim + [Patch(color=HULL, label="apart or without friction")] * blank
+    word = shown[-1].word
+    around = Line2D([], [], color=style.CONTACT, linewidth=2.5, label=word("around the contact set"))
+    return sheet, len(rows), [around] * rim + [Patch(color=HULL, label=word("apart or without friction"))] * blank
 
 
 @mpl.rc_context(style.STYLE)

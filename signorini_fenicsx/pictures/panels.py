@@ -124,12 +124,14 @@ class Pictures:
             and pictures need, with the steps.
         in_time: Draws a run in time into a folder, from its scene at the end, tables, times and rows of all steps, and
             what steps kept by names and steps.
+        words: What legends say in the place of letters, such as Γ_C, and of words for bodies.
     """
 
     files: Callable[[Scene], Mapping[str, File]]
     over: Callable[[Scene, list[Overlay]], list[Overlay]] = lambda scene, usual: usual
     kept: Callable[[Any, int], Mapping[str, Sequence[int]]] = lambda solution, steps: {}
     in_time: Callable[[Path, Scene, Steps], None] = lambda folder, scene, steps: None
+    words: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

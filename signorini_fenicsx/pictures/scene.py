@@ -127,7 +127,12 @@ class Scene:
     @property
     def gamma(self) -> str:
         """What Γ_S is called, in mathematical type; the parts that stand in its place."""
-        return ", ".join(self.parts) if self.parts is not None else rf"$\Gamma_{self.solution.gamma[-1]}$"
+        letter = rf"$\Gamma_{self.solution.gamma[-1]}$"
+        return ", ".join(self.parts) if self.parts is not None else self.word(letter)
+
+    def word(self, text: str) -> str:
+        """What legends of this physics say in the place of a text."""
+        return self.pictures.words.get(text, text)
 
     @cached_property
     def rows(self) -> Indices:
@@ -234,7 +239,7 @@ class Scene:
         ]
         kinds = [
             Overlay(
-                name,
+                self.word(name),
                 [points[vertices] for _, vertices in chains(boundary.vertices[boundary.kind == kind])],
                 black | {"linestyle": look},
             )

@@ -137,14 +137,31 @@ class Space:
         share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
         cells = np.searchsorted(measure, share * measure[-1])
         points = self.scene.fields.points
-        near_0 = self.grid.copy()
-        near_0.points = points - points[0]
+        near_0 = self._grid_of_lines(points - points[0])
         seeds = pyvista.PolyData(near_0.points[self.scene.fields.cells[cells]].mean(axis=1))
         lines = near_0.streamlines_from_source(
-            seeds, vectors="sigma", max_length=2 * self.extent, initial_step_length=0.5, max_steps=400
+            seeds,
+            vectors="sigma",
+            max_length=2 * self.extent,
+            initial_step_length=0.5,
+            max_steps=400,
+            interpolator_type="cell" if "flow" in self.scene.fields.in_cells else "point",
         )
         lines.points = np.asarray(lines.points, dtype=np.float64) + points[0]
         return lines
+
+    def _grid_of_lines(self, points: Array) -> pyvista.UnstructuredGrid:
+        """The mesh in other places with the field of streamlines; each cell has its own, if it jumps between cells."""
+        if (jumping := self.scene.fields.in_cells.get("flow")) is None:
+            grid = self.grid.copy()
+            grid.points = points
+            return grid
+        corners = points[self.scene.fields.cells].reshape(-1, 3)
+        cells = np.arange(len(corners)).reshape(-1, 4)
+        grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells}, corners)
+        grid.point_data["sigma"] = jumping.reshape(-1, 3)
+        grid.point_data["sigma_norm"] = np.linalg.norm(grid.point_data["sigma"], axis=1)
+        return grid
 
     def sheet(self, panels: Iterable[Panel], title: str = "") -> Sheet:
         """Views in rows; those of Γ_S alone from all sides that show it."""

@@ -255,7 +255,7 @@ def test_case_file(folder: Path):
 def test_capacity_of_a_body():
     """What only diffusion has is refused."""
     square = build_domain(COMM, "square", 0.5, mesh="structured")
-    with pytest.raises(InputError, match="loads on an elastic body have no initial, capacity and scheme"):
+    with pytest.raises(InputError, match="steps of loads have no initial, capacity and scheme"):
         next(evolve(square, block(Tresca(0.05)), Evolution(end=1.0, steps=2, capacity=2.0)))
 
 

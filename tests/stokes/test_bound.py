@@ -1,6 +1,7 @@
 """The bound of viscous flow against exact flows: smooth ones, under any pressure, and where laws change."""
 
 import dolfinx.fem
+import numpy as np
 import pytest
 import ufl
 from elastic import box, half_plane_contact
@@ -9,6 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
+from signorini_fenicsx.physics.elasticity.bound.lifted import inf_sup
 from signorini_fenicsx.physics.elasticity.problem import Pressure
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
@@ -51,13 +53,37 @@ def test_the_bound_of_a_smooth_flow_is_the_error():
 
 
 def test_in_space():
-    """Cubics on split tetrahedra are as good, and where u_D is no cubic the word goes."""
+    """Cubics on split tetrahedra are as good, and where u_D is no cubic the word goes there."""
     u = [*WAVES, "0"]
     found, certificate = bounded([0.0] * 3, [1.0] * 3, 2, Stokes(MU, u_D=u, exact=u))
     assert certificate.reservation == "u_D not in the discrete spaces"
     assert not certificate.guaranteed
     assert divergence(certificate.v) < 1e-13
     assert 1 <= certificate.bound / found.errors()["energy"] < 1.01
+
+
+def test_a_velocity_that_is_no_polynomial():
+    """In the plane what v lacks of it is in the bound, which stays guaranteed; not so where its means are unknown."""
+    found, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, Stokes(MU, u_D=WAVES, exact=WAVES))
+    assert certificate.guaranteed
+    assert 1.05 < certificate.bound / found.errors()["energy"] < 1.1
+    kink = ["(abs(y - 0.3) - 0.29)*(2*x - 1)^2", "0"]
+    _, certificate = bounded([0.0, 0.0], [1.0, 1.0], 4, Stokes(MU, u_D=kink))
+    assert certificate.reservation.startswith("u_D is not resolved near")
+    equilateral = np.array([[[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]]])
+    assert inf_sup(equilateral) == pytest.approx(np.sin(np.pi / 12))
+
+
+def test_loads_that_vary():
+    """What y does not balance of them is half of the error; without it the bound is the error, of σ alone 1.15."""
+    u = ["sin(pi*x)*cos(pi*y)", "-cos(pi*x)*sin(pi*y)"]
+    f = [f"{2 * MU}*pi^2*({each})" for each in u]
+    found, certificate = bounded([0.0, 0.0], [1.0, 1.0], 8, Stokes(MU, f=f, u_D=u, exact=u))
+    error = found.errors()["energy"]
+    assert certificate.guaranteed
+    assert 0.99 < (2 * certificate.gap) ** 0.5 / error < 1
+    assert 0.45 < certificate.oscillation / error < 0.5
+    assert 1.1 < certificate.sigma_bound / error < 1.2
 
 
 def leaking(g: float, x0: float, c: float) -> list[str]:

@@ -317,7 +317,7 @@ class ElasticSolution(Solution):
 
     def of_step(self) -> dict[str, float]:
         """The row of `steps.csv`: peak stresses, motions of tools, force and mean u of each part (collective)."""
-        spaces, axes, about = self.spaces, AXES[: self.spaces.dim], self.quantities()
+        about = self.quantities()
         numbers = {"contact_force": self.norms()["contact_force"], "von_mises": about["von_mises"]["largest"]}
         numbers |= {
             f"{name}_peak_pressure": part["peak_pressure"]["largest"] for name, part in about["contact"].items()
@@ -325,6 +325,11 @@ class ElasticSolution(Solution):
         for name, motion in about.get("tools", {}).items():
             numbers |= {f"{name}_tool_{axis}": length for axis, length in motion["displacement"].items()}
             numbers |= {f"{name}_tool_about_{axis}": angle for axis, angle in motion.get("rotation", {}).items()}
+        return numbers | self._on_parts()
+
+    def _on_parts(self) -> dict[str, float]:
+        """The force and the mean u of each part (collective)."""
+        spaces, axes, numbers = self.spaces, AXES[: self.spaces.dim], dict[str, float]()
         forces, u = self.resultants(), spaces.displacement_values(self.u)
         for name in spaces.domain.parts:
             part = spaces.part(name)

@@ -47,6 +47,8 @@ class System:
         kept: Has the backend of the last solve, which serves derivatives.
     """
 
+    steps_type: ClassVar[type[ElasticSteps]] = ElasticSteps
+
     def __init__(self, domain: Domain, problem: ElasticProblem):
         """Set up the spaces (collective).
 
@@ -117,8 +119,8 @@ class System:
         """
         plain = Evolution(evolution.end, evolution.steps)
         if evolution != plain:
-            raise InputError("[time]: loads on an elastic body have no initial, capacity and scheme")
-        return ElasticSteps(self.spaces, problem, evolution)
+            raise InputError("[time]: steps of loads have no initial, capacity and scheme")
+        return self.steps_type(self.spaces, problem, evolution)
 
 
 def _note_foundations(spaces: ElasticSpaces, data: ElasticData) -> None:

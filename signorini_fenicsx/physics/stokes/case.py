@@ -114,6 +114,11 @@ class StokesCase(CaseFile):
     is_vector = True
 
     @property
+    def columns_of_step(self) -> dict[str, tuple[str, int, str]]:
+        """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
+        return {"speed": ("speed", 11, ".5g")} | super().columns_of_step
+
+    @property
     def costs(self) -> Mapping[int, Cost]:
         """What it costs to solve it, by dimension."""
         return COSTS
@@ -149,8 +154,6 @@ class StokesCase(CaseFile):
         for key in ("backend", "element", "rho", "eps"):
             if key in self.solve.model_fields_set:
                 raise ValueError(f"[solve] {key}: viscous flow has no such key")
-        if self.time is not None:
-            raise ValueError("[time]: a viscous flow has no steps in time")
         if self.inner:
             raise ValueError("[boundary] inner: a fluid has no parts inside")
         return self
@@ -163,4 +166,7 @@ class StokesCase(CaseFile):
         if walls:
             u_D = values["u_D"]
             values["u_D"] = {**(u_D if isinstance(u_D, dict) else {"": u_D}), **walls}
-        return StokesProblem(**values, **laws, exact=self.exact.u, exact_p=self.exact.p)
+        problem = StokesProblem(**values, **laws, exact=self.exact.u, exact_p=self.exact.p)
+        if step is None or self.time is None:
+            return problem
+        return problem.in_time(dim).at(self.time.evolution().time(step))

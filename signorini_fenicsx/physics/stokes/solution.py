@@ -47,6 +47,13 @@ class StokesSolution(ElasticSolution):
         """Largest speed, pressure, u_n and σ_nn along laws, and the balance, see `quantities` (collective)."""
         return quantities(self)
 
+    def of_step(self) -> dict[str, float]:
+        """The row of `steps.csv`: speed, pressure, and of each part the flow, the force and the mean u (collective)."""
+        about = self.quantities()
+        ends = {f"pressure_{end}": about["pressure"][end] for end in ("least", "largest")}
+        flows = {f"{part}_flow": flow for part, flow in self.flows().items()}
+        return {"speed": about["speed"]["largest"], **ends, **flows, **self._on_parts()}
+
     @collector_off()
     def norms(self) -> dict[str, float]:
         """‖dev σ‖ in the energy norm, ‖σ‖ in L², and ‖u‖ (collective)."""

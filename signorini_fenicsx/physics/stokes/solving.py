@@ -1,15 +1,30 @@
 """How problems of viscous flow are solved: as those of elasticity."""
 
-from typing import Any
+from collections.abc import Mapping, Sequence
 
-from signorini_fenicsx.base.errors import InputError
+
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.physics.elasticity import solving
+from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
+from signorini_fenicsx.physics.elasticity.evolution import ElasticSteps
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 from signorini_fenicsx.physics.elasticity.solve.task import ElasticTask
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
 from signorini_fenicsx.physics.stokes.solvability import check_flow
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.system import Wish
+
+
+class FlowSteps(ElasticSteps):
+    """The steps of data in time, each a flow of its own: nothing is remembered of those before."""
+
+    def memory(self, _step: int, _before: Sequence[Array]) -> FromBefore:
+        """Nothing."""
+        return FromBefore()
+
+    def by_earlier(self, _step: int, _by: Mapping[str, Array]) -> Sequence[tuple[int, Array]]:
+        """No derivatives by what earlier steps have left."""
+        return []
 
 
 class Run(solving.ElasticRun):
@@ -21,6 +36,8 @@ class Run(solving.ElasticRun):
 class System(solving.System):
     """The spaces of viscous flow on a mesh."""
 
+    steps_type = FlowSteps
+
     def prepared(self, problem: ElasticProblem, wish: Wish) -> solving.ElasticRun:
         """Read the data and check them (collective).
 
@@ -30,14 +47,6 @@ class System(solving.System):
         run = super().prepared(problem, wish)
         check_flow(self.spaces, run.task.data)
         return run
-
-    def steps(self, *_: Any) -> Any:
-        """There are none.
-
-        Raises:
-            InputError: Always.
-        """
-        raise InputError("[time]: a viscous flow has no steps in time")
 
     def run(self, task: ElasticTask, options: Options) -> solving.ElasticRun:
         """The problem, ready to be solved."""

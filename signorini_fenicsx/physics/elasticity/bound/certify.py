@@ -41,7 +41,7 @@ from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
-from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement, degree_of
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.lifted import lifted, lifts, of_degree
 from signorini_fenicsx.physics.elasticity.bound.oscillation import compliances_above, load_oscillation
@@ -62,10 +62,8 @@ LACKING = "not in the discrete spaces"
 UNBALANCED = "the linear solver leaves too much of the balance of the stress"
 SURFACE = "with tools as far as their surfaces are at the vertices of the mesh"
 TRESCA = "the exact solution of Tresca's problem with the last bound of the friction"
-DEGREE, OF_FLUIDS = 2, 3
-"""Degree of v; of a fluid it has to be so high that ∇·v can be 0,"""
 MOST = {2: 0.95, 3: 0.8}
-"""and a higher one on the cells with the largest parts of the gap that have this share of it, by dimension,"""
+"""v has a higher degree on the cells with the largest parts of the gap that have this share of it, by dimension,"""
 HALVINGS, MANY = 4, {2: 20_000, 3: 200}
 """or half as much of it and so on, if they are more than so many, by dimension; and on their neighbours."""
 HIGHEST, FEW = {2: 4, 3: 3}, 1000
@@ -121,11 +119,6 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     certificate = replace(gap.certificate(spaces), lacking=_lacking(resolution, gap.by_quadrature), of=of)
     about = {"guaranteed": False, "of_last_bound": True} if of_last_bound else {}
     return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.proved else {}))
-
-
-def degree_of(data: ElasticData) -> int:
-    """The degree of v."""
-    return OF_FLUIDS if data.material.incompressible else DEGREE
 
 
 def pairs_without_bound(spaces: ElasticSpaces) -> str:

@@ -1,4 +1,4 @@
-"""What v lacks of u_D and of the gap where they are not quadratic on facets, in the plane.
+"""What v lacks of u_D and of the gap where they are of a higher degree than v on facets, in the plane.
 
 On a facet e let t be what is given of u along a direction q, or on Γ_C the gap, and there q = n. v has, or stays off,
 an interpolant p of t in its place, of the degree of v. Facets where a number stands for the gap, see `clear`, need
@@ -19,10 +19,23 @@ depends on τ alone, all of which have the same share of S, and ‖t − p‖ �
 
 and ‖ℂ(ε(v + d) − ε₀) − y‖ is larger by at most the root of the largest eigenvalue of ℂ times this.
 
+*Fluids.* There p is a cubic whose mean on e is that of t, the interpolant of t at equidistant points and a multiple of
+6τ(1 − τ); this has a norm of r that is at most 1 + √12/3π times that with the interpolant, by the inequality above on
+thirds of e, and ‖t − p‖ ≤ ‖r‖/π. d has no flow through e, but a divergence. On the cell T there is a w that is 0 around
+it with ∇·w = ∇·d and ‖∇w‖ ≤ ‖∇·d‖/β. So v + d − w is admissible, and ‖ε(d − w)‖ ≤ ‖∇d‖ (1 + √2/β), where Σ|∇d|² over
+the directions q stands for |∇d|². If T is in a disc of radius R, and star-shaped about all points of a disc of radius
+ρ with the same centre,
+
+    β ≥ ρ/(√2 R) (1 + (1 − ρ²/R²)^½)^-½
+
+(Costabel and Dauge, arXiv 1303.6141); here it is the inscribed one. The means of t are enclosed, to see that those of û,
+by quadrature, are equal to them up to rounding.
+
 If ∇t is within ρ of the gradient of a polynomial of degree K on a part of e, ‖r‖ there is at most what a quadrature
 shows that is exact for the squares of such polynomials, and 2|e|ρ.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
 import basix
@@ -34,17 +47,18 @@ from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import beside
 from signorini_fenicsx.expressions import Tree, is_polynomial, values
-from signorini_fenicsx.expressions.enclosures import slopes
+from signorini_fenicsx.expressions.enclosures import distances, in_points, slopes
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.physics.elasticity.bound.conforming import OUT, degree_of
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
-QUADRATIC = 2
-"""What is a polynomial of this degree is interpolated exactly."""
+WITH_MEAN = 1 + math.sqrt(12) / (3 * math.pi)
+"""How much larger ‖r‖ may be with a p that has the mean of t."""
 SHARE = 0.05
 """ρ need not be smaller than what adds this share to ‖r‖,"""
 ROUNDING = 1e-9
@@ -57,8 +71,8 @@ type _Given = tuple[str, BoundaryFacets, list[tuple[Datum, Array]]]
 
 
 def lifts(spaces: ElasticSpaces, data: ElasticData) -> tuple[str, ...]:
-    """The data for which there is a d: texts of which one at least is not quadratic."""
-    names = []
+    """The data for which there is a d: texts of which one at least is of a higher degree than v."""
+    names, degree = [], degree_of(data)
     for name, datum in (("u_D", data.u_D), ("gap", data.gap)):
         is_text = all(
             part.pieces is not None
@@ -67,8 +81,7 @@ def lifts(spaces: ElasticSpaces, data: ElasticData) -> tuple[str, ...]:
             for _, part in scalar.by_facets(facets.facets)
             if each == name
         )
-        some_lift = spaces.dim == 2 and not data.material.incompressible  # d changes volumes
-        if some_lift and is_text and (datum.polynomial is None or datum.polynomial > QUADRATIC):
+        if spaces.dim == 2 and is_text and (datum.polynomial is None or datum.polynomial > degree):
             names.append(name)
     return tuple(names)
 
@@ -88,7 +101,11 @@ def lifted(resolution: Resolution, counted: Array, floors: Array) -> tuple[Array
     names = lifts(spaces, resolution.data)
     if not names:
         return np.zeros_like(counted), ()
-    sizes = {name: of_degree(resolution, (name,), QUADRATIC, floors) for name in names}
+    off = _means_off(spaces, resolution.data) if resolution.data.material.incompressible else np.zeros(len(counted))
+    if comm.allreduce(bool(off.any()), MPI.LOR):
+        resolution.note("u_D", off > 0)
+        return np.zeros_like(counted), ()
+    sizes = {name: of_degree(resolution, (name,), degree_of(resolution.data), floors) for name in names}
     squares = np.sum([each**2 for each in sizes.values()], axis=0)
     if comm.allreduce(float(squares.sum())) <= comm.allreduce(float(counted.sum())):
         return np.sqrt(squares), names
@@ -99,21 +116,71 @@ def lifted(resolution: Resolution, counted: Array, floors: Array) -> tuple[Array
 
 
 def of_degree(resolution: Resolution, names: Sequence[str], degree: int, floors: Array) -> Array:
-    """‖ℂε(d)‖ for some data and a v of this degree, which has u_D as quadratics all the same (collective)."""
-    spaces, squares = resolution.spaces, np.zeros((len(resolution.coarse), resolution.spaces.dim + 1))
+    """‖ℂε(d)‖ for some data and a v of this degree, which has u_D as before all the same (collective)."""
+    spaces, data, least = resolution.spaces, resolution.data, degree_of(resolution.data)
+    squares = np.zeros((len(resolution.coarse), spaces.dim + 1))
     if not names:
         return squares[:, 0]
-    for name, facets, scalars in _given(spaces, resolution.data):
+    for name, facets, scalars in _given(spaces, data):
         if name in names:  # directions are across each other
-            size = _rising(spaces, facets, scalars, degree if name == "gap" else QUADRATIC)
+            size = _rising(spaces, facets, scalars, degree if name == "gap" else least, least)
             if name == "gap":
                 size[np.isfinite(floors)] = 0.0
             squares[facets.cells, facets.local] += size**2
     subcells = split_vertices(spaces.vertices).reshape(-1, spaces.dim + 1, spaces.dim)
     gradients = np.linalg.norm(barycentric_gradients(subcells), axis=2).reshape(*squares.shape, -1)
     factors = gradients[..., -1] / (2 * np.pi) + gradients[..., :-1].max(axis=2)
+    if data.material.incompressible:
+        factors = WITH_MEAN * (gradients[..., -1] / np.pi + gradients[..., :-1].max(axis=2))
+        factors *= (1 + np.sqrt(2) / inf_sup(spaces.vertices))[:, None]
     of_subcells = (spaces.cell_measures / (spaces.dim + 1))[:, None] * factors**2 * squares
     return np.asarray(np.sqrt(resolution.stiffest() * of_subcells.sum(axis=1)))
+
+
+def inf_sup(vertices: Array) -> Array:
+    """Lower bounds of β of triangles, shape (n,), from their vertices."""
+    sides = np.linalg.norm(np.roll(vertices, 1, axis=1) - np.roll(vertices, -1, axis=1), axis=2)  # opposite to each
+    centre = np.einsum("nv,nvi->ni", sides, vertices) / sides.sum(axis=1)[:, None]
+    largest = np.linalg.norm(vertices - centre[:, None], axis=2).max(axis=1)
+    area = np.abs(np.linalg.det(vertices[:, 1:] - vertices[:, :1])) / 2
+    share = 2 * area / sides.sum(axis=1) / largest
+    return np.asarray(share / np.sqrt(2 * (1 + np.sqrt(1 - share**2))))
+
+
+def _means_off(spaces: ElasticSpaces, data: ElasticData) -> Array:
+    """How far the means of û on facets may be from those of u_D, the most of each cell; 0 up to rounding (collective).
+
+    It is infinite where no mean is enclosed.
+    """
+    comm, off = spaces.mesh.comm, np.zeros(len(spaces.order))
+    means = [data.lift[spaces.unknowns(facets, k)].mean(axis=1) for facets, k, *_ in spaces.fixed]
+    size = comm.allreduce(max((float(np.abs(each).max(initial=0.0)) for each in means), default=0.0), MPI.MAX)
+    for (facets, _, axes, of), mean in zip(spaces.fixed, means, strict=True):
+        away, unsure = -mean, np.zeros(len(mean))
+        for r in of:
+            for tree, rows in _pieces(data.u_D.components[r], facets, -1):
+                middle, radius = _mean_of(spaces, tree, facets.vertices[rows], OUT / 10 * size)
+                away[rows] += axes[rows, r] * middle
+                unsure[rows] += np.abs(axes[rows, r]) * radius
+        away = np.abs(away) + unsure
+        np.maximum.at(off, facets.cells, np.where(away <= OUT * size, 0.0, away))
+    return off
+
+
+def _mean_of(spaces: ElasticSpaces, tree: Tree, ends: Array, enough: float) -> tuple[Array, Array]:
+    """The means of t between ends, and how far they may be from these, of parts that are halved until it is enough."""
+    middle, radius, rows = np.zeros(len(ends)), np.full(len(ends), np.inf), np.arange(len(ends))
+    for level in range(HALVINGS + 1):
+        at = np.linspace(0.0, 1.0, 2**level + 1)
+        parts = _between(ends[rows], np.broadcast_to(at, (len(rows), len(at))))
+        parts = np.stack([parts[:, :-1], parts[:, 1:]], axis=2).reshape(-1, 2, spaces.dim)
+        points, weights = in_points(parts)
+        rho = distances(tree, parts, spaces.frame, np.full(len(parts), enough / 2))
+        shape = len(rows), 2**level
+        middle[rows] = (values(tree, points) @ weights).reshape(shape).mean(axis=1)
+        radius[rows] = 2 * rho.reshape(shape).mean(axis=1)
+        rows = rows[~(radius[rows] <= enough)]
+    return middle, radius
 
 
 def _given(spaces: ElasticSpaces, data: ElasticData) -> Iterator[_Given]:
@@ -123,11 +190,13 @@ def _given(spaces: ElasticSpaces, data: ElasticData) -> Iterator[_Given]:
     yield "gap", spaces.contact, [(data.gap, np.ones(len(spaces.contact.facets)))]
 
 
-def _rising(spaces: ElasticSpaces, facets: BoundaryFacets, scalars: list[tuple[Datum, Array]], degree: int) -> Array:
-    """Bounds of ‖r‖ on facets for p of a degree, infinite where none is known."""
+def _rising(
+    spaces: ElasticSpaces, facets: BoundaryFacets, scalars: list[tuple[Datum, Array]], degree: int, exact: int
+) -> Array:
+    """Bounds of ‖r‖ on facets for p of a degree, infinite where none is known; 0 for polynomials that are exact."""
     bounds = np.zeros(len(facets.facets))
     for scalar, factors in scalars:
-        for tree, rows in _pieces(scalar, facets):
+        for tree, rows in _pieces(scalar, facets, exact):
             rows = rows[factors[rows] != 0]
             bounds[rows] += np.abs(factors[rows]) * _of_tree(spaces, tree, facets.vertices[rows], degree)
     return bounds
@@ -155,11 +224,11 @@ def _of_tree(spaces: ElasticSpaces, tree: Tree, ends: Array, degree: int) -> Arr
     return np.sqrt(squares)
 
 
-def _pieces(datum: Datum, facets: BoundaryFacets) -> Iterator[tuple[Tree, Indices]]:
-    """The trees of a datum that are not quadratic, each with the numbers of its facets."""
+def _pieces(datum: Datum, facets: BoundaryFacets, degree: int) -> Iterator[tuple[Tree, Indices]]:
+    """The trees of a datum that are no polynomials of a degree, each with the numbers of its facets."""
     for mask, part in datum.by_facets(facets.facets):
         for tree, rows in part.trees_in(facets.cells):
-            if not is_polynomial(tree, QUADRATIC):
+            if not is_polynomial(tree, degree):
                 yield tree, rows[mask[rows]]
 
 

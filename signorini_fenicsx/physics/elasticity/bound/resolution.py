@@ -245,7 +245,8 @@ class Resolution:
         largest = np.zeros(len(self.coarse))
         for cells in blocks_of_cells(self.spaces.mesh):
             eigenvalues = np.linalg.eigvalsh(self.data.compliances(self.spaces, cells))
-            largest[cells] = 1 / eigenvalues[..., 0].min(axis=1)
+            stiff = -1 if self.data.material.incompressible else 0  # of a fluid on deviators
+            largest[cells] = 1 / eigenvalues[..., stiff].min(axis=1)
         return largest
 
     def with_missed(self, problem: BestDisplacement, squares: Array) -> Array:

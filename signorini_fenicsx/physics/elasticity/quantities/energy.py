@@ -20,12 +20,11 @@ from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.certify import (
     LACKING,
     UNBALANCED,
-    degree_of,
     gap_of_cells,
     not_in_the_spaces,
     pairs_without_bound,
 )
-from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement, degree_of
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of, without_given
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation

@@ -22,12 +22,13 @@ VALUES = {"contact": "closed"}
 
 
 def fields(solution: Any) -> Fields:
-    """The fields, see `Solved.fields`: u_h, σ_h and p as they are, and what is missing in the balance.
+    """The fields, see `Solved.fields`: u_h, σ_h, p and û as they are, and what is missing in the balance (collective).
 
     On parts with laws they are u_h, u_n, σ_nn, and the states.
     """
-    found = dict(of_bodies.fields(solution))
-    found[IN_CELLS] = [*found[IN_CELLS], Field("pressure", pressure_of(solution.stresses))]
+    found = {place: list(some) for place, some in of_bodies.fields(solution).items()}
+    flow = velocities(solution, traces(solution))
+    found[IN_CELLS] += [Field("pressure", pressure_of(solution.stresses)), Field("flow", flow, order=1)]
     for place in [place for place in found if place != IN_CELLS]:
         found[place] = [
             replace(each, name=NAMES.get(each.name, each.name), names=[VALUES.get(word, word) for word in each.names])
