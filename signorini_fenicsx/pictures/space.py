@@ -137,15 +137,17 @@ class Space:
         share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
         cells = np.searchsorted(measure, share * measure[-1])
         points = self.scene.fields.points
-        near_0 = self._grid_of_lines(points - points[0])
+        near_0, jumps = self._grid_of_lines(points - points[0]), "flow" in self.scene.fields.in_cells
+        step = 0.1 if jumps else 0.5  # of a cell; lines end a step before the boundary
         seeds = pyvista.PolyData(near_0.points[self.scene.fields.cells[cells]].mean(axis=1))
         lines = near_0.streamlines_from_source(
             seeds,
             vectors="sigma",
             max_length=2 * self.extent,
-            initial_step_length=0.5,
-            max_steps=400,
-            interpolator_type="cell" if "flow" in self.scene.fields.in_cells else "point",
+            initial_step_length=step,
+            max_step_length=step,
+            max_steps=round(200 / step),
+            interpolator_type="cell" if jumps else "point",
         )
         lines.points = np.asarray(lines.points, dtype=np.float64) + points[0]
         return lines

@@ -22,6 +22,8 @@ from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
 from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, Stokes
 from signorini_fenicsx.physics.stokes.show.readings import traces, velocities
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
+from signorini_fenicsx.solving.evolution import Evolution
+from signorini_fenicsx.solving.evolving import evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver, solve
 
@@ -115,6 +117,24 @@ def test_slip_in_space():
         found = channel([*ends, sides, more], [u or "0", "0", "0"], n=2, dim=3, tuning=Tuning(direct_up_to=0))
         assert max(vars(found.kkt).values()) < 1e-9
         assert u is None or found.errors()["energy"] < 1e-9
+
+
+def test_steps_in_time():
+    """Pressures that grow and fall: the wall slips at t = 1 alone, as each step is a flow of its own; a run goes on."""
+    ends = [Pressure("x0", f"{2 * MU}*(1 - abs(t - 1))"), Pressure("x1", 0), Slip("y1", g=0.6 * MU)]
+    exact = ["(1.4*y - y^2 if t == 1 else (y - y^2)/2)", 0]
+    problem = Stokes(MU, exact=exact, conditions=[*ends, Dirichlet(["x0", "x1"], 0, components="t")])
+    domain, evolution = box(COMM, 2, [0.0, 0.0], [1.0, 1.0]), Evolution(end=1.5, steps=3)
+    instants = list(evolve(domain, problem, evolution))
+    assert [instant.solution.errors()["energy"] < 1e-9 for instant in instants] == [True] * 3
+    assert [instant.solution.friction_states()["slip-"]["vertices"] for instant in instants] == [0, 4, 0]
+    assert instants[1].solution.of_step()["x1_flow"] == pytest.approx(0.7 - 1 / 3)
+    kept = instants[1].steps.kept(instants[1].solution)
+    again = list(evolve(domain, problem, evolution, past=lambda steps: steps.again(2, lambda _, key: kept[key])))
+    assert [instant.step for instant in again] == [3]
+    assert again[0].solution.of_step() == pytest.approx(instants[2].solution.of_step(), abs=1e-10)
+    with pytest.raises(InputError, match="steps of loads have no initial"):
+        next(evolve(domain, problem, Evolution(end=1, steps=2, scheme="bdf2")))
 
 
 def test_an_outlet_lets_poiseuille_out():

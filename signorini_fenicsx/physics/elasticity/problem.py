@@ -8,7 +8,7 @@ from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy.typing as npt
 from ufl.core.expr import Expr
@@ -361,7 +361,7 @@ class ElasticProblem(Body):
             if part in normal or part in self.boundary.turned:
                 raise InputError(f"laws: Coulomb's friction on '{part}' needs contact there, and no other normal law")
 
-    def in_time(self, dim: int) -> ElasticProblem:
+    def in_time(self, dim: int) -> Self:
         """The problem, with numbers and texts read as trees that may have t in them, also those of the laws.
 
         Raises:
@@ -369,11 +369,11 @@ class ElasticProblem(Body):
         """
         return self._changed(lambda key, given: parsed(given, "xyz"[:dim] + "t", key))
 
-    def at(self, t: float) -> ElasticProblem:
+    def at(self, t: float) -> Self:
         """The problem at a time, from one that `in_time` has read."""
         return self._changed(lambda _, given: at_time(given, t))
 
-    def _changed(self, change: Callable[[str, Any], Any]) -> ElasticProblem:
+    def _changed(self, change: Callable[[str, Any], Any]) -> Self:
         """The problem with changed data, also those of the laws, see `with_data`."""
         laws = [law.with_data(partial(_changed_in, name, change)) for name, law in self.named_laws]
         return replace(with_data(self, change, but=("plane", "laws", "surface", "boundary")), laws=laws)

@@ -41,9 +41,9 @@ from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
-from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement, degree_of
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
-from signorini_fenicsx.physics.elasticity.bound.lifted import lifted, lifts, of_degree
+from signorini_fenicsx.physics.elasticity.bound.lifted import degree_of, lifted, lifts, of_degree
 from signorini_fenicsx.physics.elasticity.bound.oscillation import compliances_above, load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import (
     Resolution,
@@ -52,7 +52,7 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import (
     unresolved_by_quadrature,
 )
 from signorini_fenicsx.physics.elasticity.bound.tied import lacking
-from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE, ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum

@@ -42,8 +42,6 @@ from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
 
-DEGREE, OF_FLUIDS = 2, 3
-"""Degree of v; of a fluid it has to be so high that ∇·v can be 0."""
 FREE = 1e-12
 """A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""
 SHIFT = 1e-13
@@ -54,11 +52,6 @@ OUT = 1e-11
 """What v lets out of a cell of a fluid is rounding if it is at most this share of what flows through one."""
 PUSHES = 20
 """Rounds in which nodes are pushed off foundations by what rounding leaves."""
-
-
-def degree_of(data: ElasticData) -> int:
-    """The degree of v."""
-    return OF_FLUIDS if data.material.incompressible else DEGREE
 
 
 class BestDisplacement:

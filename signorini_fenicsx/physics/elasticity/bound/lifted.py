@@ -28,8 +28,8 @@ the directions q stands for |∇d|². If T is in a disc of radius R, and star-sh
 
     β ≥ ρ/(√2 R) (1 + (1 − ρ²/R²)^½)^-½
 
-(Costabel and Dauge, arXiv 1303.6141); here it is the inscribed one. The means of t are enclosed, to see that those of û,
-by quadrature, are equal to them up to rounding.
+(Costabel and Dauge, arXiv 1303.6141); here it is the inscribed one. The means of t are enclosed, to see that those of
+û, by quadrature, are equal to them up to rounding.
 
 If ∇t is within ρ of the gradient of a polynomial of degree K on a part of e, ‖r‖ there is at most what a quadrature
 shows that is exact for the squares of such polynomials, and 2|e|ρ.
@@ -51,12 +51,14 @@ from signorini_fenicsx.expressions.enclosures import distances, in_points, slope
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE
-from signorini_fenicsx.physics.elasticity.bound.conforming import OUT, degree_of
+from signorini_fenicsx.physics.elasticity.bound.conforming import OUT
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
+OF_BODIES, OF_FLUIDS = 2, 3
+"""Degree of v; of a fluid it has to be so high that ∇·v can be 0."""
 WITH_MEAN = 1 + math.sqrt(12) / (3 * math.pi)
 """How much larger ‖r‖ may be with a p that has the mean of t."""
 SHARE = 0.05
@@ -68,6 +70,11 @@ HALVINGS = 8
 
 type _Given = tuple[str, BoundaryFacets, list[tuple[Datum, Array]]]
 """The name of a datum, facets, and the scalars whose sum with these factors is t on them."""
+
+
+def degree_of(data: ElasticData) -> int:
+    """The degree of v."""
+    return OF_FLUIDS if data.material.incompressible else OF_BODIES
 
 
 def lifts(spaces: ElasticSpaces, data: ElasticData) -> tuple[str, ...]:

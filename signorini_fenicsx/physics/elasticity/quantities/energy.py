@@ -24,9 +24,10 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     not_in_the_spaces,
     pairs_without_bound,
 )
-from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement, degree_of
+from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of, without_given
+from signorini_fenicsx.physics.elasticity.bound.lifted import degree_of
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
