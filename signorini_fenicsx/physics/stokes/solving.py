@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.physics.elasticity import solving
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore
