@@ -16,6 +16,7 @@ from signorini_fenicsx.cases.complaints import complaint, keys_of, shown
 from signorini_fenicsx.cases.data_section import DataSection
 from signorini_fenicsx.cases.geometry import Geometry
 from signorini_fenicsx.cases.parts import Named, Parts, Section
+from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cases.readings import ProbeTexts, SectionTexts, check_names, with_points
 from signorini_fenicsx.cases.toml_files import read_toml
@@ -98,6 +99,9 @@ class CaseFile(Section):
     law: Annotated[Sequence[Any], Field(default=[], exclude_if=lambda laws: not laws)]
     problem: DataSection
     exact: DataSection
+    plot: Annotated[Plot | None, Field(default=None, exclude_if=lambda plot: plot is None)]
+    plot_keys: ClassVar[Sequence[str]] = ()
+    """The keys of `[plot]`."""
     inner_needs: ClassVar[str] = "a [[law]] between the jump of u and σ·n"
     """What a part inside the domain needs, in words."""
     held: ClassVar[str] = "u = u_D"
@@ -198,6 +202,13 @@ class CaseFile(Section):
             if name in names[:i]:
                 raise ValueError(f"quantity.{i}.name: '{name}' is the name of two quantities")
         check_names(self.probe, self.section)
+        return self
+
+    @model_validator(mode="after")
+    def _is_drawn_with_its_words(self) -> Self:
+        for key in self.plot.model_fields_set.difference(self.plot_keys) if self.plot is not None else ():
+            known = f"it has {', '.join(self.plot_keys)}" if self.plot_keys else "it has none"
+            raise ValueError(f"[plot] {key}: {self.PHYSICS} has no such key; {known}")
         return self
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""`[plot]`: what pictures call u and the flux, what u is of water, and the level lines that they draw."""
+"""`[plot]`: names and units in pictures, what u is of water, and the level lines that they draw."""
 
 from typing import Annotated, Literal, Self
 
@@ -19,26 +19,34 @@ def _water(value: object) -> object:
     return value
 
 
+OF_BODIES = ("length_unit", "stress_unit", "time_unit")
+OF_FLOWS = ("unit", *OF_BODIES)
+"""The keys of bodies and of flows."""
+
 type Word = Annotated[str, Field(max_length=30)]
 
 
 class Plot(Section):
     """`[plot]`: names and units of u and of the flux; the sign of the physical flux, −1 where it is −σ; levels of u.
 
-    `water` says what u is of water, true that it is a head if laws do not tell, false that it is none.
+    Of bodies and flows it has units alone. `water` says what u is of water, true that it is a head if laws do not tell,
+    false that it is none.
     """
 
     u: Word = ""
     unit: Word = ""
     flux: Word = ""
     flux_unit: Word = ""
+    stress_unit: Word = ""
+    length_unit: Word = ""
+    time_unit: Word = ""
     sign: Literal[1, -1] = 1
     water: Annotated[bool | str | None, BeforeValidator(_water)] = None
     levels: list[Annotated[float, Field(allow_inf_nan=False)]] = Field(default=[], max_length=MOST_LEVELS)
 
     @model_validator(mode="after")
     def _can_be_drawn(self) -> Self:
-        for key in ("u", "unit", "flux", "flux_unit"):
+        for key in ("u", "flux", "flux_unit", *OF_FLOWS):
             if not getattr(self, key).isprintable():
                 raise ValueError(f"{key}: must be one line of text")
         if any(one >= other for one, other in zip(self.levels, self.levels[1:], strict=False)):
@@ -48,7 +56,7 @@ class Plot(Section):
     @property
     def u_label(self) -> str:
         """The name of u with its unit, in Matplotlib's mathematical type."""
-        return _with_unit(self.u, self.unit, "$u_h$")
+        return with_unit(_plain(self.u) or "$u_h$", self.unit)
 
     @property
     def flux_name(self) -> str:
@@ -58,11 +66,17 @@ class Plot(Section):
     @property
     def flux_label(self) -> str:
         """The length of the flux, with its unit."""
-        return _with_unit(self.flux, self.flux_unit, r"$|\sigma_h|$")
+        return with_unit(_plain(self.flux) or r"$|\sigma_h|$", self.flux_unit)
+
+    def along(self, axis: str) -> str:
+        """What is written beside the axis of a coordinate, of another length, or of time."""
+        name = f"${axis}$" if len(axis) == 1 else axis
+        return with_unit(name, "" if axis == "angle" else self.time_unit if axis == "t" else self.length_unit)
 
 
-def _with_unit(name: str, unit: str, default: str) -> str:
-    return (_plain(name) or default) + (f" ({_plain(unit)})" if unit else "")
+def with_unit(name: str, unit: str) -> str:
+    """A name in Matplotlib's mathematical type with a unit, if there is one."""
+    return f"{name} ({_plain(unit)})" if unit else name
 
 
 def _plain(text: str) -> str:

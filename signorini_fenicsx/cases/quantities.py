@@ -1,11 +1,13 @@
 """`[[quantity]]`: a number that `solve` proves from both sides."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.data_section import READERS, KindSection, data_section
+from signorini_fenicsx.cases.plot import Word, with_unit
 from signorini_fenicsx.cases.values import choice
 from signorini_fenicsx.quantities import Dissipation, Energy, Flow, Flux, Force, Integral, Kind, Mean, Moment
 
@@ -21,18 +23,34 @@ KINDS: Mapping[str, type[Kind]] = {
 }
 """The quantities by the names that case files have for them."""
 OF_QUANTITIES = READERS | {str | Sequence[str]: str | list[str], Sequence[float]: list[float]}
+SIGNED = ("integral", "flux")
+"""Those with a sign: the physical flux may be −κ∇u, and u minus what is meant."""
 NO_TEXTS = ("region", "parts", "direction")
 OF_KIND = {name: data_section(kind, OF_QUANTITIES, NO_TEXTS) for name, kind in KINDS.items()}
 
 
 class QuantityTexts(KindSection):
-    """A quantity: its name in results, its kind, and where and with which weight it is measured."""
+    """A quantity: its name in results, its symbol, unit and sign, its kind, where and with which weight it is taken."""
 
     word = "quantity"
     of_kind = OF_KIND
     kind: Annotated[str, choice("quantity", tuple(KINDS))]
     name: Annotated[str, Field(pattern=r"^\w[\w -]*$", max_length=60)]
 
+    symbol: Word = ""
+    unit: Word = ""
+    sign: Literal[1, -1] = 1
+
+    @property
+    def label(self) -> str:
+        """What pictures call it."""
+        return with_unit(self.symbol or self.name, self.unit)
+
     def made(self) -> Kind:
-        """The quantity that the section describes."""
-        return KINDS[self.kind](**(self.model_extra or {}))
+        """The quantity that the section describes; of a sign −1 its weight is the negative one."""
+        data: dict[str, Any] = dict(self.model_extra or {})
+        if self.sign < 0:
+            if self.kind not in SIGNED:
+                raise InputError(f"sign: is of {' and '.join(SIGNED)}; a {self.kind} has none")
+            data["weight"] = f"-({data.get('weight', 1)})"
+        return KINDS[self.kind](**data)

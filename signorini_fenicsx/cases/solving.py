@@ -1,6 +1,7 @@
 """Solving the problem of a case file."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -116,7 +117,8 @@ def quantities_of(solution: Solution, near: Mapping[str, Quantity | None] | None
     found, before = {}, near or {}
     for each in solution.source.quantity if isinstance(solution.source, CaseFile) else []:
         try:
-            found[each.name] = solution.quantity(each.made(), before.get(each.name))
+            interval = solution.quantity(each.made(), before.get(each.name))
+            found[each.name] = replace(interval, symbol=each.symbol, unit=each.unit)
         except InputError as error:
             error.args = (f"[[quantity]] {each.name}: {error}",)
             raise

@@ -131,10 +131,11 @@ def bound(certificate: Certificate) -> str:
 
 def interval(quantity: Quantity) -> str:
     """A quantity with its interval, in words; if that is not guaranteed, the reason."""
+    symbol, unit = f"{quantity.symbol} = " * bool(quantity.symbol), f" {quantity.unit}" * bool(quantity.unit)
     if not math.isfinite(quantity.width):
-        return f"{quantity.value:.8g}, without bounds: {quantity.reason}"
+        return f"{symbol}{quantity.value:.8g}{unit}, without bounds: {quantity.reason}"
     place = ", in" if quantity.lower <= quantity.value <= quantity.upper else " of the discrete solution, outside of"
-    words = f"{quantity.value:.8g}{place} [{below(quantity.lower, 8)}, {above(quantity.upper, 8)}]"
+    words = f"{symbol}{quantity.value:.8g}{place} [{below(quantity.lower, 8)}, {above(quantity.upper, 8)}]{unit}"
     words += f" for {quantity.of}" if quantity.of else ""
     words += f"; {100 * quantity.above_table:.3g} % of it {PASSES}" if quantity.above_table else ""
     return words if quantity.proved else f"{words}; not guaranteed: {quantity.reason}"

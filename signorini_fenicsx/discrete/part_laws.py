@@ -66,9 +66,9 @@ class PartLaw:
         )
 
     def titles(self) -> list[str]:
-        """What pictures call the segments: those of a graph by their u, if its data are numbers."""
+        """What pictures call the segments: those of a graph without names by their u, if its data are numbers."""
         numbers = {name: np.array(datum.number) for name, datum in self.data.items() if datum.number is not None}
-        if not isinstance(self.law, Corners) or len(numbers) < len(self.data):
+        if not isinstance(self.law, Corners) or self.law.names or len(numbers) < len(self.data):
             return list(self.law.segments)
         corners = [f"{float(u):g}" for u, _ in self.law.graph(numbers).corners]
         between = [f"jump at $u = {a}$" if a == b else f"$u$ from {a} to {b}" for a, b in pairwise(corners)]

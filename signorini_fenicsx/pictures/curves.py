@@ -48,8 +48,10 @@ def draw_steps(axes: Axes, history: list[Step], title: str) -> None:
 
 
 @mpl.rc_context(style.STYLE)
-def draw_quantities(path: Path, rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Draw quantities with their intervals over time, if the steps have some (rank 0)."""
+def draw_quantities(
+    path: Path, rows: Sequence[Mapping[str, Any]], title: str, labels: Mapping[str, str], time: str
+) -> None:
+    """Draw quantities with their intervals over time, if the steps have some; their labels by name (rank 0)."""
     keys = dict.fromkeys(key for row in rows for key in row if key.startswith(QUANTITY) and key.endswith(VALUE))
     names = [key[len(QUANTITY) : -len(VALUE)] for key in keys]
     if not names:
@@ -66,13 +68,13 @@ def draw_quantities(path: Path, rows: Sequence[Mapping[str, Any]], title: str) -
         axes.plot(times, value, color=style.CONTACT, marker="." if len(times) <= FEW else "")
         share = rows[-1].get(f"{QUANTITY}{name}.above_table", 0.0)
         passes = f", in the end {100 * share:.3g} % of it at negative pressure" if share else ""
-        axes.set(xlabel="$t$", title=name + passes)
+        axes.set(xlabel=time, title=labels.get(name, name) + passes)
     sheet.legend_below([])
     sheet.save(path)
 
 
 @mpl.rc_context(style.STYLE)
-def draw_probes(path: Path, times: Sequence[float], tables: Sequence[Mapping[str, Any]], title: str) -> None:
+def draw_probes(path: Path, times: Sequence[float], tables: Sequence[Mapping[str, Any]], title: str, time: str) -> None:
     """Draw u, or the pressure head of water, at the first points of probes over time (rank 0)."""
     columns = [key for key in tables[0] if key.startswith("u")]
     columns = ["pressure"] if "pressure" in tables[0] else columns
@@ -82,6 +84,6 @@ def draw_probes(path: Path, times: Sequence[float], tables: Sequence[Mapping[str
         for i, name in enumerate(tables[0]["probe"][:MOST_PROBES]):
             values = [table[column][i] for table in tables]
             handles += axes.plot(times, values, marker="." if len(times) <= FEW else "", color=f"C{i}", label=str(name))
-        axes.set(xlabel="$t$", title="pressure head" if column == "pressure" else column)
+        axes.set(xlabel=time, title="pressure head" if column == "pressure" else column)
     sheet.legend_below(handles[:MOST_PROBES])
     sheet.save(path)

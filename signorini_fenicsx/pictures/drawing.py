@@ -36,9 +36,10 @@ def overview(scene: Scene) -> Sheet:
 def draw_steps(folder: Path, scene: Scene, steps: Steps) -> None:
     """Draw the pictures of a run in time (rank 0)."""
     scene.pictures.in_time(folder, scene, steps)
-    draw_quantities(folder / "quantities.png", steps.rows, scene.title)
+    labels = {each.name: each.label for each in getattr(scene.solution.source, "quantity", ())}
+    draw_quantities(folder / "quantities.png", steps.rows, scene.title, labels, scene.plot.along("t"))
     if probes := steps.readings.get("probes"):
-        draw_probes(folder / "probes.png", steps.times, probes, scene.title)
+        draw_probes(folder / "probes.png", steps.times, probes, scene.title, scene.plot.along("t"))
 
 
 def write_page(path: Path, scene: Scene) -> None:

@@ -58,10 +58,9 @@ def draw_over_time(path: Path, scene: Scene, steps: Steps, panels: Sequence[Pane
     for row, ((title, label), named) in enumerate(curves.items(), start=rows):
         axes = sheet.panel(row, 0, columns=len(sheet.widths))
         for name, (values, colour) in named.items():
-            axes.plot(steps.times, values, color=colour, linewidth=1.6, label=name)
-        if any(colour is None for _, colour in named.values()):
-            axes.legend()
-        axes.set(xlabel="$t$", ylabel=label, title=title)
+            (line,) = axes.plot(steps.times, values, color=colour, linewidth=1.6, label=name)
+            more += [line] if colour is None else []
+        axes.set(xlabel=scene.plot.along("t"), ylabel=label, title=title)
     sheet.legend_below([*handles, *more])
     sheet.save(path)
 
@@ -84,7 +83,7 @@ def _draw_along(
         for line in lines:
             image = axes.pcolormesh(line.ends, ends, over_time[:, line.rows], rasterized=True, **look)
         if panel.where is Where.GAMMA:
-            sheet.bar(axes, image, next(iter(panel.curves.values()))[0])
+            sheet.bar(axes, image, panel.label)
             blank |= bool(np.isnan(over_time[:, here]).any())
             if (here & touched).any():
                 pairs = [np.stack([line.ends[:-1], line.ends[1:]], axis=1)[touched[line.rows]] for line in lines]
@@ -93,9 +92,7 @@ def _draw_along(
                 axes.set_xlim(max(shown.min() - room, lines[0].ends[0]), min(shown.max() + room, lines[-1].ends[-1]))
         axes.set_facecolor("0.85")
         axes.grid(visible=False)
-        axes.set(
-            xlabel=f"${label}$" if len(label) == 1 else label, ylabel="$t$", title=f"{panel.title} on {parts[part]}"
-        )
+        axes.set(xlabel=scene.plot.along(label), ylabel=scene.plot.along("t"), title=f"{panel.title} on {parts[part]}")
     return sheet, len(parts), [Patch(color="0.85", label=scene.word("apart"))] if blank else []
 
 
@@ -161,8 +158,8 @@ def draw_fronts(path: Path, scene: Scene, lines: Mapping[float, Sequence[Array]]
     axes.add_collection(LineCollection(scene.fields.points[scene.boundary.vertices], colors="black", linewidths=1.0))
     for t, then in lines.items():
         axes.add_collection(LineCollection(then, colors=[colours.to_rgba(t)], linewidths=1.8))
-    style.shape_axes(axes, title, plane.frame)
-    sheet.bar(axes, colours, "$t$")
+    plane.shape(axes, title)
+    sheet.bar(axes, colours, scene.plot.along("t"))
     sheet.legend_below([])
     sheet.save(path)
 
@@ -210,7 +207,7 @@ def animate(path: Path, scene: Scene, steps: Steps, fields: Mapping[int, Array])
     segments = scene.fields.points[scene.facets.vertices]
     line = axes.add_collection(LineCollection(segments, linewidths=4, clip_on=False, zorder=5))
     groups = {step: replace(scene, sites=steps.tables[step - 1]).groups for step in fields}
-    style.shape_axes(axes, "", plane.frame)
+    plane.shape(axes, "")
     colours = {group.name: group.colour for of_step in groups.values() for group in of_step}
     sheet.legend_below([Line2D([], [], color=colour, linewidth=4, label=name) for name, colour in colours.items()])
     canvas, pictures = FigureCanvasAgg(sheet), []

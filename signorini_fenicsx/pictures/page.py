@@ -13,6 +13,7 @@ import plotly.graph_objects as go
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.text import printable
+from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.meshes.domain import FAR
 from signorini_fenicsx.pictures import style
@@ -117,6 +118,7 @@ class Page:
         low, high = self.scene.fields.points.min(axis=0), self.scene.fields.points.max(axis=0)
         sides, room = (high - low) / (high - low).max(), ROOM * (high - low)
         names = [f"{x} − {a:.15g}".replace("− -", "+ ") if a else x for x, a in zip("xyz", self.origin, strict=False)]
+        names = [plain(with_unit(name, self.scene.plot.length_unit)) for name in names]
         ranges = np.stack([low - room, high + room], axis=1) - self.origin[:, None]
         axes: dict[str, Any] = {
             f"{axis}axis": {"title": {"text": name}, "range": ends}
@@ -183,7 +185,7 @@ class Page:
     def traces(self, panel: Panel) -> list:
         """What a panel shows, but for those on a logarithmic scale, of a part of the domain, or on cells in space."""
         scene = panel.scene or self.scene
-        points, facets = self.raised(scene), self.scene.facets.vertices
+        points, facets = self.raised(scene), scene.facets.vertices
         if panel.log or scene.frame is not None or panel.where in (Where.SURFACE, Where.STEPS, Where.ACROSS):
             return []
         if scene.dim == 2:
@@ -192,7 +194,7 @@ class Page:
         if panel.where is Where.SETS:
             return [self.surface(points, each, color=colour, name=name) for each, colour, name in self.sets()]
         if panel.where is Where.GAMMA:
-            values = self.scene.on_facets(panel.what)
+            values = scene.on_facets(panel.what)
             return [self.surface(points, facets, panel, values if values.ndim == 1 else np.linalg.norm(values, axis=1))]
         space = self.space.of(panel.scene) if panel.scene else self.space
         if panel.where is Where.STREAMS:

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.pictures.style import ERROR_MAP, U_MAP
 
 if TYPE_CHECKING:
@@ -84,6 +85,21 @@ def error_panel(scene: Scene, title: str = r"contributions $\eta_T$ to the error
     """Where the error is, on a logarithmic scale; nothing if no bound is known."""
     eta = scene.fields.in_cells.get("indicator")
     return [] if eta is None else [Panel(eta, Where.MAP, title, r"$\eta_T$", ERROR_MAP, in_cells=True, log=True)]
+
+
+def on_gamma(what: str, title: str, unit: str, curve: tuple[str, str, str], **look: Any) -> Panel:
+    """A column along Γ_S, of vectors in space their lengths.
+
+    Args:
+        what: The column.
+        title: What it is.
+        unit: Its unit, or empty.
+        curve: In the plane the column, what the legend calls it, and its colour.
+        look: What else the panel has.
+    """
+    name, (column, label, colour) = with_unit(title, unit), curve
+    curves = {column: (label, {"linewidth": 1.6, "color": colour})}
+    return Panel(what, Where.GAMMA, name, name, curves=curves, **look)
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,10 @@ MOST_FACES = 4_000
 """Most faces of a surface in perspective, which Matplotlib sorts and paints one by one."""
 WIDE = 1.8
 """If width over height of a domain is above this, panels are below each other, and no surface is drawn."""
-SLIM = 0.25
-"""If width over height is below this, no surface is drawn either."""
+SLIM, NARROW = 0.25, 1.7
+"""If width over height is below this, no surface is drawn either; inches of a column, for its title."""
+TALL = 6.0
+"""Inches of the highest map."""
 MAPS = (Where.MAP, Where.STREAMS, Where.SURFACE)
 OVERVIEW_PARTS = 3
 """Most parts of Γ_S that a sheet with maps shows."""
@@ -95,13 +97,15 @@ class Plane:
         alone = not shown and not steps
         columns, width = (2, 4.4 if maps else 3.6) if wide or not maps else (3, 2.45)
         if alone:
-            columns, width = len(maps), 7.0 if wide else min(5.4 if maps[0].scene else 4.4, 6.0 * self.aspect)
+            columns = 1 if wide else 2 if len(maps) == 4 and self.aspect > SLIM else len(maps)
+            most = 3.2 if columns > 2 else 5.4 if maps[0].scene else 4.4
+            width = 7.0 if wide else min(most, max(TALL * self.aspect, NARROW))
         if steps and not maps and not of_parts:
             columns, width = 1, 3.8
         beside = bool(steps and wide and maps)
         rows = -(-(len(maps) + beside) // columns) if maps else 0
         below = [1.55] * (len(of_parts) // 2) or [2.6] * bool(steps and not beside)
-        heights = [width / (self.aspect if alone else max(self.aspect, 0.7))] * rows + below
+        heights = [min(width / self.aspect, TALL) if alone else width / max(self.aspect, 0.7)] * rows + below
         sheet = Sheet([width] * columns, heights, bars=bool(maps), title=title)
         letters = iter(range(26))
 
@@ -115,6 +119,7 @@ class Plane:
             look: dict[str, Any] = {"projection": "3d"} if panel.where is Where.SURFACE else {}
             aspect = 1.1 if look else plane.aspect
             plane.draw(panel, sheet, sheet.panel(*divmod(number, columns), aspect=aspect, **look), named(panel.title))
+        of_steps = named(steps[0].title) if beside else ""
         for number, (each, part) in enumerate(of_parts):
             if each is not None:
                 axes = sheet.panel(rows + number // 2, number % 2)
@@ -124,7 +129,7 @@ class Plane:
             place = divmod(len(maps), columns) if beside else (rows, 2 if of_parts else 0)
             across = {} if beside else {"rows": len(below)} if of_parts else {"columns": columns}
             axes = sheet.panel(*place, **across)
-            draw_steps(axes, scene.history, named(steps[0].title))
+            draw_steps(axes, scene.history, of_steps or named(steps[0].title))
             entries += axes.get_legend_handles_labels()[0]
         sheet.legend_below(entries)
         return sheet
@@ -140,7 +145,8 @@ class Plane:
             self._draw_surface(panel.what, axes, title)
             return
         values, triangles = panel.what, self.triangulation
-        low, high, extend = panel.ends or (float(values.min()), float(values.max()), "neither")
+        seen = values if panel.only is None else values[self.scene.fields.cells[panel.only]]
+        low, high, extend = panel.ends or (float(seen.min()), float(seen.max()), "neither")
         look: dict[str, Any] = {"norm": log_norm(values)} if panel.log else {"vmin": low, "vmax": high}
         if panel.in_cells:
             values = np.maximum(values, look["norm"].vmin) if panel.log else values
@@ -152,7 +158,8 @@ class Plane:
         image = axes.tripcolor(triangles, values, cmap=panel.colours, rasterized=True, **look)
         bar = sheet.bar(axes, image, panel.label, extend)
         if len(panel.levels):
-            settled, look = on_levels(values, panel.levels), {"colors": "white", "linewidths": 0.6, "alpha": 0.8}
+            settled = on_levels(values, panel.levels)
+            look = {"colors": "white", "linewidths": 0.6, "alpha": 0.8, "negative_linestyles": "solid"}
             bar.add_lines(axes.tricontour(triangles, settled, panel.levels, **look))
         lines, heads = panel.lines
         streams = LineCollection(lines, colors="white", linewidths=0.7), PolyCollection(heads, facecolors="white")
@@ -204,7 +211,15 @@ class Plane:
             elif len(each.points):
                 ended = [np.vstack([line, [[np.nan, np.nan]]]) for line in each.points]
                 axes.plot(*np.concatenate(ended).T, **each.look)
-        style.shape_axes(axes, title, self.frame)
+        self.shape(axes, title)
+
+    def shape(self, axes: Axes, title: str) -> None:
+        """Equal scales, and the names of the coordinates."""
+        axes.grid(False)
+        axes.set(aspect="equal", title=title, xlim=self.frame[:, 0], ylim=self.frame[:, 1])
+        axes.set(xlabel=self.scene.plot.along("x"), ylabel=self.scene.plot.along("y"))
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
 
 
 def _in_pairs(panels: list[Panel]) -> list[Panel | None]:

@@ -165,11 +165,7 @@ class Scene:
         groups = [Group("contact", style.CONTACT, self.touching), Group("no contact", style.FREE, ~self.touching)]
         if self.segments:
             names = np.array(self.segments)[self.sites.shown[self.rows].min(axis=1, initial=len(self.segments) - 1)]
-            colours, others = dict[str, str](), itertools.cycle(style.SEGMENTS)
-            for each in sorted(set(self.segments)):
-                colour = style.OF_SEGMENT.get(each)  # "contact" and "lower" have one colour, but not in one picture
-                colours[each] = next(others) if colour is None or colour in colours.values() else colour
-            groups = [Group(each, colour, names == each) for each, colour in colours.items()]
+            groups = [Group(each, colour, names == each) for each, colour in style.colours_of(self.segments).items()]
         return [group for group in groups if group.facets.any()]
 
     @cached_property

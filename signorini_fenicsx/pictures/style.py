@@ -1,12 +1,14 @@
 """The common style of all pictures: fonts, colours, colour limits, numbers in mathematical type."""
 
 import contextlib
+import itertools
 import math
 import re
+from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
-from matplotlib.axes import Axes
+from matplotlib.colors import hsv_to_rgb, to_hex
 from matplotlib.mathtext import MathTextParser
 
 from signorini_fenicsx.base.arrays import Array
@@ -34,8 +36,10 @@ SEGMENTS = ("#e69f00", "#009e73", "#cc79a7", "#0072b2", "#f0e442", "#7f7f7f")
 OF_SEGMENT = {"contact": CONTACT, "stick": CONTACT, "lower": CONTACT, "upper": "#0072b2", "open": FREE}
 """Colours of the segments of laws; those without one of their own take the colours of `SEGMENTS` in turn, which are
 those of Okabe and Ito: colour-blind readers tell them apart."""
+OTHERS = 0.15, 0.618, 0.6, 0.75
+"""The hue of the first of more colours, the step between the hues of two, and their saturation and value."""
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP, SIGNED_MAP = "viridis", "cividis", "plasma", "magma", "RdBu_r"
-WET_MAP, PRESSURE_MAP = "YlGnBu", "RdBu"
+WET_MAP, PRESSURE_MAP, WATER_MAP = "YlGnBu", "RdBu", "Blues"
 
 DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
 """Mathematics in a line."""
@@ -71,6 +75,18 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
     return low, high if high - low > TIE * high else low + (abs(low) or 1.0), "neither"
 
 
+def colours_of(names: Iterable[str]) -> dict[str, str]:
+    """The colour of each segment of laws by its name, in alphabetical order; no two have the same."""
+    found = dict[str, str]()
+    for name in sorted(set(names)):  # "contact" and "lower" have one colour, but not in one picture
+        if (colour := OF_SEGMENT.get(name)) and colour not in found.values():
+            found[name] = colour
+    first, step, *rest = OTHERS
+    many = (to_hex(hsv_to_rgb(((first + step * i) % 1, *rest))) for i in itertools.count())
+    free = (colour for colour in itertools.chain(SEGMENTS, many) if colour not in found.values())
+    return {name: found.get(name) or next(free) for name in sorted(set(names))}
+
+
 def readable(text: str) -> str:
     """A text, perhaps of several lines, as Matplotlib can show it: mathematics that it cannot read as it is written.
 
@@ -92,14 +108,6 @@ def _piece(text: str) -> str:
 def letter(number: int) -> str:
     """The letter of a panel: (a), (b) and so on."""
     return f"({chr(ord('a') + number)})"
-
-
-def shape_axes(axes: Axes, title: str, frame: Array) -> None:
-    """Axes of a picture of the plane between the smallest and largest coordinates, shape (2, 2)."""
-    axes.grid(False)
-    axes.set(aspect="equal", xlabel="$x$", ylabel="$y$", title=title, xlim=frame[:, 0], ylim=frame[:, 1])
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
 
 
 def bound_in_words(certificate: Certificate | None) -> list[str]:

@@ -100,7 +100,7 @@ def draw_trace(scene: Scene, axes: Axes, name: str, panel: Panel, named: Callabl
         if panel.peak:
             largest = float(values[here].max(initial=0.0))
             title += f", at most {largest:.4g}" if largest > 0 else ", none"
-    axes.set(title=named(title), xlabel="angle" if label == "angle" else f"${label}$" if len(label) == 1 else label)
+    axes.set(title=named(title), xlabel=scene.plot.along(label))
     axes.margins(x=0)
     if label == "angle":
         axes.set_xticks(*_pi_ticks(np.concatenate([line.ends for line in lines])))

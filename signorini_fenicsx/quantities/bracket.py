@@ -71,6 +71,8 @@ class Quantity:
         above_table: Of a discharge of groundwater the share that passes where the pressure is negative, else None.
         tau: The τ with the shortest interval, divided by ‖σ_h‖; 0 where there is none.
         shares: What each owned cell adds to the length of the interval; None where there is none.
+        symbol: What stands for it in words, such as Q; may be empty.
+        unit: Its unit in words; may be empty.
     """
 
     value: float
@@ -82,6 +84,8 @@ class Quantity:
     above_table: float | None = None
     tau: float = 0.0
     shares: Array | None = field(default=None, compare=False, repr=False)
+    symbol: str = ""
+    unit: str = ""
 
     @classmethod
     def in_row(cls, name: str, row: Mapping[str, Any]) -> Self | None:
@@ -120,12 +124,14 @@ class Quantity:
 
     def columns(self, name: str) -> dict[str, float | bool | str]:
         """All of it for a row of a table."""
-        return {f"{QUANTITY}{name}.{key}": value for key, value in (self.summary() | {"tau": self.tau}).items()}
+        found = replace(self, symbol="", unit="").summary() | {"tau": self.tau}
+        return {f"{QUANTITY}{name}.{key}": value for key, value in found.items()}
 
     def summary(self) -> dict[str, float | bool | str]:
         """The quantity ready for JSON; an interval of another problem is guaranteed only with the name of that one."""
         names = ("value", "lower", "upper", "guaranteed", "reason", "above_table")
         entries = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        entries |= {name: getattr(self, name) for name in ("symbol", "unit") if getattr(self, name)}
         return entries | ({"guaranteed_for": self.of} if self.proved and self.of else {})
 
 

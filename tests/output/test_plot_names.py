@@ -6,18 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import signorini
+from matplotlib.text import Text
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.plot import Plot
-from signorini_fenicsx.cases.solving import solve_case
+from signorini_fenicsx.cases.solving import quantities_of, solve_case
+from signorini_fenicsx.cli.solution_report import interval
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, water_lines, wet
+from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, Pools, water_lines, wet
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
 from signorini_fenicsx.pictures.drawing import overview
 from signorini_fenicsx.pictures.panels import Panel
 from signorini_fenicsx.pictures.scene import Scene, gathered_scene
+from signorini_fenicsx.pictures.style import colours_of
 from signorini_fenicsx.studies.study import make_run
 
 HEAT = {
@@ -71,6 +74,48 @@ def test_wrong_names_are_refused(values: dict, message: str):
         load_case("example1").with_values({f"plot.{key}": value for key, value in values.items()})
 
 
+def test_units_of_bodies_and_flows():
+    """Units of lengths, stresses and times are beside all axes and bars; what is of scalars is refused."""
+    case = load_case("bar").with_values({"solve.h": 0.25, "plot.length_unit": "mm", "plot.stress_unit": "MPa"})
+    found = gathered_scene(solve_case(case, MPI.COMM_SELF))
+    assert found is not None
+    texts = {text.get_text() for text in overview(found).findobj(Text)}
+    assert {"$x$ (mm)", "von Mises stress (MPa)"} <= texts
+    titles = [panel.title for panel in found.files["pressure"][1]]
+    assert titles[:2] == ["pressure (MPa)", "gap (mm)"]
+    with pytest.raises(InputError, match="sign: elasticity has no such key; it has length_unit, stress_unit"):
+        load_case("bar").with_values({"plot.sign": -1})
+    assert load_case("outlet").with_values({"plot.unit": "m/s"}).plot.unit == "m/s"
+
+
+def test_a_quantity_has_a_symbol_a_unit_and_a_sign():
+    """With a sign −1 it is that of the negative weight; symbol and unit are in words, summary and pictures."""
+    outflow = {"name": "outflow", "kind": "flux", "parts": ["left"], "weight": "4*y*(1 - y)"}
+    seen = outflow | {"name": "discharge", "symbol": "Q", "unit": "m³/d", "sign": -1}
+    case = load_case("example1").with_values({"solve.h": 0.5, "quantity": [outflow, seen]})
+    found = quantities_of(solve_case(case, MPI.COMM_SELF))
+    plain, signed = found["outflow"], found["discharge"]
+    both = [plain.value, plain.lower, plain.upper]
+    np.testing.assert_allclose([-signed.value, -signed.upper, -signed.lower], both, rtol=1e-9)
+    assert interval(signed).startswith("Q = ")
+    assert "] m³/d" in interval(signed)
+    assert {"symbol": "Q", "unit": "m³/d"}.items() <= signed.summary().items()
+    assert case.quantity[1].label == "Q (m³/d)"
+    with pytest.raises(InputError, match="sign: is of integral and flux; a energy has none"):
+        case.with_values({"quantity": [{"name": "a", "kind": "energy", "sign": -1}]})
+
+
+def test_segments_have_names():
+    """Those that are given, else by their u; many have as many colours."""
+    graph = {"kind": "graph", "parts": ["bottom"], "corners": [[-0.1, 0.3], [-0.1, 0.1], [0.1, 0.1], [0.2, -0.2]]}
+    case = load_case("staircase").with_values({"solve.h": 0.5})
+    assert "jump at $u = -0.1$" in scene(case).segments
+    names = ["freezing", "ice", "mush", "water", "steam"]
+    case = case.with_values({"law": [graph | {"beyond": "vertical", "names": names}]})
+    assert list(scene(case).segments) == names
+    assert len(set(colours_of([f"phase {i}" for i in range(20)] + ["contact", "lower"]).values())) == 22
+
+
 def test_names_are_kept_with_a_solution(tmp_path: Path):
     (tmp_path / "mine.toml").write_text(
         '[geometry]\nshape = "square"\n[boundary]\nsignorini = ["bottom"]\n[problem]\nf = "-1"\n[plot]\nu = "head"\n'
@@ -102,6 +147,13 @@ def test_the_water_of_a_dam():
     assert all(line[0, 0] < line[-1, 0] for line in lines)
     assert np.all(heads[:, 0, 0] > heads[:, 1:, 0].mean(axis=1))
     panel = streams(replace(found, lines={"phreatic line": known.phreatic_line}))
-    assert "head" in panel.title
+    assert "head" in panel.label
     assert len(panel.lines[0]) == len(lines)
+    water = Pools.of(found)
+    assert water is not None
+    assert sorted(pool[:, 1].max() for pool in water.pools) == [4, 24]
+    seen = found.pictures.files(found)["water"][1]
+    assert [each.title for each in seen] == ["head $H$", "streamlines of the water", "pressure head $H - y$"]
+    assert all(each.only is not None for each in seen)
+    np.testing.assert_allclose(seen[2].what[left], 24 - points[left, 1], atol=1.0)
     assert Plot().flux_name == r"$\sigma_h$"

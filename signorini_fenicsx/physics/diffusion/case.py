@@ -179,7 +179,7 @@ class Case(WithPairs):
     exact: Exact = Exact()
     time: Time | None = None
     dam: Annotated[Dam | None, Field(default=None, exclude_if=lambda dam: dam is None)]
-    plot: Annotated[Plot | None, Field(default=None, exclude_if=lambda plot: plot is None)]
+    plot_keys = tuple(key for key in Plot.model_fields if key != "stress_unit")
 
     @model_validator(mode="before")
     @classmethod

@@ -13,6 +13,7 @@ from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
 from signorini_fenicsx.cases.pairs import BETWEEN, PairTexts, WithPairs
 from signorini_fenicsx.cases.parts import Parts
+from signorini_fenicsx.cases.plot import OF_BODIES
 from signorini_fenicsx.cases.values import (
     Directions,
     Expression,
@@ -236,6 +237,7 @@ class ElasticCase(WithPairs):
     law: Annotated[list[ContactTexts], Field(default=[], exclude_if=lambda laws: not laws)]
     pair: Annotated[list[ElasticPair], Field(default=[], exclude_if=lambda pairs: not pairs)]
     exact: ElasticExact = ElasticExact()
+    plot_keys = OF_BODIES
 
     @property
     def columns_of_step(self) -> dict[str, tuple[str, int, str]]:

@@ -11,6 +11,7 @@ from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
 from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
 from signorini_fenicsx.cases.parts import Parts
+from signorini_fenicsx.cases.plot import OF_FLOWS
 from signorini_fenicsx.cases.values import (
     Expression,
     ExpressionByPart,
@@ -97,6 +98,7 @@ class StokesCase(CaseFile):
     problem: FlowTexts
     law: Annotated[list[FlowLaw], Field(default=[], exclude_if=lambda laws: not laws)]
     exact: FlowExact = FlowExact()
+    plot_keys = OF_FLOWS
     first_words = ("outflow", "slip", "leak", SYMMETRIC)
     first_listed = ("",)
     first_data = (

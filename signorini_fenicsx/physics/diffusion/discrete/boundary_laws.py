@@ -43,6 +43,10 @@ class BoundaryLaws:
         """Names of all segments, law after law; see `labels`."""
         return [segment for law in {part.name: part.law for part in self.of_parts}.values() for segment in law.segments]
 
+    def titles(self) -> list[str]:
+        """What pictures call these segments."""
+        return [title for part in {part.name: part for part in self.of_parts}.values() for title in part.titles()]
+
     def labels(self, segment: np.ndarray) -> np.ndarray:
         """For each facet the row of its segment in `names`."""
         labels = np.array(segment, dtype=np.int64)

@@ -120,7 +120,7 @@ def drawn(solution: LinearSolution) -> Drawn:
         boundary=solution.traces(),
         cells=cells,
         edges=edges_of(solution),
-        segments=laws.names() if laws.listed else (),
+        segments=laws.titles() if laws.listed else (),
         inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
         lines=lines_of(solution),
     )

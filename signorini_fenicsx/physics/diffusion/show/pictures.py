@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.physics.diffusion.show.phreatic import lines_in
-from signorini_fenicsx.physics.diffusion.show.pools import Pools, water_lines, wet
+from signorini_fenicsx.physics.diffusion.show.pools import Pools, water_lines
 from signorini_fenicsx.physics.diffusion.show.shown import STATE
 from signorini_fenicsx.physics.diffusion.show.states import titles
 from signorini_fenicsx.pictures import style
@@ -28,71 +29,79 @@ from signorini_fenicsx.pictures.streams import of_means, streamlines
 
 LINE: dict[str, Any] = {"linewidth": 1.6}
 DASHED = {"color": "black", "linewidth": 1.0, "linestyle": "--"}
-TRACE = {
-    "p": ("$p_h$", LINE | {"color": "C0"}),
-    "u": ("$u_h$ in the cell behind", {"color": "C1", "linestyle": "", "marker": "o", "markersize": 2.8}),
-}
-FLUX = {"flux": (r"$\sigma_h\cdot n$", LINE | {"color": "C2"})}
-BOUND = r"$\psi$, $q_S$", DASHED
+DOTS = {"color": "C1", "linestyle": "", "marker": "o", "markersize": 2.8}
+FLUX = LINE | {"color": "C2"}
 SETS = Panel("", Where.SETS, "contact set")
 
 
 def files(scene: Scene) -> dict[str, File]:
     """The pictures of a solution."""
-    plot, water, bounded = scene.plot, Pools.of(scene), not scene.segments  # other laws have neither ψ nor q_S
-    name, unit = plot.u_label, f" ({plot.unit})" * bool(plot.unit)
-    values = scene.u if water is None else water.head
-    if water is not None:
-        name = f"head $H${unit}"
-    levels = plot.levels or levels_between(float(values.min()), float(values.max()))
-    u = Panel(values, Where.MAP, name if water is None else "head of the water $H$", name, levels=levels)
+    water = Pools.of(scene)
+    u, streams = _u(scene, water), _streams(scene, water)
+    sigma = np.linalg.norm(scene.fields.at_points["sigma"], axis=1)
+    cut = Panel(sigma, Where.CUT, r"$|\sigma_h|$", r"$|\sigma_h|$", style.FLUX_MAP, ends=streams.ends)
     across = replace(u, where=Where.ACROSS)
-    surface = replace(u, where=Where.SURFACE, title=f"{name} as a surface")
-    sigma = scene.fields.at_points["sigma"]
-    ends = scene.usual(np.linalg.norm(scene.fields.in_cells["sigma"], axis=1))
-    label, strength = plot.flux_label, np.linalg.norm(sigma, axis=1)
-    cut = Panel(strength, Where.CUT, r"$|\sigma_h|$", r"$|\sigma_h|$", style.FLUX_MAP, ends=ends)
-    title = f"streamlines of {plot.flux_name}"
-    streams = Panel(strength, Where.STREAMS, title, label, style.STREAM_MAP, ends=ends)
-    if water is not None:
-        title = "streamlines of the water"
-        streams = replace(streams, title=title)
-    if scene.dim == 2:
-        lines, title = (
-            streamlines(scene.fields, sign_of(scene) * of_means(scene.fields)),
-            title if plot.flux else f"{title} on {label}",
-        )
-        streams = replace(streams, lines=lines, title=title, colours=style.FLUX_MAP)
-    if water is None and scene.lines:  # of Baiocchi's dam
-        head, only = scene.fields.points[:, 1] - sigma[:, 1], wet(scene.fields)
-        seen = head[scene.fields.cells[only]]
-        title, ends = (
-            r"streamlines of water on its head $y - \partial_y u_h$",
-            (float(seen.min()), float(seen.max()), "neither"),
-        )
-        streams = replace(
-            streams, what=head, title=title, lines=water_lines(scene.fields), ends=ends, only=only, label="head"
-        )
-    trace = TRACE | ({"psi": BOUND} if bounded else {})
-    on_gamma = [
-        Panel("p", Where.GAMMA, "trace of $u$", curves=trace, of_jump="jump of $u$"),
-        Panel("flux", Where.GAMMA, r"flux $\sigma_h\cdot n$", curves=FLUX | ({"q_S": BOUND} if bounded else {})),
-        *of_states(scene),
-    ]
+    on_gamma = [*_on_gamma(scene, water), *of_states(scene)] if scene.labels else []
     in_cells = [across, *([replace(SETS, title=scene.edges)] if "states" in scene.fields.in_cells else [])]
     error, steps = error_panel(scene, r"error contributions $\eta_T$"), Panel("", Where.STEPS, "iteration errors")
-    of_water = [] if water is None else wetness(scene, water, unit)
-    shown = [u, streams, *(of_water[-1:] or error or [cut])]
-    overview = [*shown, *(on_gamma if scene.labels else in_cells), steps]
+    of_water = [] if water is None else wetness(scene, water)
+    surface = [] if water is not None else [replace(u, where=Where.SURFACE, title=f"{u.label} as a surface")]
+    overview = [u, streams, *(of_water[-1:] or error or [cut]), *(on_gamma or in_cells), steps]
     return {
         "overview": (f"{scene.title}\n{scene.caption}", overview),
-        "u": ("", [u, across, surface]),
-        "water": ("", of_water),
+        "u": ("", [u, across, *surface]),
+        "water": ("", [u, streams, *of_water] if of_water else []),
         "sigma": ("", [cut, streams]),
         "certificate": ("", error_panel(scene)),
-        "signorini": ("", [*on_gamma, SETS] if scene.labels else []),
+        "signorini": ("", [*on_gamma, SETS] if on_gamma else []),
         "iterations": ("", [steps] if moves(scene.history) else []),
     }
+
+
+def _u(scene: Scene, water: Pools | None) -> Panel:
+    """U, or the head of water, with level lines."""
+    name, only = (scene.plot.u_label, None) if water is None else (with_unit("head $H$", scene.plot.unit), water.only)
+    values = scene.u if water is None else water.head
+    seen = values if only is None else values[scene.fields.cells[only]]
+    levels = scene.plot.levels or levels_between(float(seen.min()), float(seen.max()))
+    return Panel(values, Where.MAP, name, name, levels=levels, only=only)
+
+
+def _streams(scene: Scene, water: Pools | None) -> Panel:
+    """Streamlines of the physical flux, coloured by its length; those of Baiocchi's dam by the head."""
+    fields, label = scene.fields, scene.plot.flux_label
+    title = f"streamlines of {scene.plot.flux_name if water is None else 'the water'}"
+    strength = np.linalg.norm(fields.at_points["sigma"], axis=1)
+    ends = scene.usual(np.linalg.norm(fields.in_cells["sigma"], axis=1))
+    streams = Panel(strength, Where.STREAMS, title, label, style.STREAM_MAP, ends=ends)
+    if scene.dim == 3:
+        return streams
+    if water is not None and water.only is not None:
+        head = _u(scene, water)
+        return replace(head, where=Where.STREAMS, title=title, levels=(), lines=water_lines(fields))
+    lines = streamlines(fields, sign_of(scene) * of_means(fields))
+    title = title if scene.plot.flux else f"{title} on {label}"
+    return replace(streams, lines=lines, title=title, colours=style.FLUX_MAP)
+
+
+def _on_gamma(scene: Scene, water: Pools | None) -> list[Panel]:
+    """Along Γ_S the trace of u, or of water the head, and the physical flux outwards."""
+    plot, sign, bounded = scene.plot, sign_of(scene), not scene.segments  # other laws have neither ψ nor q_S
+    seen = {key: sign * values for key, values in vars(scene.sites).items() if key in ("flux", "flux_at", "q_S")}
+    p, u, bound, title = "$p_h$", "$u_h$", r"$\psi$, $q_S$", plot.u_label if plot.u else "trace of $u$"
+    if water is not None and not scene.inside:  # there are jumps
+        p, u, bound, title = "$H$", "$H$", "height, $q_S$", with_unit("head $H$", plot.unit)
+        seen |= water.heads_on(scene.sites, scene.dim)
+    shown = replace(scene, sites=replace(scene.sites, **seen)) if water is not None or sign < 0 else None
+    flux = r"$\sigma_h\cdot n$" if sign > 0 else r"$-\sigma_h\cdot n$"
+    name = f"{plot.flux_name} outwards" if plot.flux else f"flux {flux}" if water is None else "outflow"
+    curves = {"p": (p, LINE | {"color": "C0"}), "u": (f"{u} in the cell behind", DOTS)}
+    psi, q_S = ({key: (bound, DASHED)} if bounded else {} for key in ("psi", "q_S"))
+    jump = f"jump of {plot.u_label if plot.u else '$u$'}"
+    return [
+        Panel("p", Where.GAMMA, title, curves=curves | psi, of_jump=jump, scene=shown),
+        Panel("flux", Where.GAMMA, with_unit(name, plot.flux_unit), curves={"flux": (flux, FLUX)} | q_S, scene=shown),
+    ]
 
 
 def of_states(scene: Scene) -> list[Panel]:
@@ -109,12 +118,13 @@ def sign_of(scene: Scene) -> int:
     return scene.plot.sign if water is None or "sign" in scene.plot.model_fields_set else -int(water.inflow)
 
 
-def wetness(scene: Scene, water: Pools, unit: str) -> list[Panel]:
-    """The pressure head, with its level 0, and of soils the saturation."""
-    title = "pressure head $H - z$" if scene.dim == 3 else "pressure head $H - y$"
+def wetness(scene: Scene, water: Pools) -> list[Panel]:
+    """The pressure head, on a scale with 0 in its middle if it may be negative, and of soils the saturation."""
+    title, label = f"pressure head $H - {'xyz'[scene.dim - 1]}$", with_unit("pressure head", scene.plot.unit)
     most = max(float(np.abs(water.pressure).max()), 1e-300)
-    ends = (-most, most, "neither")
-    panels = [Panel(water.pressure, Where.MAP, title, f"pressure head{unit}", style.PRESSURE_MAP, ends=ends)]
+    least, colours = (0.0, style.WATER_MAP) if water.only is not None else (-most, style.PRESSURE_MAP)
+    ends = (least, most, "neither")
+    panels = [Panel(water.pressure, Where.MAP, title, label, colours, ends=ends, only=water.only)]
     saturation = scene.fields.at_points.get("saturation")
     if saturation is not None:
         ends = 0.0, 1.0, "neither"
@@ -132,7 +142,10 @@ def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
         seepage = {face: f"{face} (seepage face)"}
         usual = [replace(each, label=seepage.get(each.label, each.label)) for each in usual]
         usual = [*water.overlays(), *usual]
-    if contact is not None:
+    if water is not None and water.only is not None:
+        dry = {"facecolor": "0.9", "linewidth": 0, "rasterized": True}
+        usual += [Overlay("dry", list(points[scene.fields.cells[~water.only]]), dry, filled=True)]
+    elif contact is not None:
         tint = {"facecolors": style.CONTACT, "alpha": 0.25, "linewidths": 0, "rasterized": True}
         fronts = {"color": style.CONTACT, "linewidth": 1.8}
         usual += [Overlay("", list(points[scene.fields.cells[contact]]), tint, filled=True)]

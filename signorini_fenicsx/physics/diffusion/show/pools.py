@@ -1,11 +1,13 @@
 """Water in pictures: its head, whatever of it u is, and the water outside; of Baiocchi's dam its streamlines."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.polylines import chains
+from signorini_fenicsx.contact.laws import River
 from signorini_fenicsx.discrete.mesh_spaces import DIRICHLET
 from signorini_fenicsx.physics.diffusion.show.heads import INTEGRAL, SAME, Water
 from signorini_fenicsx.pictures import style
@@ -24,24 +26,37 @@ class Pools:
     """The water inside and outside a domain.
 
     Attributes:
+        water: What u is of it.
         head: Its head at the points of the scene.
         pressure: Its pressure head there.
         pools: In the plane outlines of the water outside, each of shape (n, 2).
+        only: Mask of the cells that are wet, if there is nothing to be seen in the others.
     """
 
+    water: Water
     head: Array
     pressure: Array
     pools: list[Array]
+    only: Mask | None
 
     @classmethod
     def of(cls, scene: Scene) -> "Pools | None":
-        """The water of a problem, None for other problems and of Baiocchi's dam."""
+        """The water of a problem, None for other problems."""
         water: Water | None = getattr(scene.solution, "water_kind", None)
-        if water is None or water.u == INTEGRAL:
+        if water is None:
             return None
-        points = scene.fields.points
-        head, pressure = water.head(points, scene.u), water.pressure(points, scene.u)
-        return cls(head, pressure, _pools(scene, water) if scene.dim == 2 else [])
+        at = scene.fields.points, scene.u, scene.fields.at_points["sigma"]
+        only = wet(scene.fields) if water.u == INTEGRAL else None
+        return cls(water, water.head(*at), water.pressure(*at), _pools(scene, water) if scene.dim == 2 else [], only)
+
+    def heads_on(self, sites: Any, dim: int) -> dict[str, Array]:
+        """The columns of a table of Γ_S that have u, or bounds of it, as heads."""
+        x = {
+            key: sites.x_at if key.endswith("_at") else sites.x
+            for key in ("p", "u", "psi", "p_at")
+            if key in vars(sites)
+        }
+        return {key: self.water.head(at[..., :dim], getattr(sites, key)) for key, at in x.items()}
 
     def overlays(self) -> list[Overlay]:
         """The water outside with its level."""
@@ -57,18 +72,42 @@ class Pools:
         ]
 
 
-def _pools(scene: Scene, water: Water) -> list[Array]:
-    """Outlines of the water before walls that it wets: parts of Γ_D with one head, and rivers."""
+def _levels(scene: Scene, water: Water) -> tuple[Indices, Array]:
+    """The facets of the plane that water outside may wet, and its level before each, NaN where there is none.
+
+    These are walls where u is given, on Γ_S where the pressure is positive, and rivers. Of Baiocchi's dam they are
+    upright.
+    """
     boundary, points = scene.boundary, scene.fields.points
-    size, middle = float(np.ptp(points[:, 1])), points[boundary.vertices].mean(axis=1)
-    level = np.where(boundary.kind == DIRICHLET, water.head(middle, boundary.u), np.nan)
+    given = boundary.vertices[boundary.kind == DIRICHLET]
+    middle, dam = points[given].mean(axis=1), getattr(scene.solution.source, "dam", None)
+    if dam is not None:
+        levels = np.where(middle[:, 0] < dam.L / 2, dam.H, dam.h)
+        return given, np.where(np.ptp(points[given][:, :, 0], axis=1) == 0, levels, np.nan)
+    x = scene.facets.x[:, :2]
+    on_gamma = water.head(x, scene.on_facets("p"))
+    on_gamma[on_gamma <= x[:, 1] + SAME * float(np.ptp(points[:, 1]))] = np.nan
+    laws = scene.solution.data.laws.of_parts
+    rivers = [part for each in laws if isinstance(each.law, River) for part in each.law.parts]
+    at_river = np.isin(scene.facets.part, [index for index, part in enumerate(scene.labels) if part in rivers])
+    on_gamma[at_river] = water.head(x, scene.on_facets("psi"))[at_river]
+    level = water.head(middle, boundary.u[boundary.kind == DIRICHLET])
+    return np.concatenate([given, scene.facets.vertices]), np.concatenate([level, on_gamma])
+
+
+def _pools(scene: Scene, water: Water) -> list[Array]:
+    """Outlines of the water before walls that it wets."""
+    points = scene.fields.points
+    size, (facets, level) = float(np.ptp(points[:, 1])), _levels(scene, water)
     pools = []
-    for each in np.unique(np.round(level[np.isfinite(level)] / size, 9)) * size:
-        for _, vertices in chains(boundary.vertices[np.isclose(level, each, rtol=0, atol=SAME * size)]):
+    for each in np.unique(np.round(level[np.isfinite(level)] / size, 7)) * size:
+        near = np.isclose(level, each, rtol=0, atol=SAME * size)
+        top = float(np.median(level[near]))
+        for _, vertices in chains(facets[near]):
             wall = points[vertices]
-            wall = wall[wall[:, 1] <= each + SAME * size]
+            wall = wall[wall[:, 1] <= top + SAME * size]
             if len(wall) and np.ptp(wall[:, 1]) > WALL * size:
-                pools.append(_pool(wall, each, points))
+                pools.append(_pool(wall, top, points))
     return pools
 
 

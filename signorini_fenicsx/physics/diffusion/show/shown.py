@@ -219,7 +219,7 @@ def drawn(solution: Solution) -> Drawn:
         boundary=solution.traces(),
         cells=cells,
         edges=edges_of(solution),
-        segments=laws.names() if laws.listed else (),
+        segments=laws.titles() if laws.listed else (),
         inside=solution.boundary.inner,
         lines=lines_of(solution),
         words=[f"{100 * above:.3g} % of the discharge at negative pressure"] if above else [],

@@ -9,11 +9,12 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.rows import joined
+from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.physics.elasticity.show.shown import BodyFacets
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.evolution import draw_over_time
-from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel
+from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel, on_gamma
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
 
@@ -50,11 +51,19 @@ def files(scene: Scene) -> dict[str, File]:
         " on its foundation" if scene.dim == 3 and any(each.filled and len(each.points) for each in body.over) else ""
     )
     title, near = f"{scene.title}\n{scene.caption}\n{told}", _near(scene)
-    named = {"deformed": ("stress", "von Mises stress"), "displacement": ("u", "$|u_h|$")}
+    plot = scene.plot
+    named = {
+        "deformed": ("stress", "von Mises stress", plot.stress_unit),
+        "displacement": ("u", "$|u_h|$", plot.length_unit),
+    }
     found: dict[str, File] = {}
-    for name, (field, label) in named.items():
+    for name, (field, label, unit) in named.items():
         in_cells = np.linalg.norm(fields.in_cells[field], axis=1)
-        look: dict[str, Any] = {"label": label, "colours": style.FLUX_MAP, "ends": scene.usual(in_cells)}
+        look: dict[str, Any] = {
+            "label": with_unit(label, unit),
+            "colours": style.FLUX_MAP,
+            "ends": scene.usual(in_cells),
+        }
         at_points, plane = np.linalg.norm(fields.at_points[field], axis=1), scene.dim == 2
         panels = [
             Panel(at_points, Where.OUTSIDE, f"{label}, deformed body{foundation}", scene=body, **look),
@@ -72,33 +81,19 @@ def files(scene: Scene) -> dict[str, File]:
 
 def _on_gamma(scene: Scene) -> list[Panel]:
     """Pressure, gap, the contact set and, where it rubs, shear and slip; in pairs what acts on the other side."""
-    line, in_space, sites = {"linewidth": 1.6}, scene.dim == 3, scene.sites
-    pressed = Panel(
-        "pressure",
-        Where.GAMMA,
-        "pressure",
-        curves={"pressure": (r"$-\sigma_{nn}$", line | {"color": "C3"})},
-        peak=True,
-    )
+    in_space, sites = scene.dim == 3, scene.sites
+    length, stress = scene.plot.length_unit, scene.plot.stress_unit
+    pressed = on_gamma("pressure", "pressure", stress, ("pressure", r"$-\sigma_{nn}$", "C3"), peak=True)
     look: dict[str, Any] = {"colours": style.U_MAP if in_space else style.SIGNED_MAP}
-    names = (r"shear $|\sigma_t|$", "slip $|u_t|$") if in_space else ("shear", "slip")
-    sheared = Panel(
-        "shear_vector", Where.GAMMA, names[0], curves={"shear": (r"$\sigma_t$", line | {"color": "C2"})}, **look
-    )
+    shear, slip = (r"shear $|\sigma_t|$", "slip $|u_t|$") if in_space else ("shear", "slip")
+    sheared = on_gamma("shear_vector", shear, stress, ("shear", r"$\sigma_t$", "C2"), **look)
     panels = []
     if scene.labels:
-        panels = [
-            pressed,
-            Panel("gap", Where.GAMMA, "gap", curves={"gap": ("$g - u_n$", line | {"color": "C0"})}),
-            Panel("", Where.SETS, "contact set"),
-        ]
-        slip = {"sliding": ("$u_t$", line | {"color": "C1"})}
+        gap = on_gamma("gap", "gap", length, ("gap", "$g - u_n$", "C0"))
+        slid = on_gamma("sliding_vector", slip, length, ("sliding", "$u_t$", "C1"), **look)
+        panels = [pressed, gap, Panel("", Where.SETS, "contact set")]
         panels += [sheared] if (sites.state >= 0).any() else []
-        panels += (
-            [Panel("sliding_vector", Where.GAMMA, names[1], curves=slip, **look)]
-            if np.isfinite(sites.slip).any()
-            else []
-        )
+        panels += [slid] if np.isfinite(sites.slip).any() else []
     if (other := scene.opposite) is not None:
         panels.append(replace(pressed, scene=other))
         panels += [replace(sheared, scene=other)] if other.sites.shear.any() else []
@@ -279,14 +274,14 @@ def _forces(scene: Scene, rows: Sequence[Mapping[str, Any]]) -> Sheet:
     if scene.labels:
         axes = sheet.panel(0, 0)
         axes.plot([row["t"] for row in rows], [row["contact_force"] for row in rows], color=style.CONTACT, marker=".")
-        axes.set(xlabel="$t$", ylabel=r"$-\int\sigma_{nn}$", title="contact force")
+        axes.set(xlabel=scene.plot.along("t"), ylabel=r"$-\int\sigma_{nn}$", title="contact force")
         axes.set_ylim(0, 1.05 * max(row["contact_force"] for row in rows) or None)  # what hardly changes looks so
     for index, part in enumerate(driven, start=first):
         axes, along = sheet.panel(index, 0), int(ranges[part].argmax())
         for k, (axis, colour) in enumerate(zip(axes_of, (style.CONTACT, style.FREE, style.WATER), strict=False)):
             look = {"color": colour, "linestyle": ("-", "--", ":")[k], "marker": ".os"[k], "markersize": 4}
             axes.plot(moved[part][:, along], forces[part][:, k], label=f"${axis}$", **look)
-        axes.set(xlabel=f"mean $u_{axes_of[along]}$", ylabel="force", title=f"force on {part}")
+        axes.set(xlabel=scene.plot.along(f"mean $u_{axes_of[along]}$"), ylabel="force", title=f"force on {part}")
     sheet.legend_below(list(axes.lines) if driven else [])
     return sheet
 

@@ -6,19 +6,20 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.evolution import draw_over_time
-from signorini_fenicsx.pictures.panels import File, Panel, Pictures, Steps, Where, error_panel
+from signorini_fenicsx.pictures.panels import File, Panel, Pictures, Steps, Where, error_panel, on_gamma
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.streams import streamlines
 
 
 def files(scene: Scene) -> dict[str, File]:
     """The pictures of a solution."""
-    fields = scene.fields
+    fields, plot = scene.fields, scene.plot
     speed = np.linalg.norm(fields.at_points["u"], axis=1)
     ends = scene.usual(np.linalg.norm(fields.in_cells["u"], axis=1))
-    flow = Panel(speed, Where.MAP, "speed", "$|u_h|$", style.FLUX_MAP, ends=ends)
+    flow = Panel(speed, Where.MAP, "speed", with_unit("$|u_h|$", plot.unit), style.FLUX_MAP, ends=ends)
     streams = replace(flow, where=Where.STREAMS, title="streamlines")  # of û, which end on the boundary only
     panels = [flow, replace(streams, colours=style.STREAM_MAP)]
     if scene.dim == 2:
@@ -26,7 +27,7 @@ def files(scene: Scene) -> dict[str, File]:
         panels = [replace(streams, title="streamlines on the speed", lines=lines)]
     p = fields.at_points["pressure"][:, 0]
     usual = style.limits(fields.in_cells["pressure"][:, 0], scene.measure)
-    pressure: dict[str, Any] = {"label": "$p_h$", "colours": style.U_MAP, "ends": usual}
+    pressure: dict[str, Any] = {"label": with_unit("$p_h$", plot.stress_unit), "colours": style.U_MAP, "ends": usual}
     return {
         "flow": (f"{scene.title}\n{scene.caption}", [*panels, Panel(p, Where.MAP, "pressure", **pressure)]),
         "laws": (scene.caption, _along(scene) if scene.labels else []),
@@ -36,15 +37,14 @@ def files(scene: Scene) -> dict[str, File]:
 
 def _along(scene: Scene) -> list[Panel]:
     """u_n and σ_nn on parts with laws, and with slip what is along these."""
-    line = {"linewidth": 1.6}
+    plot, signed = scene.plot, {"colours": style.SIGNED_MAP}
     along = [
-        Panel("gap", Where.GAMMA, "velocity outwards", curves={"gap": ("$u_n$", line | {"color": "C0"})}),
-        Panel("pressure", Where.GAMMA, "traction", curves={"pressure": (r"$\sigma_{nn}$", line | {"color": "C3"})}),
+        on_gamma("gap", "velocity outwards", plot.unit, ("gap", "$u_n$", "C0")),
+        on_gamma("pressure", "traction", plot.stress_unit, ("pressure", r"$\sigma_{nn}$", "C3")),
     ]
     if (scene.sites.state >= 0).any():
-        slips = {"shear": (r"$\sigma_t$", line | {"color": "C2"})}, {"sliding": ("$u_t$", line | {"color": "C1"})}
-        for (what, title), curves in zip((("shear_vector", "shear"), ("sliding_vector", "slip")), slips, strict=True):
-            along.append(Panel(what, Where.GAMMA, title, curves=curves, colours=style.SIGNED_MAP))
+        along.append(on_gamma("shear_vector", "shear", plot.stress_unit, ("shear", r"$\sigma_t$", "C2"), **signed))
+        along.append(on_gamma("sliding_vector", "slip", plot.unit, ("sliding", "$u_t$", "C1"), **signed))
     return along
 
 
