@@ -102,7 +102,7 @@ class Parts(Section):
         Args:
             with_law: The parts with a law.
             own_mesh: Whether the mesh is of files or bodies.
-            law: What the law is, in words.
+            law: What the law is, in words; empty if none is needed.
 
         Raises:
             ValueError: If not.
@@ -110,7 +110,7 @@ class Parts(Section):
         for part in self.inner:
             if self.inner.count(part) > 1:
                 raise ValueError(f"[boundary] inner: '{part}' is listed twice")
-            if part not in with_law:
+            if law and part not in with_law:
                 raise ValueError(f"[boundary] inner: '{part}' needs {law}")
         for part in self.sides:
             if part not in self.inner or not own_mesh:

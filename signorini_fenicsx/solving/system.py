@@ -156,7 +156,7 @@ def with_sides(domain: Domain, problem: Any) -> Domain:
     """
     conditions = getattr(problem, "conditions", ())
     named = oriented(domain, {part: each.side for each in conditions if each.side is not None for part in each.parts})
-    for part in sorted(named.unsided):
+    for part in sorted(named.unsided.intersection(part for each in conditions for part in getattr(each, "parts", ()))):
         raise InputError(
             f"side: facets of '{part}' are along the last coordinate axis, so a larger coordinate names no side of it; "
             "give its condition a side, a region or a direction"

@@ -16,6 +16,7 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners, Dirichlet, Neumann
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
+from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Tresca
 from signorini_fenicsx.physics.elasticity.problem import Elasticity, Pressure
@@ -92,6 +93,25 @@ def test_a_threshold_of_slip(u: str, wall: Slip):
     found = channel(straight(0.0, wall), [u, "0"], n=2)
     assert found.errors()["energy"] < 1e-9
     assert found.certify().bound < 1e-4
+
+
+def test_a_wall_with_suction_and_friction():
+    """What is sucked out through a wall with slip is u_n there, whatever σ_nn is, and σ_t keeps its threshold."""
+    ends, domain = [Pressure("x0", 2 * MU), Pressure("x1", 0)], box(COMM, 2, [0.0, 0.0], [1.0, 1.0])
+    for u, f, wall, more in (
+        ([sheared(-0.3), "0.2"], None, Slip("y1", g=0.3, u_n=0.2), ends),
+        ([f"{sheared(-0.38)} - 0.2*x^2", "0.4*x*y"], [2.4 * MU, 0], Slip("y1", g=0.1, u_n="0.4*x"), []),
+    ):
+        sides = Dirichlet(["x0", "x1"], u, components="t" if more else None)
+        found = solve(domain, Stokes(MU, f=f, exact=u, u_D=u, conditions=[*more, sides, wall]))
+        assert found.errors()["energy"] < 1e-9
+        assert found.flows()["y1"] == pytest.approx(0.2)
+        assert (found.spaces.contact.measure @ found.gap).sum() / 2 == pytest.approx(0.2)
+        certificate = found.certify()
+        assert certificate.guaranteed
+        assert certificate.bound < 1e-7
+    with pytest.raises(InputError, match="slip: u_n must be a polynomial of degree 3 at most"):
+        solve(domain, Stokes(MU, conditions=[*ends, Slip("y1", u_n="exp(x)")]))
 
 
 def test_slip_that_varies():
@@ -236,8 +256,6 @@ def test_walls_that_move():
     found = channel(moved, ["y*(2 - y)", "0"], n=2)
     assert found.errors()["energy"] < 1e-9
     assert found.certify().bound < 1e-6
-    with pytest.raises(InputError, match="'slit' is inside the domain, and a fluid has no parts inside"):
-        solve(build_domain(COMM, "slit", 0.5, mesh="unstructured"), Stokes(MU, conditions=[Leak("slit", g=1)]))
     for wall, told in (
         (Slip("y1", velocity=["x^2", 0]), "u_D.y1: the velocity of a wall with slip must be linear"),
         (Slip("y1", beta=-1), "slip on 'y1', beta: must not be negative"),
@@ -245,6 +263,23 @@ def test_walls_that_move():
     ):
         with pytest.raises(InputError, match=told):
             channel(straight(0.0, wall), ["0", "0"], n=2)
+
+
+def test_a_thin_plate_in_the_fluid():
+    """On both sides u is what is given there, at rest or moving; the fluid pulls at both."""
+    domain = build_domain(COMM, "slit", 0.5, mesh="unstructured")
+    ends = [Dirichlet(["top", "bottom"], 0), Neumann(["left", "right"], 0)]
+    for given in ([], [Dirichlet("slit", [0.5, 0])]):
+        found = solve(domain, Stokes(MU, f=[1, 0], conditions=[*ends, *given]))
+        for side in ("slit", other_side("slit")):
+            part = found.spaces.part(side)
+            u = traces(found)[part.cells, part.local]
+            assert u == pytest.approx(np.broadcast_to([0.5 if given else 0.0, 0], u.shape), abs=1e-10)
+        assert found.certify().guaranteed
+    pulls = [found.resultants()[side][0] for side in ("slit", other_side("slit"))]
+    assert pulls[0] == pytest.approx(pulls[1], rel=0.1)
+    with pytest.raises(InputError, match="'slit' is inside the fluid, where it is a thin plate"):
+        solve(domain, Stokes(MU, conditions=[Leak("slit", g=1)]))
 
 
 ONE_WAY = [(Outflow("x1"), "lower"), (Corners("x1", [[0, 0]], 0, "vertical"), "higher")]

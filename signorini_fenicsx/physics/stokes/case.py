@@ -30,7 +30,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenViscosity,
 )
 from signorini_fenicsx.physics.elasticity.solving import rule_of
-from signorini_fenicsx.physics.stokes.problem import Leak, Outflow, Slip, StokesProblem, of_laws, velocities
+from signorini_fenicsx.physics.stokes.problem import INSIDE, Leak, Outflow, Slip, StokesProblem, of_laws, velocities
 from signorini_fenicsx.solving.options import Options
 
 COSTS = {2: Cost(4, 1e4, 4.8e3, 2.4e3), 3: Cost(9, 4.5e4, 390, 170)}
@@ -109,10 +109,11 @@ class StokesCase(CaseFile):
     )
     first_laws: ClassVar[Mapping[str, tuple[str, list[str]]]] = {
         "outflow": ("u_n ≥ least and σ_nn ≥ −pressure, one of them equal.", ["least = 0", "pressure = 0"]),
-        "slip": ("u_n = 0, |σ_t| ≤ g + beta |u_t|, opposite to u_t.", ["g = 1", "beta = 0"]),
+        "slip": ("u_n is given, |σ_t| ≤ g + beta |u_t|, opposite to u_t.", ["g = 1", "beta = 0", "u_n = 0"]),
         "leak": ("u_t = 0, |σ_nn| ≤ g, opposite to u_n.", ["g = 1"]),
     }
     held = "u = u_D"
+    inner_needs = ""
     is_vector = True
 
     @property
@@ -153,18 +154,20 @@ class StokesCase(CaseFile):
             self.posed(3)
         except InputError as error:
             raise ValueError(str(error)) from None
+        given = {*self.meeting, *self.boundary.neumann, *self.boundary.fixed}
+        if inside := sorted(given.intersection(self.inner)):
+            raise ValueError(f"[boundary] inner: {INSIDE.format(inside[0])}")
         for key in ("backend", "element", "rho", "eps"):
             if key in self.solve.model_fields_set:
                 raise ValueError(f"[solve] {key}: viscous flow has no such key")
-        if self.inner:
-            raise ValueError("[boundary] inner: a fluid has no parts inside")
         return self
 
     def posed(self, dim: int, step: int | None = None) -> StokesProblem:
         """The parts and the data, see `CaseFile.posed`."""
         values: dict[str, Any] = dict(self.problem)
         made = [law.made() for law in self.law]
-        laws, walls = of_laws(made, self.boundary.neumann, self.boundary.fixed), velocities(made)
+        laws = of_laws(made, self.boundary.neumann, self.boundary.fixed, self.inner)
+        walls = velocities(made)
         if walls:
             u_D = values["u_D"]
             values["u_D"] = {**(u_D if isinstance(u_D, dict) else {"": u_D}), **walls}

@@ -6,12 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from ufl.core.expr import Expr
+
 from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
+from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.conditions import is_normal
 from signorini_fenicsx.physics.elasticity.problem import (
@@ -30,6 +34,8 @@ if TYPE_CHECKING:
     from signorini_fenicsx.physics.stokes.solution import StokesSolution
 
 FREE, HELD = "free", "held"
+INSIDE = "'{}' is inside the fluid, where it is a thin plate: u is given there, 0 by default, and nothing else"
+"""What is said of other conditions on such a part."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ class Leak(Law):
 
 @dataclass(frozen=True)
 class Slip(OnParts):
-    """u_n = 0 and |σ_t| ≤ g + β|u_t − w|; u_t = w where it is less than g, else σ_t is opposite to u_t − w.
+    """u_n is given, and |σ_t| ≤ g + β|u_t − w|; u_t = w where it is less than g, else σ_t is opposite to u_t − w.
 
     A wall on which fluid may slip, which moves along itself with w.
 
@@ -94,11 +100,13 @@ class Slip(OnParts):
         g: g ≥ 0; with 0 and β = 0 the wall is smooth.
         beta: β ≥ 0, a number: Navier's slip, with g = 0.
         velocity: w, linear, of which the part along the wall counts; None for 0.
+        u_n: The velocity out through the wall, as of suction, a polynomial of degree 3 at most.
     """
 
     g: Given = 0.0
     beta: Given = 0.0
     velocity: GivenVector | None = None
+    u_n: Given = 0.0
 
 
 @dataclass(frozen=True)
@@ -160,15 +168,17 @@ class Stokes(Flow):
         dirichlet = [each for each in self.conditions if isinstance(each, Dirichlet)]
         loads = [each for each in self.conditions if isinstance(each, Neumann | Pressure)]
         laws = [each for each in self.conditions if isinstance(each, Slip) or is_normal(each)]
-        if inside := [part for law in laws for part in law.parts if other_side(part) in domain.parts]:
-            raise InputError(f"conditions: '{inside[0]}' is inside the domain, and a fluid has no parts inside")
+        plates = [part for part in domain.parts if other_side(part) in domain.parts]
+        others = [each for each in self.conditions if not isinstance(each, Dirichlet) or each.components is not None]
+        if inside := [part for each in others for part in each.parts if part in plates]:
+            raise InputError(f"conditions: {INSIDE.format(inside[0])}")
         fixed = {part: each.components for each in dirichlet if each.components is not None for part in each.parts}
         u_D = {part: nothing_for_0(each.value) for each in dirichlet for part in each.parts}
         if not names_all(domain, self.conditions):
             u_D |= {"": self.u_D}
         loaded = dict.fromkeys(part for each in loads for part in each.parts)
         walls = velocities(laws)
-        sorted_laws = of_laws(laws, [part for part in loaded if part not in fixed], fixed)
+        sorted_laws = of_laws(laws, [part for part in loaded if part not in fixed], fixed, plates)
         return StokesProblem(
             viscosity=self.viscosity,
             f=self.f,
@@ -187,8 +197,10 @@ def velocities(laws: Sequence[Slip | Law]) -> dict[str, GivenVector]:
     return {part: law.velocity for law in slips for part in law.parts if law.velocity is not None}
 
 
-def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[str, str]) -> dict[str, Any]:
-    """The fields of a `StokesProblem` for laws, and its boundary with these parts that are loaded, or fixed."""
+def of_laws(
+    laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[str, str], plates: Sequence[str]
+) -> dict[str, Any]:
+    """The fields of a `StokesProblem` for laws, and its boundary with parts that are loaded, fixed, or plates."""
     slips = [law for law in laws if isinstance(law, Slip)]
     normal = [law for law in laws if isinstance(law, Law)]
     held = [law for law in normal if isinstance(law, Leak) or getattr(law, "tangential", FREE) == HELD]
@@ -198,7 +210,9 @@ def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[s
         if fixed.get(part, more[part]) != more[part]:
             raise InputError(f"fixed: part '{part}' has a law, by which '{more[part]}' is fixed, not '{fixed[part]}'")
     parts = [part for law in laws for part in law.parts]
+    through = {part: _turned(law.u_n) for law in slips if law.u_n != 0 for part in law.parts}
     return {
+        "gap": dict.fromkeys(parts, 0.0) | through if through else 0.0,
         "support": {part: [0, law.beta] for law in slips if law.beta != 0 for part in law.parts},
         "laws": tuple(law if isinstance(law, Law) else Friction(law.parts, law.g) for law in laws),
         "boundary": StokesBoundary(
@@ -206,16 +220,42 @@ def of_laws(laws: Sequence[Slip | Law], neumann: Sequence[str], fixed: Mapping[s
             neumann=neumann,
             fixed={**fixed, **more},
             turned=parts,
+            plates=plates,
         ),
     }
 
 
+def _turned(u_n: Given) -> Given:
+    """−u_n, which is the gap of a law from the other side at p = 0.
+
+    Raises:
+        InputError: If it is a function of points.
+    """
+    if isinstance(u_n, str):
+        return f"-({u_n})"
+    if isinstance(u_n, TREES):
+        return Negative(u_n)
+    if not isinstance(u_n, int | float | Expr):
+        raise InputError("slip: u_n must be a number, a text or UFL")
+    return -u_n
+
+
 @dataclass(frozen=True)
 class StokesBoundary(ElasticBoundary):
-    """The parts of the boundary as those of an elastic body: Γ_C has the laws, all from the other side."""
+    """The parts of the boundary as those of an elastic body: Γ_C has the laws, all from the other side.
 
+    Attributes:
+        plates: Names of parts inside the domain, on both sides of which u is given.
+    """
+
+    plates: Sequence[str] = ()
     physics: ClassVar[str] = "stokes"
     words: ClassVar[tuple[str, str, str]] = ("what a law allows", "its −least", "velocity")
+
+    @property
+    def named(self) -> dict[str, Sequence[str]]:
+        """The parts of each kind."""
+        return {**super().named, "inner": self.plates, "dirichlet": self.plates}
 
 
 @dataclass(frozen=True)
@@ -234,5 +274,8 @@ class StokesProblem(ElasticProblem):
     def __post_init__(self) -> None:
         """Refuse what is missing, and see `ElasticProblem`."""
         super().__post_init__()
+        if isinstance(self.u_D, Mapping):
+            plates = [part for part in getattr(self.boundary, "plates", ()) if part in self.u_D]
+            object.__setattr__(self, "u_D", {**self.u_D, **{other_side(part): self.u_D[part] for part in plates}})
         if self.viscosity is None:
             raise InputError("viscosity: is missing")

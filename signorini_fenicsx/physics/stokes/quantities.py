@@ -85,6 +85,7 @@ def _of_energy(solution: StokesSolution) -> float:
     bounds = [law.g for law in laws if isinstance(law, Leak | Friction)]
     loads = [data.f, *(datum for _, datum in loads_of(spaces, data))]
     at_rest = all(datum.number == 0 for datum in data.u_D.components) and all(law.least == 0 for law in outlets)
+    at_rest &= data.gap.number == 0
     free = all(scalar.number == 0 for datum in loads for scalar in datum.scalars)
     free &= all(each == 0 for each in (*bounds, *(law.pressure for law in outlets)))
     known = not others and not data.supports.slip.any() and (at_rest or free)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.datum import datum_of
 from signorini_fenicsx.discrete.points import CellPoints
@@ -23,6 +24,12 @@ class StokesSolution(ElasticSolution):
 
     problem: StokesProblem
     fields, drawn, lines, columns = shown.fields, shown.drawn, shown.lines, shown.columns
+
+    @property
+    def gap(self) -> Array:
+        """u_n on parts with laws, in means weighted by the hats of the vertices, shape (facets, d)."""
+        normal, data = self.spaces.site_kinds["normal"], self.data
+        return np.asarray(super().gap - normal.rows_of(data.lift[normal.unknown] + data.laws.p_h))
 
     @property
     def approach(self) -> str:

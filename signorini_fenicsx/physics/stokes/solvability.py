@@ -20,6 +20,8 @@ UP_TO_A_CONSTANT = ": the pressure is known up to a constant only, that with mea
 LOWER = ", as no more goes out than the laws ask for: any lower pressure is a solution too, and one of them is shown"
 HIGHER = ", as all goes out that the laws let out: any higher pressure is a solution too, and one of them is shown"
 """What is said where p is not unique: on a line, or on a half-line."""
+MOST_OF_WALLS = 3
+"""Degree of u_n on walls with slip, which the v of bounds has too."""
 GIVEN = 1e-9
 """u_n is given on a facet where the given components are n up to this."""
 
@@ -30,6 +32,8 @@ def check_flow(spaces: ElasticSpaces, data: ElasticData) -> None:
     Raises:
         InputError: If it cannot.
     """
+    if data.gap.polynomial is None or data.gap.polynomial > MOST_OF_WALLS:
+        raise InputError(f"slip: u_n must be a polynomial of degree {MOST_OF_WALLS} at most in x, y, z")
     comm, bodies = spaces.mesh.comm, spaces.bodies
     number = comm.allreduce(int(bodies.max(initial=-1)), MPI.MAX) + 1
     sums = np.zeros((4, number))  # what leaves where u_n is given, its size; what leaves elsewhere at least and at most

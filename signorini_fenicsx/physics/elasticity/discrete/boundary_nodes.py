@@ -338,7 +338,8 @@ def given_nodes(
         if v is None:
             displacement = coefficients.of(spaces.mesh, data.u_D)
             if k == 0 and np.isin(facets.facets, spaces.contact.facets).all():
-                displacement = np.zeros_like(displacement)  # beside friction u_n is 0, and u_D what a wall moves with
+                of_wall = coefficients.of(spaces.mesh, data.gap)  # beside friction, and u_D is what a wall moves with
+                displacement = of_wall[:, :, None] * directions
             if data.material.incompressible:
                 means = data.lift[spaces.unknowns(facets, k)].mean(axis=1)[coefficients.rows]
                 displacement = coefficients.with_means(displacement, directions[:, 0], means)
