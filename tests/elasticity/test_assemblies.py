@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from commands import signorini
 from mpi4py import MPI
 
 from signorini_fenicsx import load_case, solve_case
+from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.inspection import check
 from signorini_fenicsx.cases.solving import evolve_case
 from signorini_fenicsx.discrete import overlay
@@ -136,6 +138,24 @@ def test_steps_have_the_other_side(tmp_path: Path, kind: str) -> None:
             assert abs(force) == pytest.approx(abs(float(step[f"{part}_force_y"])), rel=1e-12)
     assert (tmp_path / "out" / "pairs.png").exists()
     assert (tmp_path / "out" / "contact.png").exists() == (kind == "friction")
+
+
+def test_derivatives_by_the_path_of_a_pair(tmp_path: Path) -> None:
+    """By mu of a pair beside a law, which is listed before it."""
+    law = '[[law]]\nkind = "friction"\nparts = ["up.left"]\ngap = 0.001\nmu = 0.1\n'
+    text = BLOCKS.replace("[0, -0.05]", "[0.02, -0.05]").replace('"up.left", ', "") + law
+    (tmp_path / "case.toml").write_text(text + PAIR.replace("contact", "friction") + "mu = 0.2\n")
+    case = load_case(tmp_path / "case.toml")
+    solution, more, less = (solve_case(case.with_values({"pair.0.mu": mu})) for mu in (0.2, 0.2 + 1e-5, 0.2 - 1e-5))
+
+    def squares(of: Any) -> ufl.Form:
+        return ufl.inner(of.sigma, of.sigma) * ufl.dx(of.sigma.function_space.mesh)
+
+    _, (gradient,) = solution.gradient(squares(solution), ["pair.0.mu"])
+    above, below = (each.spaces.integrate(squares(each)) for each in (more, less))
+    assert (above - below) / 2e-5 == pytest.approx(gradient, rel=1e-6)
+    with pytest.raises(InputError, match=r"pair.1.mu: there is no such number"):
+        solution.gradient(squares(solution), ["pair.1.mu"])
 
 
 def test_results_of_other_coverage_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
