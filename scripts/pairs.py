@@ -4,10 +4,12 @@
 one mesh that is cut along both faces, then on two meshes with as many cells, whose facets do not match. The seconds of
 all ranks are those of the overlay alone, of spaces and overlay, of the solution, and of the bound; then come quotients.
 `iterations` prints the iterations of CG with multigrid on meshes of very different size. `large` solves for a pair with
-many facets in space, of bodies or with `--scalar` for a scalar u.
+many facets in space, of bodies or with `--scalar` for a scalar u. `sides` solves `roller` with either surface as the
+slave, on two meshes of its block, and prints how far the pressure is off Hertz at vertices and in means over facets.
 
     uv run python scripts/pairs.py cost [--size 24] [--dim 2]
     uv run python scripts/pairs.py iterations [--dim 2]
+    uv run python scripts/pairs.py sides
     uv run mpirun -n 2 python scripts/pairs.py large --size 71 --scalar
 """
 
@@ -36,9 +38,12 @@ from signorini_fenicsx.api import (
     certify,
     domain_of,
     domain_of_bodies,
+    load_case,
+    solve_case,
 )
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
+from signorini_fenicsx.discrete.pair_overviews import overviews
 from signorini_fenicsx.discrete.pairing import joints
 from signorini_fenicsx.meshes.domain import Domain
 
@@ -186,10 +191,31 @@ def large(size: int, *, scalar: bool) -> None:
         say(", ".join(f"{name} {each:.2f}" for name, each in zip(("overlay", "spaces", "solution"), row, strict=False)))
 
 
+def sides() -> None:
+    """Print the table of `sides`."""
+    say("slave       facets of slave, master   off the peak of Hertz in %: at vertices  in means")
+    of_block = {"slave": "block.face", "master": "roller.face", "direction": [0, 1]}
+    of_roller = {"slave": "roller.face", "master": "block.face", "direction": [0, -1]}
+    for name, sizes in (("block", (12, 25)), ("roller", (12, 25)), ("roller", (12, 12))):
+        case = load_case("roller")
+        meshes = (case.geometry.bodies[body].file for body in ("roller", "block"))
+        bodies = {
+            body: {"file": file, "h": h} for body, file, h in zip(("roller", "block"), meshes, sizes, strict=True)
+        }
+        pair = {"kind": "contact", "gap": "x^2/100"} | (of_block if name == "block" else of_roller)
+        solution = solve_case(case.with_values({"geometry.bodies": bodies, "pair": [pair]}))
+        (about,), table = overviews(solution.spaces.joints, COMM), solution.table()
+        off = table.pressure / 3585 - np.sqrt(np.maximum(1 - (table.x[:, 0] / 6.21) ** 2, 0.0))
+        number, inside = table.number, table.facet[:, 0] < 4.2
+        means = np.bincount(number, off * inside) / np.bincount(number)
+        numbers = (100 * np.abs(each).max() for each in (off[inside], means))
+        say(f"{name:12s}{about.sizes[0]:.2f}, {about.sizes[1]:.2f}   " + "  ".join(f"{each:5.1f}" for each in numbers))
+
+
 def main() -> None:
     """Do what is asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("cost", "iterations", "large"))
+    parser.add_argument("what", choices=("cost", "iterations", "large", "sides"))
     parser.add_argument("--size", type=int, default=12, help="cells beside each other")
     parser.add_argument("--dim", type=int, choices=(2, 3), help="dimension; `cost` has both without it")
     parser.add_argument("--scalar", action="store_true", help="a scalar u in `large`")
@@ -198,6 +224,8 @@ def main() -> None:
         cost(given.size, [given.dim] if given.dim else [2, 3])
     elif given.what == "iterations":
         iterations(given.dim or 3)
+    elif given.what == "sides":
+        sides()
     else:
         large(given.size, scalar=given.scalar)
 

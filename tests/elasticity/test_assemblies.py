@@ -233,6 +233,14 @@ def test_a_curved_slave_on_a_flat_master_is_advised_against() -> None:
     )
 
 
+@pytest.mark.parametrize(("young", "told"), [({"up": 4, "low": 2}, True), ({"up": 2, "low": 4}, False)])
+def test_a_stiff_slave_is_advised_against(tmp_path: Path, young: dict[str, float], told: bool) -> None:
+    """Between facets of one size the softer body should be the slave."""
+    (tmp_path / "case.toml").write_text(BLOCKS.replace("h = 0.3", "h = 0.5") + PAIR)
+    case = load_case(tmp_path / "case.toml").with_values({"problem.young": young})
+    assert any("stiffer than the master" in note for note in check(case, COMM).remarks) == told
+
+
 def test_bodies_in_no_pair_may_not_overlap(tmp_path: Path) -> None:
     """A pair takes the overlap of its bodies; a third body in them is refused."""
     deep = BLOCKS.replace("[1, 1.5]", "[0.99, 1.49]")

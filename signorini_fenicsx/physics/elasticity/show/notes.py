@@ -9,7 +9,8 @@ import numpy as np
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_words
 from signorini_fenicsx.discrete.curved import curved_parts
-from signorini_fenicsx.discrete.pair_overviews import overviews
+from signorini_fenicsx.discrete.pair_overviews import Overview, overviews
+from signorini_fenicsx.discrete.pairing import Joint
 from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -21,6 +22,8 @@ if TYPE_CHECKING:  # it has these
 
 SMALL = 0.1
 """The largest strain, and the largest rotation in radians, of which nothing is said: the error is of their size."""
+STIFFER, COARSER = 1.5, 1.4
+"""A slave that is stiffer than its master by the first factor should be coarser by the second one."""
 
 
 def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
@@ -34,8 +37,31 @@ def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
         for mask, part in datum.by_facets(facets)
         for note in jump_in_words(spaces, name, part, facets[mask], so)
     ]
-    advice = [sentence for each in overviews(spaces.joints, spaces.mesh.comm) for sentence in each.advice()]
+    pairs = zip(spaces.joints, overviews(spaces.joints, spaces.mesh.comm), strict=True)
+    advice = [
+        sentence for joint, about in pairs for sentence in about.advice() or _stiff_slave(spaces, data, joint, about)
+    ]
     return [*dict.fromkeys(notes), *advice]
+
+
+def _stiff_slave(spaces: ElasticSpaces, data: ElasticData, joint: Joint, about: Overview) -> list[str]:
+    """That the slave is stiffer than the master and not coarser, if it is so (collective).
+
+    u of the master is linear on its facets, and what the true u bends more is passed on to the slave as a gap.
+    """
+    sums = np.zeros((2, 2))
+    for row, facets in zip(sums, (joint.slaves, joint.masters), strict=True):
+        cells = spaces.boundary_facets(facets).cells
+        row[:] = data.material.young[0].values(data.points(spaces, cells)).mean(axis=1).sum(), len(cells)
+    (of_slave, slaves), (of_master, masters) = spaces.mesh.comm.allreduce(sums)
+    (slave, master), stiffer = about.sizes, of_slave / slaves > STIFFER * of_master / masters
+    if joint.pair.tied or not stiffer or slave > COARSER * master:
+        return []
+    return [
+        f"pair {about.words}: the slave is stiffer than the master, and its facets are not coarser, {slave:.3g} and "
+        f"{master:.3g}; swap slave and master, or give the master facets that are finer by {COARSER:g}: else the "
+        "pressure goes up and down within facets, though its means over them are right"
+    ]
 
 
 def direction_of_gap(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
