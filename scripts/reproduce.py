@@ -10,6 +10,7 @@ that several items share, or that an earlier call has finished, are done once. `
 import argparse
 import itertools
 import json
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -131,14 +132,14 @@ def reproduce(names: Sequence[str], folder: StudyFolder, comm: MPI.Comm, *, quic
         if runs:
             run_study(runs, 1, folder, comm, title="The tables and figures of the slides", on_run=progress.say)
             check_all_succeeded(runs, folder, comm)
-        on_root(comm, lambda: draw(wanted, runs_by_item, folder.path, quick=quick))
+        on_root(comm, lambda: draw(wanted, runs_by_item, folder, quick=quick))
 
 
-def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], folder: Path, *, quick: bool) -> None:
-    """Write `reproduction.json`, which lists the runs of the figures, and draw the wanted figures (rank 0)."""
+def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], study: StudyFolder, *, quick: bool) -> None:
+    """Write `reproduction.json`, which lists the runs, draw the wanted figures, and tables for LaTeX (rank 0)."""
     import figures
 
-    option = " --quick" if quick else ""
+    option, folder = " --quick" if quick else "", study.path
     path = folder / "reproduction.json"
     earlier = json.loads(path.read_text(encoding="utf-8"))["items"] if path.exists() else {}
     new = {
@@ -159,6 +160,8 @@ def draw(wanted: dict[str, Item], runs: dict[str, list[Run]], folder: Path, *, q
     }
     path.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
     figures.make(folder, list(new))
+    for name in [name for name, item in wanted.items() if item.draw == "table"]:
+        shutil.copyfile(study.place(runs[name][0]) / "convergence.tex", folder / f"{name}.tex")
 
 
 def _slides(item: Item) -> dict[str, dict[str, float]]:

@@ -9,5 +9,6 @@
 #SBATCH --time=04:00:00
 set -euo pipefail
 
-export OMP_NUM_THREADS=1  # one rank per core is what scales; threads of BLAS would compete with the ranks
-mpirun -n "${SLURM_NTASKS:?start this with sbatch}" signorini solve "$@"
+# shellcheck source=scripts/slurm_common.sh
+source "${SIGNORINI_SCRIPTS:-${SLURM_SUBMIT_DIR:-.}/scripts}/slurm_common.sh"  # Slurm runs a copy of this file, from elsewhere
+run solve "$@"

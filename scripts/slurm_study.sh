@@ -11,5 +11,6 @@
 #SBATCH --open-mode=append
 set -euo pipefail
 
-export OMP_NUM_THREADS=1  # ranks_per_run of the study says how many ranks share a run; the rest are groups of their own
-mpirun -n "${SLURM_NTASKS:?start this with sbatch}" signorini study "$@"
+# shellcheck source=scripts/slurm_common.sh
+source "${SIGNORINI_SCRIPTS:-${SLURM_SUBMIT_DIR:-.}/scripts}/slurm_common.sh"  # Slurm runs a copy of this file, from elsewhere
+run study "$@"

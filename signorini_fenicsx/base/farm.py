@@ -18,7 +18,12 @@ PAUSE = 0.02
 
 
 def hand_out(
-    comm: MPI.Comm, names: Sequence[str], ranks_per_task: int, claims: Path, work: Callable[[str, MPI.Comm], None]
+    comm: MPI.Comm,
+    names: Sequence[str],
+    ranks_per_task: int,
+    claims: Path,
+    work: Callable[[str, MPI.Comm], None],
+    forget: Callable[[], None] = lambda: None,
 ) -> None:
     """Run `work` for each name once, on the group of ranks that is free next (collective).
 
@@ -31,6 +36,7 @@ def hand_out(
         ranks_per_task: Ranks of a group.
         claims: An empty folder that all ranks see.
         work: Called with a name and the group's communicator, on all ranks of the group.
+        forget: Called at the end, to drop what was kept from task to task before the group's communicator is freed.
 
     Raises:
         InputError: If `work` raised it in a group; all groups end after their current task.
@@ -50,6 +56,8 @@ def hand_out(
         except (InputError, NumericalFailure, OSError) as error:
             failure = error
             (claims / STOP).touch()
+        forget()
+        collect_garbage(group)
         group.Free()
     everybody = comm.Ibarrier()
     while not everybody.Test():

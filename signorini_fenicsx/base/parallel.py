@@ -185,9 +185,9 @@ class Stopwatch:
         return dict(zip(self.seconds, values.tolist(), strict=True))
 
 
-def peak_memory(comm: MPI.Comm) -> int:
+def peak_memory(comm: MPI.Comm, over_ranks: MPI.Op = MPI.SUM) -> int:
     """Peak memory of the processes since their start in bytes, summed over ranks (collective)."""
-    return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+    return int(comm.allreduce(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, over_ranks))
 
 
 def give_back_memory() -> None:

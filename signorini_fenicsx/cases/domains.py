@@ -2,6 +2,7 @@
 
 from mpi4py import MPI
 
+from signorini_fenicsx.base.parallel import collect_garbage
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain, estimated_cells, own_domain
@@ -20,6 +21,32 @@ def mesh_case(case: CaseFile, comm: MPI.Comm) -> Domain:
     domain = own_domain(comm, geometry.source, case.file_h, case.parts.named, case.sides, pairs)
     case.check_dimension(domain.mesh.topology.dim)
     return domain
+
+
+class LastMesh:
+    """Meshes cases as `mesh_case`, and keeps the last mesh: its forms and theirs are there for the next case on it."""
+
+    def __init__(self) -> None:
+        self._key: object = None
+        self._domain: Domain | None = None
+
+    def __call__(self, case: CaseFile, comm: MPI.Comm) -> Domain:
+        """The mesh of a case (collective).
+
+        Raises:
+            InputError: As `mesh_case`.
+        """
+        parts = case.parts.named, case.sides, [(pair.slave, pair.master) for pair in getattr(case, "pair", ())]
+        key = comm, case.geometry, case.solve.h, None if case.geometry.shape is not None else parts
+        if self._domain is None or key != self._key:
+            self.forget()
+            collect_garbage(comm)  # the old mesh before the new one takes memory
+            self._key, self._domain = key, mesh_case(case, comm)
+        return self._domain
+
+    def forget(self) -> None:
+        """Drop the mesh."""
+        self._key = self._domain = None
 
 
 def rough_cells(case: CaseFile) -> float:

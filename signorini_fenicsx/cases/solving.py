@@ -40,6 +40,7 @@ def solve_case(
     start: Solved | None = None,
     tuning: Tuning | None = None,
     on_step: OnStep = lambda step: None,
+    mesh: Callable[[CaseFile, MPI.Comm], Domain] = mesh_case,
 ) -> Any:
     """Solve a case of any physics (collective).
 
@@ -51,6 +52,7 @@ def solve_case(
         start: Solution of the same physics whose contact set is the first one.
         tuning: Sizes from which the program works differently; None for the defaults.
         on_step: Called on all ranks after each iteration.
+        mesh: Makes the mesh of the case.
 
     Raises:
         InputError: If the case cannot be discretised as asked.
@@ -60,12 +62,12 @@ def solve_case(
     refuse_time(case)
     watch = Stopwatch()
     with watch.phase("mesh"), naming(case.name):
-        place = domain or mesh_case(case, comm)
-    mesh = place.spaces.domain if isinstance(place, Solver) else place
-    remesh = None if domain is not None else coarser_domains(mesh, partial(_remade, case, mesh))
+        place = domain or mesh(case, comm)
+    present = place.spaces.domain if isinstance(place, Solver) else place
+    remesh = None if domain is not None else coarser_domains(present, partial(_remade, case, present))
     with watch.phase("assembly"), naming(case.name):
-        posed = case.posed(mesh.mesh.geometry.dim)
-        check_quantities_of(case, mesh, posed)
+        posed = case.posed(present.mesh.geometry.dim)
+        check_quantities_of(case, present, posed)
     solved = place.solve if isinstance(place, Solver) else partial(solve, place)
     about: dict[str, Any] = {"name": case.name, "title": case.title, "source": case}
     with naming(case.name):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
+from signorini_fenicsx.base.parallel import peak_memory
 from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
@@ -90,7 +91,9 @@ class SolutionReport(CaseReport):
                 lines["proved"] = proved(found.proof.proven, certificate.error, found.proof.seconds)
         lines |= {name: interval(quantity) for name, quantity in (found.quantities or {}).items()}
         lines["seconds"] = named(summary["timings"], ".2f")
-        lines["memory"] = f"{summary['peak_memory'] / 2**20:.0f} MiB at most"
+        most, comm = f"{summary['peak_memory'] / 2**20:.0f} MiB at most", result.spaces.mesh.comm
+        of_rank = f", on one rank {peak_memory(comm, MPI.MAX) / 2**20:.0f}"
+        lines["memory"] = most + of_rank * (comm.size > 1)
         self.entries(lines)
         self.notes(summary.get("notices", ()))
         if found.of_field is not None:

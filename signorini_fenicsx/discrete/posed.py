@@ -1,10 +1,12 @@
 """What a hybrid backend knows of its last solve: the problem, and what the solution is to it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.vertex_laws import Springs
 from signorini_fenicsx.linear.kept_factors import Imposed
 
@@ -24,14 +26,14 @@ class Posed:
 
     Attributes:
         conditions: The conditions.
-        springs: Those of laws at the facet vertices; None if there are none.
+        springs: Those of laws at the facet vertices, with their kinds of sites; empty if there are none.
         imposed: What the linear solver imposes at the sites.
         weak: The stiffness of the weak springs that pull at each site of a body.
         loose: Whether a motion of a body is free but for weak springs.
     """
 
     conditions: SiteConditions
-    springs: Springs | None
+    springs: Sequence[tuple[Kind, Springs]]
     imposed: Imposed
     weak: Array | float = 0.0
     loose: bool = False

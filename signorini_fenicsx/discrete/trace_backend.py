@@ -155,27 +155,30 @@ class TraceBackend(PlainBackend):
         return conditions.clean(p, flux, self.conductance)
 
     @property
-    def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
-        """The kinds of sites that have `VertexLaws`, with these."""
+    def on_facets(self) -> list[tuple[Kind, VertexLaws]]:
+        """The kinds of sites on facets that have `VertexLaws`, with these."""
         return [(self._first, self.laws)]
+
+    @property
+    def with_laws(self) -> list[tuple[Kind, VertexLaws]]:
+        """All kinds of sites that have `VertexLaws`, with these."""
+        return self.on_facets
 
     def posed(self, conditions: SiteConditions, *, held: bool = False) -> Posed:
         """The problem under these conditions; `held` if weak springs are to be left out (collective)."""
         conditions = conditions[self._traces]
-        some, springs = conditions.counts(self.comm)[Condition.ROBIN] > 0, None
-        stiffness = np.zeros(self._near.shape)
-        if some:
-            kind, width = self._first, self._near.shape[1]
-            springs = self.laws.springs(kind.of(conditions))
-            kind.of(stiffness)[:] = springs.stiffness.reshape(-1, width) * kind.measure[:, None]
+        some, stiffness = conditions.counts(self.comm)[Condition.ROBIN] > 0, np.zeros(self._near.shape)
+        springs = [(kind, laws.springs(kind.of(conditions))) for kind, laws in self.on_facets] if some else []
+        for kind, each in springs:
+            kind.of(stiffness)[:] = each.stiffness.reshape(-1, self._near.shape[1]) * kind.measure[:, None]
         held_sites = conditions.kind == Condition.ZERO_TRACE
         return Posed(conditions, springs, Imposed(held_sites, stiffness, np.zeros(len(held_sites))))
 
     def given_forces(self, posed: Posed, p: Array | float = 0.0) -> Array:
         """The forces of the laws at the sites that are not held, springs with these means of p."""
         flux = np.where(posed.conditions.kind == Condition.NO_FLUX, posed.conditions.value, 0.0)
-        if posed.springs is not None:
-            self._first.of(flux)[:] += posed.springs.pressure(self._first.of(np.broadcast_to(p, flux.shape)))
+        for kind, springs in posed.springs:
+            kind.of(flux)[:] += springs.pressure(kind.of(np.broadcast_to(p, flux.shape)))
         return np.asarray(self._signs * self._shares * flux)
 
     def openings(self, x: PETSc.Vec) -> Array:

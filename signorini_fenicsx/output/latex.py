@@ -1,7 +1,9 @@
-"""Tables of errors as LaTeX, with the commands of booktabs."""
+"""Tables of errors and of studies as LaTeX, with the commands of booktabs."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from signorini_fenicsx.comparing.convergence import ErrorRow
 
@@ -25,15 +27,40 @@ def write_latex(path: Path, rows: Sequence[ErrorRow]) -> None:
     with_eps = any(row.eps is not None for row in rows)
     heads = ["$h$", *([r"$\varepsilon$"] if with_eps else []), "cells", "iterations"]
     for name in names:
-        heads += [f"${NAMES[name]}$" if name in NAMES else name.replace("_", r"\_"), "order"]
-    lines = [rf"\begin{{tabular}}{{{'r' * len(heads)}}}", r"\toprule", " & ".join(heads) + r" \\", r"\midrule"]
+        heads += [f"${NAMES[name]}$" if name in NAMES else _text(name), "order"]
+    lines = []
     for row in rows:
         entries = [_number(row.h), *([_number(row.eps)] if with_eps else []), str(row.cells), str(row.iterations)]
         for name in names:
             order = row.orders[name]
             entries += [_number(row.errors[name]), "" if order is None else f"{order:.2f}"]
-        lines.append(" & ".join(entries) + r" \\")
-    path.write_text("\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""]), encoding="utf-8")
+        lines.append(entries)
+    _write(path, heads, lines)
+
+
+def write_columns(path: Path, columns: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write some columns of a table, under their heads (rank 0)."""
+    entries = [[_entry(row.get(key)) for key in columns] for row in rows]
+    _write(path, [_text(head) for head in columns.values()], entries)
+
+
+def _write(path: Path, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    lines = [" & ".join(row) + r" \\" for row in (heads, *rows)]
+    table = [rf"\begin{{tabular}}{{{'r' * len(heads)}}}", r"\toprule", lines[0], r"\midrule", *lines[1:]]
+    path.write_text("\n".join([*table, r"\bottomrule", r"\end{tabular}", ""]), encoding="utf-8")
+
+
+def _text(value: object) -> str:
+    """Text, in which LaTeX takes no character for a command."""
+    special = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"} | {mark: "\\" + mark for mark in "_&%$#{}"}
+    return "".join(special.get(mark, mark) for mark in str(value))
+
+
+def _entry(value: object) -> str:
+    """A cell of a table."""
+    if value is None:
+        return ""
+    return _number(value) if isinstance(value, float) and math.isfinite(value) else _text(value)
 
 
 def _number(value: float | None) -> str:

@@ -20,6 +20,7 @@ from signorini_fenicsx.base.reading import text_of
 from signorini_fenicsx.base.signals import Interruption
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.base.versions import versions
+from signorini_fenicsx.output.latex import write_columns
 from signorini_fenicsx.studies.study import Run, flattened
 from signorini_fenicsx.studies.varied import varied_keys
 
@@ -152,7 +153,7 @@ class StudyFolder:
                 clear(self.place(run).parent, self._ended(run, status))
 
     def write_tables(self, runs: Sequence[Run], title: str) -> str:
-        """Write `table.csv`, `table.parquet` and `timings.csv` of finished runs, then a picture (rank 0).
+        """Write `table.csv`, `.parquet`, `.tex` and `timings.csv` of finished runs, then a picture (rank 0).
 
         The table has one row per run, or per level of a run that measures errors: first what varies, then the results,
         then what is the same in all runs. What depends on how the study was launched is only in the timings.
@@ -162,7 +163,7 @@ class StudyFolder:
         """
         import pyarrow.parquet  # takes a second to import
 
-        from signorini_fenicsx.studies.picture import draw_study  # likewise
+        from signorini_fenicsx.studies.picture import draw_study, told_of  # likewise
 
         records, varied = [(run, self.record(run)) for run in runs], varied_keys(runs)
         rows = [row for run, record in records for row in _rows(run, record)]
@@ -179,6 +180,8 @@ class StudyFolder:
         part = self.path / "table.parquet.part"
         pyarrow.parquet.write_table(pyarrow.Table.from_pylist(table), part)
         part.rename(part.with_suffix(""))
+        write_columns(self.path / "table.tex.part", *told_of(table, varied))
+        (self.path / "table.tex.part").rename(self.path / "table.tex")
         (self.path / "versions.json").write_text(json.dumps(versions(), indent=2) + "\n", encoding="utf-8")
         part = self.path / "study.part.png"
         try:

@@ -95,6 +95,13 @@ def _interval(row: Row, key: str) -> tuple[float, float] | None:
     return (ends[0], ends[1]) if all(map(_is_number, ends)) else None  # type: ignore[return-value]
 
 
+def told_of(rows: Sequence[Row], keys: Sequence[str]) -> tuple[dict[str, str], list[Row]]:
+    """The columns of a short table with their heads, what varies and what is drawn, and its rows."""
+    done = [numbers(row, keys) for row in rows if row.get("status") == "done"]
+    wanted = plan(done, keys)
+    return {key: short(key, keys) for key in keys} | ({} if wanted is None else dict(wanted.panels)), done
+
+
 @mpl.rc_context(style.STYLE)
 def draw_study(path: Path, rows: Sequence[Row], keys: Sequence[str], title: str) -> bool:
     """Draw the finished runs of a study into a file (rank 0).

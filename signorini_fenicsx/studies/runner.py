@@ -11,6 +11,7 @@ from signorini_fenicsx.base.errors import InputError, LaterFailure, NumericalFai
 from signorini_fenicsx.base.farm import hand_out
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.base.results import ResultsFolder
+from signorini_fenicsx.cases.domains import LastMesh
 from signorini_fenicsx.cases.solving import quantities_of, solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.comparing.convergence import convergence_study
@@ -50,11 +51,13 @@ def run_study(
     todo = on_root(comm, lambda: [run for run in runs if folder.status(run) is Status.TODO])
     by_name = {run.name: run for run in sorted(todo, key=lambda run: -run.cells)}
 
+    meshes = LastMesh()
+
     def work(name: str, group: MPI.Comm) -> None:
-        _execute(by_name[name], folder.place(by_name[name]), group)
+        _execute(by_name[name], folder.place(by_name[name]), group, meshes)
         on_run()
 
-    hand_out(comm, list(by_name), ranks_per_run, folder.claims, work)
+    hand_out(comm, list(by_name), ranks_per_run, folder.claims, work, meshes.forget)
     return on_root(comm, lambda: folder.write_tables(runs, title))
 
 
@@ -87,7 +90,7 @@ def check_all_succeeded(runs: Sequence[Run], folder: StudyFolder, comm: MPI.Comm
         raise failure
 
 
-def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
+def _execute(run: Run, place: Path, comm: MPI.Comm, meshes: LastMesh) -> None:
     """Do one run and publish its folder, or that of its failure (collective over its group)."""
     began = time.perf_counter()
 
@@ -99,7 +102,7 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
     with ResultsFolder(comm, place) as results:
         reason = ""
         try:
-            _compute(run, results, comm)
+            _compute(run, results, comm, meshes)
         except (InputError, NumericalFailure) as failure:
             reason, solution = str(failure), failure.solution if isinstance(failure, NumericalFailure) else None
             if solution is not None:
@@ -114,10 +117,10 @@ def _execute(run: Run, place: Path, comm: MPI.Comm) -> None:
         results.add()
 
 
-def _compute(run: Run, results: ResultsFolder, comm: MPI.Comm) -> None:
+def _compute(run: Run, results: ResultsFolder, comm: MPI.Comm, meshes: LastMesh) -> None:
     task = run.convergence
     if task is None:
-        _write(run, results, solve_case(run.case, comm), failed=False)
+        _write(run, results, solve_case(run.case, comm, mesh=meshes), failed=False)
     else:
         rows = convergence_study(run.case, task.vary, task.levels, task.reference, comm)
         publish_convergence(run.case, task.vary, task.reference, rows, results, comm)

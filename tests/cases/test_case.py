@@ -1,12 +1,14 @@
-"""Cases: the shipped ones load; for each malformed case a sentence names place and reason."""
+"""Cases: the shipped ones load; for each malformed one a sentence names place and reason; cases share a mesh."""
 
 from pathlib import Path
 
 import pytest
+from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.shipped import case_names
 from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.domains import LastMesh
 from signorini_fenicsx.physics.diffusion.case import Case
 
 GOOD = """
@@ -156,3 +158,12 @@ def test_overrides():
     for key, value in {"solve.h": "0", "solve.x": 1, "x": 1, "title.x": 1, "solve": 3, "geometry.shape": "x"}.items():
         with pytest.raises(InputError):
             case.with_values({key: value})
+
+
+def test_runs_on_one_mesh_share_it():
+    """The last mesh is kept for cases on it, whatever their data are, and made again for others."""
+    meshes, case = LastMesh(), load_case("example4").with_values({"solve.h": 0.5})
+    first = meshes(case, MPI.COMM_SELF)
+    assert meshes(case.with_values({"problem.f": "x", "solve.algorithm": "alg4"}), MPI.COMM_SELF) is first
+    assert meshes(case.with_values({"solve.h": 0.25}), MPI.COMM_SELF) is not first
+    assert meshes(case, MPI.COMM_SELF) is not first

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import dolfinx.mesh
 import numpy as np
 import pytest
 import ufl
@@ -9,10 +10,12 @@ from elastic import box
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.conditions import Contact
 from signorini_fenicsx.physics.elasticity.problem import Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.physics.elasticity.show.readings import von_mises
 from signorini_fenicsx.physics.elasticity.show.shown import in_space
+from signorini_fenicsx.quantities import Mean
 from signorini_fenicsx.solving.solver import solve
 
 COMM = MPI.COMM_WORLD
@@ -247,3 +250,19 @@ def complaint(**data: object) -> str:
 def test_bad_materials(data: dict[str, Sequence[object]], said: str):
     """Each is one sentence with the place."""
     assert said in complaint(**data)
+
+
+def test_force_by_region():
+    """One force for each region is that of a text with cases, also in quantities; one for some regions is refused."""
+    mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
+    ends = {"top": lambda x: np.isclose(x[1], 1), "bottom": lambda x: np.isclose(x[1], 0)}
+    halves = {"left": lambda x: x[0] <= 0.5, "right": lambda x: x[0] >= 0.5}
+    domain = domain_of(mesh, {**ends, "sides": lambda x: np.isclose(x[0] * (1 - x[0]), 0)}, halves)
+    forces = {"left": [0, -1], "right": ["0.5*y", "-2"]}, ["0 if x < 0.5 else 0.5*y", "-1 if x < 0.5 else -2"]
+    rest = [Contact("bottom"), Neumann("sides")]
+    found = [solve(domain, Elasticity(young=1, poisson=0.3, f=f, conditions=rest)) for f in forces]
+    assert abs(found[0].stresses - found[1].stresses).max() < 1e-12
+    means = [solution.quantity(Mean(direction=[0, 1], region="left")) for solution in found]
+    assert means[0].lower == pytest.approx(means[1].lower, abs=1e-9)
+    with pytest.raises(InputError, match="regions without one: right"):
+        solve(domain, Elasticity(young=1, poisson=0.3, f={"left": [0, -1]}, conditions=rest))

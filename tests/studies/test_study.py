@@ -187,6 +187,14 @@ def test_table(finished: Path):
     assert [str(value) for value in columns["norms.u_L2"]] == [row["norms.u_L2"] for row in rows]
     assert [float(row["seconds"]) > 0 for row in read_rows(finished / "timings.csv")] == [True] * 8
 
+    lines = (finished / "table.tex").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == r"\begin{tabular}{rrrrrrr}"
+    assert lines[2].startswith(r"algorithm & h & signorini & f & ")
+    assert lines[4].startswith(
+        r"alg3 & $2.50\cdot 10^{-1}$ & [\"top\"] & 100*(1/2 - x)*(1/2 - y) & ".replace('\\"', '"')
+    )
+    assert len(lines) == 4 + 8 + 2
+
 
 def test_the_status_is_told_at_any_time(tmp_path: Path):
     """While a launch is under way, after it was killed, and of a study that has no folder yet; nothing is written."""

@@ -24,13 +24,12 @@ from signorini_fenicsx.cases.values import (
     VectorByPart,
     choice,
 )
-from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import LAWS, Friction
 from signorini_fenicsx.discrete.on_parts import one_value
 from signorini_fenicsx.discrete.pairs import Pair
 from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.meshes.paired_parts import without_law
-from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, Tresca, on_slave
+from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, JointSprings, Tresca, on_slave
 from signorini_fenicsx.physics.elasticity.problem import (
     ElasticBoundary,
     ElasticProblem,
@@ -40,7 +39,7 @@ from signorini_fenicsx.physics.elasticity.problem import (
     GivenSupports,
     GivenVector,
     GivenVectorByPart,
-    GivenVectorByRegion,
+    Meeting,
     Plane,
     of_meeting,
 )
@@ -87,7 +86,6 @@ class ElasticParts(Parts):
 OF_DATA = OF_LAWS | {
     GivenVector: Vector,
     GivenVectorByPart: VectorByPart,
-    GivenVectorByRegion: VectorByPart,
     GivenByPart: ExpressionByPart,
     GivenModulus: Moduli,
     GivenSupports: Stiffnesses,
@@ -128,6 +126,14 @@ class WithFriction(FrictionTexts, WITHOUT_FRICTION):  # type: ignore[misc, valid
 
 WITHOUT_SURFACE: dict[str, type[DataSection]] = {"contact": DataSection, "friction": FrictionTexts, "tied": DataSection}
 WITH_CONTACT: dict[str, type[DataSection]] = {"contact": WITHOUT_FRICTION, "friction": WithFriction}
+OF_JOINT = data_section(JointSprings, OF_DATA, parts=None, side=None, friction=None, gap=None)
+
+
+class JointTexts(FrictionTexts, OF_JOINT):  # type: ignore[misc, valid-type]
+    """The data of a joint with springs."""
+
+
+JOINT = "joint_springs"
 NORMAL = tuple(name for name in BETWEEN if LAWS[name] is not Friction)
 
 
@@ -146,17 +152,20 @@ class ContactTexts(KindSection):
     """
 
     word = "law"
-    of_kind = WITH_CONTACT | {name: OF_KIND[name] for name in NORMAL}
+    of_kind = WITH_CONTACT | {name: OF_KIND[name] for name in NORMAL} | {JOINT: JointTexts}
     kind: Annotated[str, choice("law of elastic contact", tuple(of_kind))]
     parts: list[str] = Field(min_length=1)
     gap: Annotated[Expression | None, Field(default=None, exclude_if=lambda gap: gap is None)]
 
-    def made(self) -> Contact | Law:
+    def made(self) -> Meeting:
         """The law, without its gap."""
         data = dict(self.model_extra or {})
-        if self.kind not in WITH_CONTACT:
+        if self.kind in LAWS and self.kind not in WITH_CONTACT:
             return LAWS[self.kind](self.parts, **data)
         friction = _friction_or_none(data)
+        if self.kind == JOINT:
+            assert friction is not None
+            return JointSprings(self.parts, **data, friction=friction)
         return Contact(self.parts, **data, friction=friction)
 
     def texts(self) -> list[tuple[str, str]]:
@@ -201,6 +210,7 @@ OF_PROBLEM = data_section(
     plane=Annotated[str, choice("plane", tuple(Plane))],
     exact=None,
     laws=None,
+    joint=None,
     boundary=None,
     viscosity=None,
 )

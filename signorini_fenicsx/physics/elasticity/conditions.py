@@ -11,7 +11,7 @@ import numpy as np
 from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
-from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
+from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Wall
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.expressions.given import Given
 
@@ -87,6 +87,37 @@ class Coulomb:
     def law(self, parts: Sequence[str]) -> ElasticLaw:
         """The law on some parts."""
         return CoulombLaw(parts, self.mu)
+
+
+@dataclass(frozen=True)
+class JointSprings(OnParts):
+    """A joint that gives way in the plane: springs across it that do not pull, and springs along it, which slip.
+
+    The pressure is `normal` times how far the gap is overcome, |σ_t| is at most the bound of the friction, and less
+    only where σ_t = −shear (u_t − w), w the slip so far.
+
+    Attributes:
+        parts: Name of a part, or a list of names.
+        normal: Stiffness per area across the joint.
+        shear: Stiffness per area along it, positive.
+        friction: `Tresca` or `Coulomb`.
+        gap: The distance to the foundation along the outer normal.
+    """
+
+    normal: Given
+    shear: Given
+    friction: Tresca | Coulomb
+    gap: Given = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse another friction."""
+        super().__post_init__()
+        check_kind("friction", self.friction, Tresca, Coulomb)
+
+    @property
+    def laws(self) -> list[ElasticLaw]:
+        """The law across the joint, and that along it but for the springs."""
+        return [Wall(self.parts, self.normal), self.friction.law(self.parts)]
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class ElasticSteps:
 
     def left_by(self, solution: ElasticSolution) -> Array:
         """The slip at the end of this step."""
-        return solution.slips
+        return solution.slipped
 
     def of_step(self, _solution: ElasticSolution, _earlier: Mapping[str, float] | None = None) -> dict[str, float]:
         """No number: all are of the solution itself."""
@@ -78,7 +78,7 @@ class ElasticSteps:
         """For each vertex of Γ_C its segments, its slip as a vector and the bound of the shear."""
         kinds, own = self.spaces.site_kinds, solution.segments()
         normal, along = kinds.spread(own.segment)
-        slip = kinds["slip"].spread(solution.slip_vectors)
+        slip = kinds["slip"].spread(self.spaces.along(solution.slipped))
         on_facets = {"own": normal.astype(np.int64), "own_slip": along, "slip": slip, **own.carried}
         return {f"facet_{key}": rows for key, rows in on_facets.items()}
 

@@ -20,7 +20,7 @@ from signorini_fenicsx.contact.law import Law, OnParts
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.discrete.pairs import Pair, Tied
-from signorini_fenicsx.expressions.given import Given, GivenMatrix, at_time, parsed, with_data
+from signorini_fenicsx.expressions.given import Given, GivenMatrix, GivenVectorByRegion, at_time, parsed, with_data
 from signorini_fenicsx.meshes.domain import AXES, Domain, other_side
 from signorini_fenicsx.meshes.paired_parts import PairedParts, named_laws, paired_parts, without_law
 from signorini_fenicsx.physics.elasticity.conditions import (
@@ -28,6 +28,7 @@ from signorini_fenicsx.physics.elasticity.conditions import (
     Contact,
     CoulombLaw,
     ElasticLaw,
+    JointSprings,
     is_normal,
     on_slave,
 )
@@ -40,8 +41,6 @@ type GivenVector = Sequence[Given] | Expr | Callable[[Array], npt.ArrayLike]
 (3, n) with values of shape (d, n)."""
 type GivenVectorByPart = GivenVector | Mapping[str, GivenVector | None]
 """A vector, or one for each part of the boundary."""
-type GivenVectorByRegion = GivenVector | Mapping[str, GivenVector]
-"""A vector, or one for each region of the mesh."""
 type GivenByPart = Mapping[str, Given]
 """A scalar for each part of the boundary."""
 type GivenModulus = Given | Sequence[Given] | Mapping[str, Given | Sequence[Given]]
@@ -52,6 +51,8 @@ type GivenStiffness = Given | Sequence[Given] | Sequence[Sequence[Given]]
 """Of springs per area: one in all directions, two along the normal and across it, or a symmetric matrix; numbers."""
 type GivenSupports = Mapping[str, GivenStiffness]
 """A stiffness for each of some parts of the boundary."""
+type Meeting = Contact | JointSprings | Law
+"""What holds where a body meets something."""
 type GivenAxes = Sequence[Sequence[Given]] | Mapping[str, Sequence[Sequence[Given]]]
 """Directions of the axes of the material, one in the plane and two in space; or these for each region of the mesh."""
 
@@ -147,7 +148,7 @@ class Elasticity(Body):
         others = [condition for condition in self.conditions if not self._loads_held(condition)]
         if any(isinstance(condition, Friction) for condition in others):
             raise InputError('conditions: friction is part of contact: Contact("bottom", friction=Tresca(0.1))')
-        check_conditions(others, Law, Contact, Pair, Pressure, Support, example=example)
+        check_conditions(others, Law, Contact, JointSprings, Pair, Pressure, Support, example=example)
         check_conditions(loads_held, Law, Contact, Pressure, example=example)
         for pair in [each for each in others if isinstance(each, Pair)]:
             on_slave(pair)
@@ -178,7 +179,7 @@ class Elasticity(Body):
         dirichlet = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
         loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
         springs = [condition for condition in self.conditions if isinstance(condition, Support)]
-        meeting: list[Contact | Law] = [condition for condition in self.conditions if isinstance(condition, Contact)]
+        meeting: list[Meeting] = [each for each in self.conditions if isinstance(each, Contact | JointSprings)]
         meeting += [condition for condition in self.conditions if is_normal(condition)]
         pairs = [condition for condition in self.conditions if isinstance(condition, Pair)]
         gaps = {part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}
@@ -212,22 +213,25 @@ class Elasticity(Body):
         )
 
 
-def of_meeting(meeting: Sequence[Contact | Law]) -> dict[str, Any]:
+def of_meeting(meeting: Sequence[Meeting]) -> dict[str, Any]:
     """The fields of an `ElasticProblem` for parts in contact and for those with other laws, but for the gap."""
     touching = [condition for condition in meeting if isinstance(condition, Contact)]
     return {
         "surface": {part: each.surface for each in touching if each.surface is not None for part in each.parts},
         "force": {part: each.force for each in touching if each.force for part in each.parts},
         "moment": {part: each.moment for each in touching if each.moment for part in each.parts},
-        "laws": tuple(law for each in meeting if (law := _law_of(each)) is not None),
+        "laws": tuple(law for each in meeting for law in _laws_of(each)),
+        "joint": {part: each.shear for each in meeting if isinstance(each, JointSprings) for part in each.parts},
     }
 
 
-def _law_of(condition: Contact | Law) -> ElasticLaw | None:
-    """The law of a condition; None for contact without friction."""
+def _laws_of(condition: Meeting) -> list[ElasticLaw]:
+    """The laws of a condition; none for contact without friction."""
+    if isinstance(condition, JointSprings):
+        return condition.laws
     if not isinstance(condition, Contact):
-        return condition
-    return None if condition.friction is None else condition.friction.law(condition.parts)
+        return [condition]
+    return [] if condition.friction is None else [condition.friction.law(condition.parts)]
 
 
 @dataclass(frozen=True)
@@ -306,6 +310,7 @@ class ElasticProblem(Body):
         force: For parts of Γ_C whose foundation is a tool that moves: what acts on it along each axis along which it
             can.
         moment: Likewise about each axis about which it turns.
+        joint: For parts with friction the stiffness of springs along them, which give way before they slip.
         boundary: The parts of Γ_C, of Γ_N, and fixed in some components; those of laws are added to Γ_C.
         viscosity: That of a fluid in the place of the moduli, with u for its velocity; None for a body.
     """
@@ -318,6 +323,7 @@ class ElasticProblem(Body):
     laws: Sequence[ElasticLaw] = ()
     force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
+    joint: GivenByPart = field(default_factory=dict)
     boundary: ElasticBoundary = field(default_factory=ElasticBoundary)
     viscosity: GivenViscosity | None = None
 
@@ -358,7 +364,7 @@ class ElasticProblem(Body):
                 raise InputError(f"fixed: '{part}' is where two bodies meet, and has laws alone")
         by_pressure = [part for law in self.laws if isinstance(law, CoulombLaw) for part in law.parts]
         for part in by_pressure:
-            if part in normal or part in self.boundary.turned:
+            if (part in normal and part not in self.joint) or part in self.boundary.turned:
                 raise InputError(f"laws: Coulomb's friction on '{part}' needs contact there, and no other normal law")
 
     def in_time(self, dim: int) -> Self:

@@ -153,6 +153,13 @@ class ElasticSolution(Solution):
         return self._after + self.data.slipped
 
     @property
+    def slipped(self) -> Array:
+        """The slip that is left of u_t when σ_t is taken away, of joints on springs less than u_t."""
+        springs = np.broadcast_to(self.data.friction.springs, self.data.friction.bound.shape).ravel()
+        shear = self.spaces.site_kinds["slip"].of(self.outcome.iterate.flux)
+        return self.slips + (shear / springs if self.problem.joint else 0.0)
+
+    @property
     def _after(self) -> Array:
         """The part of u_t at the sites that is of this step in time, all of it without steps."""
         return self.spaces.site_kinds["slip"].of(self.outcome.iterate.p)

@@ -22,13 +22,7 @@ from signorini_fenicsx.cases.values import (
 )
 from signorini_fenicsx.contact.law import NO_DATA, Law
 from signorini_fenicsx.contact.laws import LAWS, Corners
-from signorini_fenicsx.physics.elasticity.problem import (
-    GivenByPart,
-    GivenVector,
-    GivenVectorByPart,
-    GivenVectorByRegion,
-    GivenViscosity,
-)
+from signorini_fenicsx.physics.elasticity.problem import GivenByPart, GivenVector, GivenVectorByPart, GivenViscosity
 from signorini_fenicsx.physics.elasticity.solving import rule_of
 from signorini_fenicsx.physics.stokes.problem import INSIDE, Leak, Outflow, Slip, StokesProblem, of_laws, velocities
 from signorini_fenicsx.solving.options import Options
@@ -38,7 +32,6 @@ COSTS = {2: Cost(4, 1e4, 4.8e3, 2.4e3), 3: Cost(9, 4.5e4, 390, 170)}
 OF_DATA = OF_LAWS | {
     GivenVector: Vector,
     GivenVectorByPart: VectorByPart,
-    GivenVectorByRegion: VectorByPart,
     GivenByPart: ExpressionByPart,
     GivenViscosity: ExpressionByRegion,
 }

@@ -14,7 +14,7 @@ from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, one_value
 from signorini_fenicsx.expressions import TREES
-from signorini_fenicsx.expressions.given import Given
+from signorini_fenicsx.expressions.given import Given, GivenVectorByRegion
 from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.meshes.domain import Domain, other_side
 from signorini_fenicsx.physics.elasticity.conditions import is_normal
@@ -24,7 +24,6 @@ from signorini_fenicsx.physics.elasticity.problem import (
     ElasticBoundary,
     ElasticProblem,
     GivenVector,
-    GivenVectorByRegion,
     GivenViscosity,
     Pressure,
     nothing_for_0,

@@ -82,7 +82,7 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     """
     spaces, data = solution.spaces, solution.data
     comm = spaces.mesh.comm
-    if why := pairs_without_bound(spaces):
+    if why := without_bound(solution):
         return no_bound(solution, why)
     y = admissible_stress(solution)
     resolution = Resolution(spaces, data)
@@ -121,8 +121,11 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
     return replace(certificate, about=about | ({"guaranteed_for": of} if of and certificate.proved else {}))
 
 
-def pairs_without_bound(spaces: ElasticSpaces) -> str:
-    """Why there is no bound for the pairs of surfaces, in words; empty if there is one (collective)."""
+def without_bound(solution: ElasticSolution) -> str:
+    """Why there is no bound, in words; empty if there is one (collective)."""
+    spaces = solution.spaces
+    if solution.problem.joint:
+        return "none is there for springs along a joint"
     for joint in spaces.joints:
         rows = joint.pieces.master - joint.first
         elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())

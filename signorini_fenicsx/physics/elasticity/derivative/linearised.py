@@ -271,6 +271,8 @@ def linearised(solution: ElasticSolution, tolerance: float) -> LinearisedElastic
     """
     if solution.data.tools:
         raise InputError("derivatives are not there where a tool moves under a given force")
+    if solution.problem.joint:
+        raise InputError("derivatives are not there with springs along a joint")
     backend = solution.kept_backend(ElasticBackend)
     if backend is None:
         backend = ElasticBackend(solution.spaces, solution.data, solution.options.tuning)

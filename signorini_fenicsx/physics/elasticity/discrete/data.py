@@ -241,6 +241,9 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     slipped = _velocity_of_walls(spaces, problem, u_D) if before.slipped is None else before.slipped
     lift.x.array[slip.unknown] = slipped
     lift.x.scatter_forward()
+    friction = before.friction
+    if friction is None:
+        friction = friction_bounds(spaces, problem.named_laws, problem.joint)
     data = ElasticData(
         f=f,
         u_D=u_D,
@@ -257,7 +260,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         lift=lift.x.array.astype(np.float64),
         load=load.array,
         fixed=fixed,
-        friction=friction_bounds(spaces, problem.named_laws) if before.friction is None else before.friction,
+        friction=friction,
         slipped=slipped,
         tools=tools_of(spaces, problem),
         moved=np.zeros(len(spaces.site_kinds)),

@@ -21,6 +21,7 @@ from signorini_fenicsx.discrete.datum import Datum, datum_of
 from signorini_fenicsx.discrete.lattices import lattice
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
 from signorini_fenicsx.discrete.points import from_within, in_facets
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance
 from signorini_fenicsx.expressions.given import Given, parsed
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, ElasticLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -29,6 +30,8 @@ from signorini_fenicsx.physics.elasticity.problem import GivenVector
 
 STICKS = 1e300
 """The bound where nothing slips, with which Coulomb's friction starts."""
+LONGEST = 1e3
+"""Springs along a joint give way at the start by no more than this, in lengths of the domain."""
 SAMPLES = 8
 """Parts of a facet at whose ends a bound that is not linear is compared with its interpolant."""
 
@@ -74,6 +77,8 @@ class FrictionBounds:
         by_pressure: Whether g is μ times the pressure somewhere, on any rank.
         somewhere: Whether there is friction, on any rank.
         slipping: The linear law, in space; None in the plane.
+        springs: Stiffness of springs along joints at the vertices, ∞ without, shape (facets, d).
+        longest: No u_t is longer.
     """
 
     bound: Array
@@ -83,6 +88,8 @@ class FrictionBounds:
     by_pressure: bool
     somewhere: bool
     slipping: Slipping | None = None
+    springs: Array | float = np.inf
+    longest: float = 1.0
 
     def __bool__(self) -> bool:
         return self.somewhere
@@ -91,11 +98,23 @@ class FrictionBounds:
     def chains(self) -> Chains:
         """The law of each site, between u_t and σ_t; in space between their components, stick or a given σ_t."""
         if self.slipping is None:
-            g, none = self.bound.ravel(), np.zeros(self.bound.size)
-            return Chains.through(np.column_stack([none, none]), np.column_stack([g, -g]), none, none)
+            g, none = np.minimum(self.bound, self.longest * self.springs).ravel(), np.zeros(self.bound.size)
+            reach = g / np.broadcast_to(self.springs, self.bound.shape).ravel()
+            return Chains.through(np.column_stack([-reach, reach]), np.column_stack([g, -g]), none, none)
         sticks, force = np.repeat(self.sticks.ravel(), 2), self.forces.ravel()
         p, flux, slope = np.where(sticks, 0.0, STICKS), np.where(sticks, -STICKS, force), np.where(sticks, np.inf, 0.0)
         return Chains.through(p[:, None], flux[:, None], slope, slope)
+
+    @property
+    def by_springs(self) -> bool:
+        """Whether joints have springs along them."""
+        return not isinstance(self.springs, float)
+
+    @property
+    def laws(self) -> VertexLaws:
+        """The laws along joints, whose springs share what they do as those across them."""
+        chains, none = self.chains, np.zeros(self.bound.size)
+        return VertexLaws((), chains, none, none, shared_compliance(chains, 2), 2)
 
     @property
     def sticks(self) -> Mask:
@@ -270,11 +289,13 @@ def law_of_sites(normal: Chains, friction: FrictionBounds) -> Chains:
     return normal.followed_by(friction.chains) if friction else normal
 
 
-def friction_bounds(spaces: ElasticSpaces, laws: Sequence[tuple[str, ElasticLaw]]) -> FrictionBounds:
+def friction_bounds(
+    spaces: ElasticSpaces, laws: Sequence[tuple[str, ElasticLaw]], joint: Mapping[str, Given]
+) -> FrictionBounds:
     """Read the laws of friction, each with its name in messages (collective).
 
     Raises:
-        InputError: If g or μ is negative or not finite somewhere.
+        InputError: If g or μ is negative or not finite somewhere, or a stiffness of joints is not positive.
     """
     rubbing = [(name, law) for name, law in laws if not is_normal(law)]
     rough, dim = spaces.rough, spaces.dim
@@ -296,7 +317,26 @@ def friction_bounds(spaces: ElasticSpaces, laws: Sequence[tuple[str, ElasticLaw]
             else:
                 bounds.bound[rows] = values
                 texts += [] if is_linear(datum) else [(name, datum, rows)]
-    return replace(bounds, texts=tuple(texts))
+    return replace(bounds, texts=tuple(texts), springs=_springs(spaces, joint), longest=LONGEST * spaces.length)
+
+
+def _springs(spaces: ElasticSpaces, joint: Mapping[str, Given]) -> Array | float:
+    """The stiffness along joints at the vertices; ∞ on other parts with friction (collective).
+
+    Raises:
+        InputError: If it is not positive, or in space.
+    """
+    if not joint:
+        return np.inf
+    if spaces.dim == 3:
+        raise InputError("joint_springs: springs along a joint are there in the plane only")
+    springs = np.full((len(spaces.rough.facets), 2), np.inf)
+    for part, given in joint.items():
+        rows = np.flatnonzero(np.isin(spaces.rough.facets, spaces.domain.facets[part]))
+        springs[rows], _ = _lower_values(spaces, f"shear of '{part}'", given, spaces.rough.take(rows))
+    if spaces.mesh.comm.allreduce(float(springs.min(initial=np.inf)), MPI.MIN) <= 0:
+        raise InputError("joint_springs: the stiffness along a joint must be positive")
+    return springs
 
 
 def is_linear(datum: Datum) -> bool:

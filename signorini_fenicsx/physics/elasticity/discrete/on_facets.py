@@ -165,5 +165,5 @@ def neighbours(spaces: ElasticSpaces) -> tuple[Indices, Indices]:
     number = np.arange(len(spaces.site_kinds))
     near = np.full((len(number), dim), -1)
     normal.of(near)[:] = np.repeat(normal.rows_of(number), dim, axis=0)
-    slip.of(near)[:, : dim - 1] = np.repeat(slip.of(number).reshape(-1, dim - 1), dim - 1, axis=0)
+    slip.of(near)[:, :2] = np.repeat(slip.of(number).reshape(-1, 2), 2, axis=0)  # of its facet, in space of its vertex
     return near, np.append(normal.of(number), np.repeat(slip.pressing, dim - 1))

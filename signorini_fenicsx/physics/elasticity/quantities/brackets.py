@@ -28,8 +28,8 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     UNBALANCED,
     gap_of_cells,
     not_in_the_spaces,
-    pairs_without_bound,
     with_surface,
+    without_bound,
 )
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import AdmissibleStress, admissible_stress
@@ -73,6 +73,8 @@ def check(domain: Domain, problem: ElasticProblem, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is not one of elastic contact.
     """
+    if problem.joint:
+        raise InputError(f"{type(kind).__name__}: none is there with springs along a joint")
     if isinstance(kind, Energy):
         return
     if isinstance(kind, Force):
@@ -160,7 +162,7 @@ class _Beside(Beside[_Side]):
     """
 
     def __init__(self, solution: ElasticSolution, kind: Kind):
-        if why := pairs_without_bound(solution.spaces):
+        if why := without_bound(solution):
             raise InputError(f"{type(kind).__name__}: {why}")
         if not self.of_flux and any(joint.pair.tied for joint in solution.spaces.joints):
             raise InputError(f"{type(kind).__name__}: {TIED}")

@@ -22,7 +22,7 @@ from signorini_fenicsx.physics.elasticity.bound.certify import (
     UNBALANCED,
     gap_of_cells,
     not_in_the_spaces,
-    pairs_without_bound,
+    without_bound,
 )
 from signorini_fenicsx.physics.elasticity.bound.conforming import BestDisplacement
 from signorini_fenicsx.physics.elasticity.bound.equilibrated import admissible_stress
@@ -86,7 +86,7 @@ def energy(solution: ElasticSolution) -> Quantity:
     the gap has the same in it, so that the lower bound is true.
     """
     spaces, data, comm = solution.spaces, solution.data, solution.spaces.mesh.comm
-    if why := pairs_without_bound(spaces):
+    if why := without_bound(solution):
         raise InputError(f"Energy: {why}")
     if any(joint.pair.tied for joint in spaces.joints):
         raise InputError(f"Energy: {TIED}")

@@ -18,11 +18,13 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.posed import Posed, State
 from signorini_fenicsx.discrete.sizes import Sizes
 from signorini_fenicsx.discrete.trace_backend import TraceBackend
 from signorini_fenicsx.discrete.trace_multigrid import STIFF
+from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, law_of_sites
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import neighbours
@@ -96,6 +98,11 @@ class ElasticBackend(TraceBackend):
     def by_sets(self) -> bool:
         """Whether the law of friction is not that of space, which turns."""
         return self.friction.slipping is None
+
+    @property
+    def on_facets(self) -> list[tuple[Kind, VertexLaws]]:
+        """The kinds of sites that have `VertexLaws`: that of friction where joints have springs."""
+        return super().on_facets + ([(self._slip, self.friction.laws)] if self.friction.by_springs else [])
 
     @property
     def chains(self) -> Chains:
