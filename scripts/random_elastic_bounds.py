@@ -35,8 +35,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.discrete.pairs import Pair
-from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain

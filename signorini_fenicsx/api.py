@@ -72,6 +72,7 @@ from signorini_fenicsx.certificate.adaptive import adapt
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.step_bounds import StepBounds
 from signorini_fenicsx.comparing.comparison import compare
+from signorini_fenicsx.contact.law import Film
 from signorini_fenicsx.contact.laws import (
     Corners,
     Dirichlet,
@@ -87,7 +88,6 @@ from signorini_fenicsx.contact.laws import (
     TwoSided,
     Wall,
 )
-from signorini_fenicsx.contact.memory import Film
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import Domain

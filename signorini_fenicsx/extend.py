@@ -27,10 +27,9 @@ neither name. `LaterFailure` is the `NumericalFailure` of a run whose solution i
 
 from signorini_fenicsx.base.errors import LaterFailure
 from signorini_fenicsx.contact.backend import Backend, Iterate
-from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import Outcome, Step
-from signorini_fenicsx.contact.law import Graph, Law
-from signorini_fenicsx.contact.memory import LawWithMemory
+from signorini_fenicsx.contact.law import Graph, Law, LawWithMemory
 from signorini_fenicsx.contact.set_rules import SetRule
 from signorini_fenicsx.methods.registry import METHODS, Method
 from signorini_fenicsx.methods.task import Task

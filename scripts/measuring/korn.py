@@ -21,7 +21,7 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.discrete.simplices import facet_normals, opposite
+from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.physics.elasticity.bound.korn import KORN, TRACE, regular_simplex, stretch
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (

@@ -17,9 +17,8 @@ from signorini_fenicsx.base.shipped import file_of
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.cases.first_pairs import Facing, facing
 from signorini_fenicsx.cases.toml_files import read_toml
-from signorini_fenicsx.contact.law import names_of_data
+from signorini_fenicsx.contact.law import LawWithMemory, names_of_data
 from signorini_fenicsx.contact.laws import LAWS
-from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.meshes.bodies import Bodies, Body
 from signorini_fenicsx.meshes.checks import faces, rows_of
 from signorini_fenicsx.meshes.files import read_mesh_file

@@ -22,7 +22,7 @@ from signorini_fenicsx.meshes.meshing import usable
 from signorini_fenicsx.meshes.shapes import shape_of
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.system import System, Wish, system_on
+from signorini_fenicsx.solving.solver import System, Wish, system_on
 
 START_SECONDS = 3.0
 """Seconds to load the libraries and the compiled forms; when forms are compiled for the first time it takes longer."""

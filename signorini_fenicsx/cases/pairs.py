@@ -9,8 +9,8 @@ from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.data_section import DataSection, KindSection
 from signorini_fenicsx.cases.laws import OF_KIND
 from signorini_fenicsx.cases.values import Direction, PartNames, Positive
+from signorini_fenicsx.contact.law import Film
 from signorini_fenicsx.contact.laws import LAWS, River, Seepage
-from signorini_fenicsx.contact.memory import Film
 from signorini_fenicsx.discrete.pairs import Pair, Tied
 
 SIDES = ("slave", "master")

@@ -16,8 +16,7 @@ from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.cases.complaints import shown
 from signorini_fenicsx.cases.parts import Section as CaseSection
 from signorini_fenicsx.cases.values import number
-from signorini_fenicsx.discrete.places import Places
-from signorini_fenicsx.discrete.sections import Section
+from signorini_fenicsx.discrete.sections import Places, Section
 from signorini_fenicsx.meshes.domain import AXES, Domain
 
 MOST = 10_000

@@ -7,8 +7,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import CaseFile
@@ -27,8 +26,7 @@ from signorini_fenicsx.solving.evolution import Past, Steps
 from signorini_fenicsx.solving.evolving import Instant, evolve
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.solver import Solver, solve
-from signorini_fenicsx.solving.system import refining
+from signorini_fenicsx.solving.solver import Solver, refining, solve
 
 
 @collector_off()

@@ -9,9 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError, LaterFailure, in_words
+from signorini_fenicsx.base.errors import InputError, LaterFailure, check_kind, in_words
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off, end_all, first_words
 from signorini_fenicsx.base.progress import doing
@@ -22,8 +21,7 @@ from signorini_fenicsx.meshes.refinement import dorfler, refine
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.physics import PHYSICS
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.solver import solve
-from signorini_fenicsx.solving.system import refining, sorted_on
+from signorini_fenicsx.solving.solver import refining, solve, sorted_on
 
 type SolveOn[S: Solved] = Callable[[Domain, S | None], S]
 

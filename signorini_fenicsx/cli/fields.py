@@ -35,7 +35,7 @@ def certify(
     """
     from signorini_fenicsx.cases.fields import field_of_case
     from signorini_fenicsx.cases.solving import solve_case
-    from signorini_fenicsx.certificate.of_field import bound_field
+    from signorini_fenicsx.certificate.certify import bound_field
     from signorini_fenicsx.cli.solution_report import SolutionReport
     from signorini_fenicsx.output.writing import Found, SolutionFiles
 

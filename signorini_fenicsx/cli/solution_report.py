@@ -14,7 +14,7 @@ from signorini_fenicsx.base.signals import end_if_told
 from signorini_fenicsx.base.text import counted, named
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.certificate.certificate import Certificate
-from signorini_fenicsx.certificate.of_field import FieldBound
+from signorini_fenicsx.certificate.certify import FieldBound
 from signorini_fenicsx.cli.case_report import CaseReport
 from signorini_fenicsx.contact.history import OnStep, Step
 from signorini_fenicsx.meshes.domain import AXES

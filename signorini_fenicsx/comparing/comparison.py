@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
 from signorini_fenicsx.solving.solved import Solved
-from signorini_fenicsx.solving.system import same_domain
+from signorini_fenicsx.solving.solver import same_domain
 
 
 @dataclass(frozen=True)

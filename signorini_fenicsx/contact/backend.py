@@ -13,8 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import Chains, SiteConditions
 
 
 @dataclass(frozen=True)

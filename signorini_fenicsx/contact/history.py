@@ -10,7 +10,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.contact.backend import Iterate, Pairs
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.residuals import Residuals
 
 type OnStep = Callable[["Step"], None]
@@ -20,7 +20,7 @@ type OnStep = Callable[["Step"], None]
 class Step:
     """One row of the history: iteration n of the algorithm. The start solve is n = 0 and has no row.
 
-    For sites see `conditions`. Their numbers are sums over all ranks.
+    For sites see `chains`. Their numbers are sums over all ranks.
 
     Attributes:
         iteration: n, from 1.

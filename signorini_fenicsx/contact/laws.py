@@ -13,8 +13,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.law import VERTICAL, Given, Graph, Law, Values
-from signorini_fenicsx.contact.memory import Film
+from signorini_fenicsx.contact.law import VERTICAL, Film, Given, Graph, Law, Values
 
 
 @dataclass(frozen=True)

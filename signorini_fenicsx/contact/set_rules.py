@@ -21,8 +21,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty
+from signorini_fenicsx.contact.chains import Chains, Condition, Kinds, Penalty
 
 
 @dataclass(frozen=True)

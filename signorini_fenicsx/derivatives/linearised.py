@@ -22,8 +22,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.text import counted
 from signorini_fenicsx.contact.backend import Backend, Pairs, PlainBackend
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.loop import settled_change
 from signorini_fenicsx.discrete.seen import Seen
 

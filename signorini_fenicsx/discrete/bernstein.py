@@ -6,9 +6,8 @@ import basix
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, times
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.base.small_matrices import times
 
 TWELFTHS = 12
 """Up to degree 3 coefficients are sums of values times multiples of 1/12."""

@@ -1,7 +1,7 @@
 """The cells of a mesh, which are simplices, as NumPy arrays.
 
 The entries of one kind, such as the first coordinates of all first vertices, are one after the other in memory, as
-`base/small_matrices.py` has them.
+`base/arrays.py` has them.
 """
 
 from collections.abc import Iterator
@@ -10,9 +10,8 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, inverses, squares_of
 from signorini_fenicsx.base.owned import cell_nodes
-from signorini_fenicsx.base.small_matrices import inverses, squares_of
 
 type Entities = npt.NDArray[np.int32]
 

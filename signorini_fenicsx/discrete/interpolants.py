@@ -7,7 +7,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.bernstein import exponents
 from signorini_fenicsx.expressions import Tree, values
-from signorini_fenicsx.expressions.quadratics import Quadratic, bernstein, edges, quadratic
+from signorini_fenicsx.expressions.simplices import Quadratic, bernstein, edges, quadratic
 
 
 def edge_order(corners: int) -> list[int]:

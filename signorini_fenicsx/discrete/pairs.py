@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from signorini_fenicsx.base.arguments import names_of
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, names_of
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.meshes.paired_parts import PairedParts

@@ -10,9 +10,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.law import Graph, Law
+from signorini_fenicsx.contact.law import Graph, Law, LawWithMemory
 from signorini_fenicsx.contact.laws import Corners
-from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.discrete.data_values import check_finite, check_means, in_problem
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces

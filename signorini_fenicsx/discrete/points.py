@@ -21,9 +21,8 @@ from ufl.algorithms.analysis import extract_type
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Mask, determinants, gathered, times
 from signorini_fenicsx.base.owned import cells_of_facets
-from signorini_fenicsx.base.small_matrices import determinants, gathered, times
 from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import Entities, arms, corners, hat_gradients
 from signorini_fenicsx.meshes.domain import rounding

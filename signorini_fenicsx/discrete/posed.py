@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.vertex_laws import Springs
 from signorini_fenicsx.linear.kept_factors import Imposed

@@ -14,8 +14,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import STEP
-from signorini_fenicsx.contact.law import Law
-from signorini_fenicsx.contact.memory import LawWithMemory
+from signorini_fenicsx.contact.law import Law, LawWithMemory
 from signorini_fenicsx.discrete.datum import OnFacets, datum_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of, means_of

@@ -13,8 +13,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.linear_traces import LinearTraces, node_ranks
-from signorini_fenicsx.discrete.simplices import facet_normals
+from signorini_fenicsx.discrete.linear_traces import LinearTraces, facet_normals, node_ranks
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct
 from signorini_fenicsx.linear.two_level import TwoLevel, facet_vertices

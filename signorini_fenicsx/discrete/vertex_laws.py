@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.contact.chains import Chains, joined
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions, joined
 from signorini_fenicsx.contact.law import Graph
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import quadrature_degree

@@ -13,9 +13,8 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.expressions.quadratics import edges
 from signorini_fenicsx.expressions.series import Remainder
-from signorini_fenicsx.expressions.simplices import Parts
+from signorini_fenicsx.expressions.simplices import Parts, edges
 from signorini_fenicsx.expressions.taylor import Regions, Switch, expanded
 from signorini_fenicsx.expressions.tree import Tree
 

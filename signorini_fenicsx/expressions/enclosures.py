@@ -17,16 +17,16 @@ from signorini_fenicsx.base.reference_cells import SIMPLEX, orthonormal, positiv
 from signorini_fenicsx.expressions.cutting import CHUNK, Frame, in_parts, look_everywhere
 from signorini_fenicsx.expressions.evaluation import values, values_and_gradient
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.expressions.quadratics import (
+from signorini_fenicsx.expressions.series import DEGREE, Remainder
+from signorini_fenicsx.expressions.simplices import (
     INSIDE,
+    Parts,
     Polynomial,
     Quadratic,
     barycentric_gradients,
     bernstein,
     interpolated,
 )
-from signorini_fenicsx.expressions.series import DEGREE, Remainder
-from signorini_fenicsx.expressions.simplices import Parts
 from signorini_fenicsx.expressions.tree import Tree
 
 CLOSE = 0.3

@@ -13,9 +13,8 @@ from types import MappingProxyType
 import numpy as np
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Indices
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.meshes.checks import FileMesh
 from signorini_fenicsx.meshes.domain import Domain, other_side

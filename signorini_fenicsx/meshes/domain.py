@@ -13,13 +13,11 @@ from mpi4py import MPI
 from ufl.finiteelement import AbstractFiniteElement
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arguments import check_names
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.arrays import Array, Indices, Mask, inverses
+from signorini_fenicsx.base.errors import InputError, check_names
 from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_cells, owned_cells
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.rows import fetch_rows, find_rows
-from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.meshes.paired_parts import PairedParts, paired_parts, without_law
 
 AXES = "xyz"

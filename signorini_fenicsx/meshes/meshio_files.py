@@ -1,11 +1,18 @@
-"""Reads mesh files with meshio, and XDMF of DOLFINx, into blocks of elements and named groups of them."""
+"""Reads mesh files with meshio, and XDMF of DOLFINx, into blocks of elements and named groups of them.
+
+*Abaqus files, `.inp`*: what meshio leaves of them, which are other names of elements, and surfaces.
+
+*Checks the references in mesh files*: XML may refer to HDF5 files in its folder, and nothing may grow when read.
+"""
 
 import contextlib
 import io
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import h5py
 import meshio
@@ -15,11 +22,186 @@ import numpy.typing as npt
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.rows import rows_of
-from signorini_fenicsx.meshes.abaqus_files import read_abaqus
 from signorini_fenicsx.meshes.checks import faces
-from signorini_fenicsx.meshes.contents import DIMENSION, Contents, check_widths
-from signorini_fenicsx.meshes.other_cells import in_simplices
-from signorini_fenicsx.meshes.references import check_references
+from signorini_fenicsx.meshes.contents import DIMENSION, SECOND, Contents, check_widths
+from signorini_fenicsx.meshes.other_cells import in_simplices, simplices_of
+
+XML = (".vtu", ".xdmf", ".xmf", ".xml")
+HDF5 = (".h5m", ".hmf", ".med", ".cgns")
+
+
+def check_references(path: Path) -> None:
+    """Check a file before a library reads it.
+
+    Raises:
+        InputError: If it has a reference that is not allowed, or declares XML entities.
+    """
+    suffix = path.suffix.lower()  # like meshio
+    if suffix in XML:
+        _check_head(path)
+    if suffix in HDF5:
+        _check_hdf5(path)
+    if suffix in (".xdmf", ".xmf"):
+        for file in {_beside(path, item) for item in ElementTree.parse(path).iter()} - {None}:
+            _check_hdf5(Path(str(file)))
+
+
+class _Root(Exception):
+    """Ends the parser at the first element, after which nothing can be declared."""
+
+
+def _check_head(path: Path) -> None:
+    """Refuse declarations: entities can be other files or fill the memory. The empty DOCTYPE of DOLFINx is allowed."""
+
+    def refuse(*_: object) -> None:
+        raise InputError(
+            "declares entities or defaults in its DOCTYPE, which can grow or be other files; leave them out"
+        )
+
+    def stop(*_: object) -> None:
+        raise _Root
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = parser.AttlistDeclHandler = refuse
+    parser.ElementDeclHandler = parser.NotationDeclHandler = refuse
+    parser.StartElementHandler = stop
+    try:
+        with path.open("rb") as file:
+            parser.ParseFile(file)
+    except _Root:
+        return
+    except expat.ExpatError as error:
+        raise InputError(f"is not XML ({error})") from None
+
+
+def _beside(path: Path, item: ElementTree.Element) -> Path | None:
+    """The HDF5 file of an array in XDMF, or None; meshio reads arrays from elements with any name."""
+    kind, text = item.get("Format", "XML"), (item.text or "").strip()
+    if kind == "XML":
+        return None
+    if kind != "HDF":
+        raise InputError(f"has an array in the format '{kind}'; use XML or HDF")
+    name = text.partition(":")[0]
+    folder = path.resolve().parent
+    if not name or Path(name).is_absolute() or not (folder / name).resolve().is_relative_to(folder):
+        raise InputError(f"has an array in '{name}', which is outside the folder of the mesh")
+    if not (folder / name).is_file():
+        raise InputError(f"has an array in '{name}', and there is no such file beside it")
+    return folder / name
+
+
+def _check_hdf5(path: Path) -> None:
+    """Refuse links to other files, and arrays whose values lie in other files."""
+    with h5py.File(path, "r") as file:
+        seen: set[int] = set()
+        todo: list[h5py.Group] = [file]
+        while todo:
+            group = todo.pop()
+            for name in group:
+                try:
+                    link = group.get(name, getlink=True)
+                except TypeError:
+                    link = None
+                if isinstance(link, h5py.SoftLink):  # its target is checked in its own place
+                    continue
+                if not isinstance(link, h5py.HardLink):
+                    raise InputError(
+                        f"'{name}' in {path.name} is a link to another file; an array has to be in the file"
+                    )
+                item = group[name]
+                address = h5py.h5o.get_info(item.id).addr
+                if isinstance(item, h5py.Group) and address not in seen:
+                    todo.append(item)
+                seen.add(address)
+                if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
+                    raise InputError(
+                        f"the values of '{name}' in {path.name} are in another file; an array has to be in the file"
+                    )
+
+
+LIKE = {
+    "CPS3": "CPS3|CPE3|CAX3|CGAX3|DC2D3|DCAX3|AC2D3|M3D3|SFM3D3",
+    "STRI65": "CPS6|CPE6|CAX6|CGAX6|DC2D6|DCAX6|AC2D6|M3D6|SFM3D6",
+    "CPS4": "CPS4|CPE4|CAX4|CGAX4|DC2D4|DCAX4|AC2D4|M3D4|SFM3D4",
+    "C3D4": "C3D4|DC3D4|AC3D4",
+    "C3D6": "C3D6|DC3D6|AC3D6",
+    "C3D8": "C3D8|DC3D8|AC3D8",
+    "C3D10": "C3D10|DC3D10|AC3D10",
+}
+"""An element that meshio knows, and others with the same points; letters may follow their names."""
+SIDES: dict[str, list[tuple[int, ...]]] = {
+    "triangle": [(0, 1), (1, 2), (2, 0)],
+    "quad": [(0, 1), (1, 2), (2, 3), (3, 0)],
+    "tetra": [(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)],
+    "wedge": [(0, 1, 2), (3, 5, 4), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)],
+    "hexahedron": [(0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)],
+}
+"""The corners of the faces S1, S2, … of an element."""
+FLAGS = re.MULTILINE | re.IGNORECASE
+type Lines = list[list[str]]
+
+
+def read_abaqus(path: Path) -> tuple[meshio.Mesh, dict[str, Indices]]:
+    """Read a file (rank 0).
+
+    Returns:
+        The mesh as meshio has it, and the facets of each surface by their corners.
+
+    Raises:
+        InputError: If it needs another file, or a surface is on elements that there are not.
+    """
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if re.search(r"^\s*\*INCLUDE", text, flags=FLAGS):
+        raise InputError("needs another file, by *INCLUDE; write all into one file")
+    for known, others in LIKE.items():
+        text = re.sub(rf"^(\*ELEMENT\b.*TYPE\s*=\s*)({others})[A-Z]*(?=\s*(,|$))", rf"\g<1>{known}", text, flags=FLAGS)
+    mesh = meshio.read(io.StringIO(text), file_format="abaqus")
+    return mesh, dict(_surfaces(mesh, text))
+
+
+def _blocks(text: str, keyword: str) -> Iterator[tuple[dict[str, str], Lines]]:
+    """The options, in capital letters, and the entries of each line of all blocks with a keyword."""
+    for block in re.split(r"^(?=\*(?!\*))", text, flags=re.MULTILINE):
+        head, *lines = [line for line in block.splitlines() if line.strip() and not line.startswith("**")] or [""]
+        word, *options = (part.strip() for part in head.split(","))
+        if word.upper() == f"*{keyword}":
+            pairs = (option.partition("=") for option in options)
+            entries = [[entry.strip() for entry in line.rstrip(", ").split(",")] for line in lines]
+            yield {key.strip().upper(): value.strip() for key, _, value in pairs}, entries
+
+
+def _surfaces(mesh: meshio.Mesh, text: str) -> Iterator[tuple[str, Indices]]:
+    """The facets of each surface that consists of faces of elements."""
+    surfaces, labels = list(_blocks(text, "SURFACE")), []
+    if not surfaces:
+        return
+    for block, (_, lines) in zip(mesh.cells, _blocks(text, "ELEMENT"), strict=True):
+        numbers = np.array([int(entry) for line in lines for entry in line], dtype=np.int64)
+        labels.append(numbers.reshape(len(block.data), -1)[:, 0])
+    for options, lines in surfaces:
+        if options.get("TYPE", "ELEMENT").upper() != "ELEMENT":
+            continue
+        name, found = options.get("NAME", "surface"), list[Indices]()
+        for of, side in (line[:2] for line in lines if len(line) > 1 and re.fullmatch(r"[sS]\d", line[1])):
+            chosen = list(_chosen(mesh, labels, of))
+            if not any(len(rows) for _, rows in chosen):
+                raise InputError(f"surface '{name}' is on elements that there are not: {of}")
+            for index, rows in chosen:
+                block, number = mesh.cells[index], int(side[1])
+                sides = SIDES.get(SECOND.get(block.type, block.type), [])
+                if len(rows) and 0 < number <= len(sides):
+                    facets = np.asarray(block.data, dtype=np.int64)[rows][:, list(sides[number - 1])]
+                    found.append(simplices_of("quad", facets).reshape(-1, 3) if facets.shape[1] == 4 else facets)
+        if found:
+            yield name, np.concatenate(found)
+
+
+def _chosen(mesh: meshio.Mesh, labels: list[Indices], of: str) -> Iterator[tuple[int, Indices]]:
+    """The rows in each block of an element, or of a set of elements."""
+    if of.isdecimal():
+        yield from ((index, np.flatnonzero(own == int(of))) for index, own in enumerate(labels))
+    for index, rows in enumerate(mesh.cell_sets.get(of, ())):
+        yield index, np.asarray(rows, dtype=np.int64)
 
 
 def read_with_meshio(path: Path) -> Contents:

@@ -8,9 +8,8 @@ import dolfinx.mesh
 import numpy as np
 import numpy.typing as npt
 
-from signorini_fenicsx.base.arguments import check_kind, check_names
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind, check_names
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.parallel import collector_off, on_root
 from signorini_fenicsx.meshes.checks import FileMesh

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from signorini_fenicsx.base.arguments import check_names
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_names
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,9 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, determinants
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.owned import cell_nodes, sums_at
-from signorini_fenicsx.base.small_matrices import determinants
 from signorini_fenicsx.meshes.domain import (
     Domain,
     Marks,

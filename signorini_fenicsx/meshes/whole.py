@@ -7,9 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_names
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_names
 from signorini_fenicsx.base.owned import cell_nodes, number_of_cells, original_cells
 from signorini_fenicsx.base.parallel import gather_rows, on_root
 from signorini_fenicsx.base.rows import rows_of

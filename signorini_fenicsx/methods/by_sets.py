@@ -12,8 +12,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure, NumericalFailure
 from signorini_fenicsx.contact.backend import Iterate, Pairs
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import Chains, SiteConditions
 from signorini_fenicsx.contact.history import History, Outcome
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import SetRule

@@ -9,8 +9,7 @@ from functools import cached_property, partial
 from signorini_fenicsx.base import progress
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.contact.backend import Backend, Inexact, Iterate, Pairs
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import Chains, SiteConditions
 from signorini_fenicsx.contact.history import History
 from signorini_fenicsx.contact.set_rules import Present, SetRule
 from signorini_fenicsx.methods.task import Task

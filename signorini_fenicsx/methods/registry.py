@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self
 
-from signorini_fenicsx.contact.conditions import Condition, Penalty
+from signorini_fenicsx.contact.chains import Condition, Penalty
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Signorini, TwoSided

@@ -9,7 +9,7 @@ from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import BackendFactory, Iterate, Pairs
-from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Penalty, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import FoundSets, OnStep, Outcome
 from signorini_fenicsx.contact.residuals import Residuals

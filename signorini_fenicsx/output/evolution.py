@@ -13,7 +13,7 @@ from signorini_fenicsx.base.results import ResultsFolder
 from signorini_fenicsx.base.text import write_rows
 from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.discrete.site_table import SiteTable
-from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
+from signorini_fenicsx.output.checkpoint import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.outlines import is_outline, write_outlines
 from signorini_fenicsx.output.steps import OPPOSITE, Row, StepFolder

@@ -11,8 +11,7 @@ from typing import Any, Self
 
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.parallel import Stopwatch, collector_off, on_root
 from signorini_fenicsx.base.progress import doing
@@ -22,11 +21,11 @@ from signorini_fenicsx.base.versions import versions
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certificate import Certificate
-from signorini_fenicsx.certificate.of_field import FieldBound
+from signorini_fenicsx.certificate.certify import FieldBound
 from signorini_fenicsx.certificate.proof import Proof
 from signorini_fenicsx.comparing.convergence import ErrorRow, Vary, fitted_slopes
 from signorini_fenicsx.contact.history import Step
-from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
+from signorini_fenicsx.output.checkpoint import write_checkpoint
 from signorini_fenicsx.output.field_files import write_fields
 from signorini_fenicsx.output.latex import write_latex
 from signorini_fenicsx.output.outlines import is_outline, write_outlines

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from signorini_fenicsx.base.arguments import names_of
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, names_of
 from signorini_fenicsx.expressions.given import Given
 
 

@@ -4,8 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError, holding
+from signorini_fenicsx.base.errors import InputError, check_kind, holding
 from signorini_fenicsx.discrete.rounding import LOST, lost_digits
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.quantities.beside import Beside

@@ -12,7 +12,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.expressions import Tree, interval, values
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Elementary, Interval, enclosing
-from signorini_fenicsx.expressions.quadratics import INSIDE, Quadratic, constant, edges, quadratic
+from signorini_fenicsx.expressions.simplices import INSIDE, Quadratic, constant, edges, quadratic
 from signorini_fenicsx.rigorous.discrete import Discrete
 from signorini_fenicsx.rigorous.enclosures import enclose
 from signorini_fenicsx.rigorous.simplices import EDGES, Simplices, root, squared, total, with_midpoints

@@ -24,8 +24,17 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.intervals import WHOLE, Elementary, Interval, enclosing, stacked
-from signorini_fenicsx.expressions.quadratics import Quadratic, edges
-from signorini_fenicsx.expressions.simplices import ROUNDING, TINY, Parts, Places, changes, evaluated, slack
+from signorini_fenicsx.expressions.simplices import (
+    ROUNDING,
+    TINY,
+    Parts,
+    Places,
+    Quadratic,
+    changes,
+    edges,
+    evaluated,
+    slack,
+)
 
 CAP = 1000
 """Largest number of boxes for one simplex."""

@@ -5,15 +5,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import NumericalFailure
+from signorini_fenicsx.base.errors import NumericalFailure, check_kind
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off_in_steps
 from signorini_fenicsx.contact.history import OnStep, Step
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.solving.evolution import Evolution, Past, Steps
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.solver import Solver
-from signorini_fenicsx.solving.system import sorted_on, with_sides
+from signorini_fenicsx.solving.solver import Solver, sorted_on, with_sides
 
 MOST = 500
 """Most linear problems of a step whose laws are curves."""

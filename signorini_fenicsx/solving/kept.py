@@ -11,7 +11,7 @@ from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.base.owned import original_cells
 from signorini_fenicsx.base.rows import fetch_rows
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.solving.options import Options

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from numbers import Real
 
-from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.text import did_you_mean
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import BackendFactory

@@ -18,8 +18,7 @@ from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.residuals import Residuals
 from signorini_fenicsx.discrete.contact_sets import FacetSet
 from signorini_fenicsx.discrete.curved import of_polygon
-from signorini_fenicsx.discrete.places import Places
-from signorini_fenicsx.discrete.sections import Section, Through
+from signorini_fenicsx.discrete.sections import Places, Section, Through
 from signorini_fenicsx.discrete.site_table import SiteTable
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.meshes.sampling import at_points

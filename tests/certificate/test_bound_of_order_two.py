@@ -15,8 +15,7 @@ from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt
-from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.certificate.of_field import bound_field
+from signorini_fenicsx.certificate.certify import bound_field, certify
 from signorini_fenicsx.contact.laws import Neumann, Signorini
 from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet, nodes
 from signorini_fenicsx.linear.facet_solver import FacetSolver

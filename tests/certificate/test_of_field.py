@@ -18,7 +18,7 @@ from signorini_fenicsx import Contact, Diffusion, Dirichlet, Elasticity, Neumann
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.certificate.of_field import bound_field
+from signorini_fenicsx.certificate.certify import bound_field
 from signorini_fenicsx.expressions import read, to_ufl
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain

@@ -30,7 +30,7 @@ from signorini_fenicsx.api import (
     solve,
 )
 from signorini_fenicsx.base.owned import number_of_cells
-from signorini_fenicsx.certificate.of_field import bound_field
+from signorini_fenicsx.certificate.certify import bound_field
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.meshes.refinement import refine
 from signorini_fenicsx.output.writing import write_solution

@@ -7,7 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from signorini_fenicsx.api import Dirichlet, Elasticity, Neumann, Pair, Tied, solve
-from signorini_fenicsx.discrete.simplices import opposite
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.physics.elasticity.bound.tied import lacking, tied_pairs
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 

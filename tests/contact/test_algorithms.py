@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.set_rules import (
     ALGORITHM_1,
     ALGORITHM_2,

@@ -12,7 +12,7 @@ from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import options_of, solve_case
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.contact.loop import Parameters, iterate_sets
 from signorini_fenicsx.contact.set_rules import ALGORITHM_1, ALGORITHM_2, ALGORITHM_3, ALGORITHM_4, SetRule
 from signorini_fenicsx.meshes.domain import Domain

@@ -22,7 +22,7 @@ from signorini_fenicsx import (
     load_solution,
     solve,
 )
-from signorini_fenicsx.certificate.of_field import bound_field
+from signorini_fenicsx.certificate.certify import bound_field
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.extend import write_solution
 from signorini_fenicsx.meshes.meshing import build_domain

@@ -10,8 +10,8 @@ from dolfinx import fem
 from dolfinx.mesh import create_unit_cube, create_unit_square
 from mpi4py import MPI
 
+from signorini_fenicsx.base.arrays import determinants, inverses
 from signorini_fenicsx.base.owned import cell_nodes, owned_cells
-from signorini_fenicsx.base.small_matrices import determinants, inverses
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case

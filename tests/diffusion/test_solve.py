@@ -14,7 +14,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import NumericalFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.expressions.reader import parse_expression
 from signorini_fenicsx.forms.mixed import Fields, mlm_1, mlm_2
 from signorini_fenicsx.forms.norms import l2

@@ -12,10 +12,10 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.certify import certify
-from signorini_fenicsx.contact.conditions import Condition, Penalty
+from signorini_fenicsx.contact.chains import Condition, Penalty
 from signorini_fenicsx.contact.laws import Corners
 from signorini_fenicsx.contact.set_rules import SetRule
-from signorini_fenicsx.discrete.simplices import opposite
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.forms.elasticity import hellinger_reissner, product, strain
 from signorini_fenicsx.meshes.own import domain_of
 from signorini_fenicsx.physics.elasticity.discrete.data import elastic_data

@@ -13,7 +13,7 @@ from signorini_fenicsx.expressions import read, values, values_and_gradient
 from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.expressions.enclosures import distances, means, surely_above
 from signorini_fenicsx.expressions.intervals import FromNumPy
-from signorini_fenicsx.expressions.quadratics import Quadratic, constant, interpolated, quadratic
+from signorini_fenicsx.expressions.simplices import Quadratic, constant, interpolated, quadratic
 from signorini_fenicsx.rigorous.enclosures import enclose
 
 NUMPY = FromNumPy()

@@ -18,13 +18,13 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.comparing.convergence import Vary, convergence_study, fitted_slopes
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.forms.norms import l2
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.methods.registry import METHODS
 from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.solution import Solution
-from signorini_fenicsx.physics.diffusion.solve.classical.half_norm import HalfNorm
+from signorini_fenicsx.physics.diffusion.solve.classical.mixed_uzawa import HalfNorm
 from signorini_fenicsx.physics.diffusion.solve.classical.projection import scattered_values
 from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
 

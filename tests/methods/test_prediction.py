@@ -15,7 +15,7 @@ from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.linear.patch import Patch
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data

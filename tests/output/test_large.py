@@ -14,9 +14,8 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
-from signorini_fenicsx.output import checkpoint_writing
-from signorini_fenicsx.output.checkpoint import load_solution
-from signorini_fenicsx.output.checkpoint_writing import write_checkpoint
+from signorini_fenicsx.output import checkpoint
+from signorini_fenicsx.output.checkpoint import load_solution, write_checkpoint
 from signorini_fenicsx.output.writing import write_solution
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.pictures import sample
@@ -107,7 +106,7 @@ def test_a_kill_leaves_the_old_or_the_new_checkpoint(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as during:
-        during.setattr(checkpoint_writing, step, killed)
+        during.setattr(checkpoint, step, killed)
         with pytest.raises(KeyboardInterrupt):
             write_checkpoint(tmp_path, new)
     is_read(tmp_path, new if new_counts else old)

@@ -19,7 +19,7 @@ from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.certificate.proof import proof_of
 from signorini_fenicsx.contact.laws import Friction
-from signorini_fenicsx.discrete.simplices import facet_normals, opposite
+from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
 from signorini_fenicsx.expressions import Binary, Tree, exactly, read, values
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
 from signorini_fenicsx.expressions.intervals import enclosing

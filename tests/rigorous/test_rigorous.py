@@ -32,8 +32,7 @@ from signorini_fenicsx.rigorous.data import Given
 from signorini_fenicsx.rigorous.discrete import Discrete, gathered
 from signorini_fenicsx.rigorous.elementary import FromArb
 from signorini_fenicsx.rigorous.simplices import EDGES
-from signorini_fenicsx.rigorous.theorem import prove
-from signorini_fenicsx.rigorous.trace import _lifts
+from signorini_fenicsx.rigorous.theorem import _lifts, prove
 from signorini_fenicsx.solving.physics import PHYSICS
 
 COMM = MPI.COMM_WORLD

@@ -14,7 +14,7 @@ from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Corners, Dirichlet, Neumann
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.meshes.bodies import domain_of_bodies
 from signorini_fenicsx.meshes.domain import other_side
 from signorini_fenicsx.meshes.meshing import build_domain

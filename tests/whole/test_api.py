@@ -21,7 +21,7 @@ from signorini_fenicsx.api import adapt, certify, compare, evolve
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.solving import solve_case
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.laws import Friction, Wall
 from signorini_fenicsx.contact.set_rules import SetRule

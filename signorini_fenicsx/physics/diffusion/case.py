@@ -14,9 +14,8 @@ from signorini_fenicsx.cases.pairs import BETWEEN, PairTexts, WithPairs
 from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.values import ByRegion, ExpressionByRegion, ExpressionOrByPart, choice
-from signorini_fenicsx.contact.law import EVERYWHERE, Law
+from signorini_fenicsx.contact.law import EVERYWHERE, Law, LawWithMemory
 from signorini_fenicsx.contact.laws import LAWS, Dirichlet, Neumann, Signorini
-from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.meshes.cut import ANY, Side

@@ -28,9 +28,8 @@ from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.law import EVERYWHERE, VERTICAL
+from signorini_fenicsx.contact.law import EVERYWHERE, VERTICAL, LawWithMemory
 from signorini_fenicsx.contact.laws import Corners, Storage
-from signorini_fenicsx.contact.memory import LawWithMemory
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.contact_sets import Segments
 from signorini_fenicsx.discrete.data_values import check_means
@@ -45,9 +44,8 @@ from signorini_fenicsx.meshes.sampling import at_points
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import chains_in, part_in, plus
 from signorini_fenicsx.physics.diffusion.discrete.coefficients import cell_means
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import projected
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.show.states import sizes
 from signorini_fenicsx.physics.diffusion.solution import Solution

@@ -11,7 +11,7 @@ import numpy as np
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, Dirichlet, Neumann
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.remembered import Remembered
@@ -19,8 +19,7 @@ from signorini_fenicsx.meshes.domain import Boundary
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.data import project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import linear_data
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import linear_spaces
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, linear_spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import Water
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem

@@ -4,8 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
-from signorini_fenicsx.base.arguments import check_kind
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Reaction, River, Seepage, Signorini
 from signorini_fenicsx.discrete.on_parts import check_conditions, names_all, same_value

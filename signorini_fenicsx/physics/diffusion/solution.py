@@ -16,8 +16,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_values, set_owned, sums_at
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import KKT
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state
 from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import FacetPoints, Points

@@ -14,7 +14,7 @@ from signorini_fenicsx.base.parallel import Stopwatch
 from signorini_fenicsx.base.signals import LoopInterruption
 from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.backend import Backend, Iterate
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.laws import LAWS
@@ -28,9 +28,8 @@ from signorini_fenicsx.meshes.own import check_parts
 from signorini_fenicsx.methods.registry import those
 from signorini_fenicsx.physics.diffusion.discrete.data import Data, project_data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData, linear_data
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces, linear_spaces
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces, build_spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces, build_spaces, linear_spaces
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.linear_solution import LinearSolution
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -47,7 +46,7 @@ from signorini_fenicsx.physics.diffusion.solve.solvability import check_solvabil
 from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.system import Remesh, Wish
+from signorini_fenicsx.solving.solver import Remesh, Wish
 
 FARTHER = 10.0
 """A ψ so many times as far below u as u is large is replaced by a nearer one, if digits of u are lost otherwise."""

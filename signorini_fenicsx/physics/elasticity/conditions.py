@@ -8,8 +8,7 @@ from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
-from signorini_fenicsx.base.arguments import check_kind, check_names
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind, check_names
 from signorini_fenicsx.contact.law import Graph, Law, OnParts, Values
 from signorini_fenicsx.contact.laws import Dirichlet, Friction, Neumann, Wall
 from signorini_fenicsx.discrete.pairs import Pair, Tied

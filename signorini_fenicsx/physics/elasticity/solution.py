@@ -10,11 +10,10 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.tolerances import EXACT_CONTACT
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.discrete.contact_sets import FacetSet, Segments, by_part, by_state, hausdorff
-from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.meshes.domain import AXES
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, elastic_data
 from signorini_fenicsx.physics.elasticity.discrete.friction import FromBefore, law_of_sites

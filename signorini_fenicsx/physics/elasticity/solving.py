@@ -32,7 +32,7 @@ from signorini_fenicsx.physics.elasticity.solve.slipping import is_large
 from signorini_fenicsx.physics.elasticity.solve.task import ElasticTask
 from signorini_fenicsx.solving.evolution import Evolution
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.system import Remesh, Wish
+from signorini_fenicsx.solving.solver import Remesh, Wish
 
 MORE_WITH_FRICTION = 4
 """So many times the iterations of other problems are allowed for each bound in the plane, and in space for large μ."""

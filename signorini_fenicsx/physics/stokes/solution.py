@@ -8,8 +8,8 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.discrete.datum import datum_of
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature
 from signorini_fenicsx.physics.elasticity.solution import ERROR_DEGREE, ElasticSolution

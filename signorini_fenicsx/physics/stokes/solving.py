@@ -11,7 +11,7 @@ from signorini_fenicsx.physics.elasticity.solve.task import ElasticTask
 from signorini_fenicsx.physics.stokes.solution import StokesSolution
 from signorini_fenicsx.physics.stokes.solvability import check_flow
 from signorini_fenicsx.solving.options import Options
-from signorini_fenicsx.solving.system import Wish
+from signorini_fenicsx.solving.solver import Wish
 
 
 class FlowSteps(ElasticSteps):

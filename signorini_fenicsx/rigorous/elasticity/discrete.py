@@ -17,8 +17,8 @@ from signorini_fenicsx.expressions.intervals import Elementary
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.physics.elasticity.bound.hidden import loads_of
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.rigorous.discrete import Cells, alike, gathered_rows
 

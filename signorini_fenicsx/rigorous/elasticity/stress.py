@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.discrete.simplices import opposite
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.forms.elasticity import pairs
 from signorini_fenicsx.rigorous.balance import balanced

@@ -27,7 +27,7 @@ from dolfinx import fem
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.certificate.proof import Proofs, Proven
-from signorini_fenicsx.discrete.simplices import facet_normals, opposite
+from signorini_fenicsx.discrete.linear_traces import facet_normals, opposite
 from signorini_fenicsx.expressions import Binary, Tree, interval, is_polynomial
 from signorini_fenicsx.expressions.intervals import Interval, enclosing, stacked
 from signorini_fenicsx.expressions.tree import Negative, exactly

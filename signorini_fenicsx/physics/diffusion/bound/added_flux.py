@@ -12,8 +12,8 @@ from signorini_fenicsx.discrete.bernstein import interpolation
 from signorini_fenicsx.discrete.points import cell_quadrature
 from signorini_fenicsx.expressions import TREES, is_polynomial
 from signorini_fenicsx.expressions.enclosures import ranges
-from signorini_fenicsx.expressions.quadratics import interpolated
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.expressions.simplices import interpolated
+from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.discrete.added_flux import DEGREE
 

@@ -23,7 +23,7 @@ from signorini_fenicsx.discrete.mesh_spaces import extreme_around
 from signorini_fenicsx.discrete.points import CellPoints, cell_quadrature, in_cells
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.laws import held_beyond, pieces_beside
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import RIGID
 from signorini_fenicsx.physics.diffusion.bound.relaxation import Springs
 from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, set_means

@@ -58,7 +58,7 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
 )
 from signorini_fenicsx.physics.diffusion.bound.levels import levels
 from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.rays import Ray
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, Weight, relax

@@ -20,12 +20,11 @@ from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.certificate.certificate import first_places
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, Kinds, Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, Kinds, Penalty, SiteConditions
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.physics.diffusion.bound.inside import room, selected
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces

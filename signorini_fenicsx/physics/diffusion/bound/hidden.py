@@ -33,13 +33,13 @@ from signorini_fenicsx.discrete.interpolants import in_nodes, quadratic_of
 from signorini_fenicsx.discrete.points import FacetPoints, in_cells
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges, slopes, tilts
-from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients, constant
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.expressions.simplices import Quadratic, barycentric_gradients, constant
 from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.limits import jumps_in_nodes
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.rays import Ray
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces

@@ -42,8 +42,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_values
 from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.certificate.laws import Area, gap, with_mean
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.laws import Corners, Obstacle
 from signorini_fenicsx.discrete.bernstein import degree_of, exponents
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
@@ -51,8 +50,14 @@ from signorini_fenicsx.discrete.part_laws import PartLaw
 from signorini_fenicsx.discrete.points import CellPoints, in_cells
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
-from signorini_fenicsx.physics.diffusion.bound.local_fields import HIGH, OF_LAW, Projection, at_points, projected
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import (
+    HIGH,
+    OF_LAW,
+    CellMetric,
+    Projection,
+    at_points,
+    projected,
+)
 from signorini_fenicsx.physics.diffusion.bound.rays import Ray, rays_of
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, cell_values, linear_in

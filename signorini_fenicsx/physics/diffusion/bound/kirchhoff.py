@@ -38,7 +38,7 @@ from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Interval
 from signorini_fenicsx.expressions.tree import Call, Coordinate, Number, polynomial_degree, substituted
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import distance
-from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import cell_metric
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.soils import FORMS, Gardner
 from signorini_fenicsx.physics.diffusion.solution import Solution

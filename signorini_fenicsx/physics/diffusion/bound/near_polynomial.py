@@ -27,8 +27,8 @@ from signorini_fenicsx.discrete.points import CellPoints, cells_of_facets, facet
 from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import BESIDE, distances
 from signorini_fenicsx.expressions.products import EXACT, Products, products
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients, interpolated
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.expressions.simplices import barycentric_gradients, interpolated
 from signorini_fenicsx.expressions.tree import polynomial_degree
 from signorini_fenicsx.physics.diffusion.bound.certify import Admissible
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near

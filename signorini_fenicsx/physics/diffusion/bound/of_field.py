@@ -1,4 +1,4 @@
-"""How wrong a function is: a bound of its distance to an admissible one, and of what that leaves; see `of_field`."""
+"""How wrong a function is: a bound of its distance to an admissible one, and of what that leaves; see `certify`."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
-from signorini_fenicsx.certificate.of_field import FieldBound, joined
+from signorini_fenicsx.certificate.certify import FieldBound, joined
 from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
 from signorini_fenicsx.physics.diffusion.bound.certify import OF_PAIRS, Admissible, gap_parts, summed

@@ -11,7 +11,7 @@ from signorini_fenicsx.discrete.bernstein import basis
 from signorini_fenicsx.discrete.bernstein import nodes as lattice
 from signorini_fenicsx.discrete.points import Points, facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawPoints, held_beyond, pieces_beside
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution

@@ -29,21 +29,20 @@ from signorini_fenicsx.discrete.points import (
     quadratic_nodes,
 )
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.expressions.quadratics import Polynomial, Quadratic, barycentric_gradients
-from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
+from signorini_fenicsx.expressions.simplices import Polynomial, Quadratic, barycentric_gradients
 from signorini_fenicsx.physics.diffusion.bound.local_fields import (
     HIGH,
     OF_FLUX,
     OF_LAW,
     OF_LOAD,
+    CellMetric,
     FacetLoad,
     Projection,
     at_points,
     load_norms,
     projected,
 )
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
-from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms
+from signorini_fenicsx.physics.diffusion.bound.reaction import ReactionTerms, Term
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution, Seen
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.data import Data

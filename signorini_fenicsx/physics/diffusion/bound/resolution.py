@@ -30,10 +30,9 @@ from signorini_fenicsx.expressions import TREES, Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import distances, means, ranges
 from signorini_fenicsx.expressions.given import Rows
 from signorini_fenicsx.expressions.intervals import Interval, enclosing
-from signorini_fenicsx.expressions.quadratics import Polynomial, Quadratic
 from signorini_fenicsx.expressions.series import DEGREE
-from signorini_fenicsx.physics.diffusion.bound.local_fields import facet_constants
-from signorini_fenicsx.physics.diffusion.bound.metric import CellMetric
+from signorini_fenicsx.expressions.simplices import Polynomial, Quadratic
+from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric, facet_constants
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 

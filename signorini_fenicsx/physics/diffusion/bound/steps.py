@@ -25,7 +25,7 @@ from signorini_fenicsx.certificate.certificate import Certificate
 from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.points import CellPoints, Points, cell_quadrature
-from signorini_fenicsx.expressions.quadratics import constant
+from signorini_fenicsx.expressions.simplices import constant
 from signorini_fenicsx.physics.diffusion.bound.certify import (
     OF_PAIRS,
     Admissible,
@@ -33,12 +33,11 @@ from signorini_fenicsx.physics.diffusion.bound.certify import (
     gap_parts,
     summed,
 )
-from signorini_fenicsx.physics.diffusion.bound.cut_loads import Term
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import OF_LOAD, Projection
 from signorini_fenicsx.physics.diffusion.bound.local_fields import at_points as of_projection
 from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory
-from signorini_fenicsx.physics.diffusion.bound.reaction import at_points, near_quadratics
+from signorini_fenicsx.physics.diffusion.bound.reaction import Term, at_points, near_quadratics
 from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.evolving import Instant

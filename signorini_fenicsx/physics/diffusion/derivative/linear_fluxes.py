@@ -27,15 +27,13 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
-from signorini_fenicsx.discrete.linear_traces import linear_from_means, linear_values
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import facet_quadrature
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
 from signorini_fenicsx.discrete.seen_on_facets import values_seen
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import law_points, lines_by_data
 from signorini_fenicsx.physics.diffusion.derivative.linearised import check_differentiable
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in

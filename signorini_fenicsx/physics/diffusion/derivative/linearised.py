@@ -26,13 +26,11 @@ from dolfinx import fem
 from ufl import Form
 from ufl.core.expr import Expr
 
-from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask, inverses
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values, set_owned, sums_at
-from signorini_fenicsx.base.small_matrices import inverses
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
-from signorini_fenicsx.contact.memory import LawWithMemory
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
+from signorini_fenicsx.contact.law import LawWithMemory
 from signorini_fenicsx.derivatives.linearised import Effect, Linearised, Solved
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs

@@ -15,17 +15,16 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, inverted, scaled
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells
-from signorini_fenicsx.base.small_matrices import inverted, scaled
 from signorini_fenicsx.discrete.bernstein import coefficients_of, interpolation, nodes
 from signorini_fenicsx.discrete.cell_shapes import arms
 from signorini_fenicsx.discrete.data_values import check_means
 from signorini_fenicsx.discrete.datum import Datum, datum_of, quadrature_degree, regional_datum
 from signorini_fenicsx.discrete.known import Known
 from signorini_fenicsx.discrete.points import Points, cell_quadrature, in_cells
-from signorini_fenicsx.expressions.quadratics import INSIDE
+from signorini_fenicsx.expressions.simplices import INSIDE
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import has_soils
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces

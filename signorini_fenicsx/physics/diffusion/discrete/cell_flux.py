@@ -19,15 +19,13 @@ from typing import Self, cast
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, gathered, squares_of, times
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.base.reference_cells import positive_quadrature
-from signorini_fenicsx.base.small_matrices import gathered, squares_of, times
 from signorini_fenicsx.discrete.bernstein import basis, coefficients_of, jet
 from signorini_fenicsx.discrete.cell_shapes import arms, hat_gradients, mean_moments, some_at_a_time, squared_arms
 from signorini_fenicsx.discrete.points import FacetPoints, Points
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 
 type Weight = Array | float
 """B: a matrix per cell, or one for all, an array of shape (…, dim, dim); or a number times the identity."""

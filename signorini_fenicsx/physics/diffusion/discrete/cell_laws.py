@@ -16,8 +16,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import owned_cells
 from signorini_fenicsx.base.text import did_you_mean
-from signorini_fenicsx.contact.chains import Chains, joined
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions, joined
 from signorini_fenicsx.contact.law import EVERYWHERE, Graph, Law
 from signorini_fenicsx.contact.laws import Obstacle, Reaction, Storage
 from signorini_fenicsx.discrete.data_values import in_problem
@@ -28,8 +27,7 @@ from signorini_fenicsx.discrete.points import facet_type, in_facets, quadratic_n
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance, vertex_graphs
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import Given, combined, parsed
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
 ROUNDING = 1e-12

@@ -10,9 +10,8 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arguments import check_kind
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.owned import function_of, owned_cells, owned_values, set_owned
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.bodies import spread

@@ -13,16 +13,14 @@ from signorini_fenicsx.base.arrays import AnyIndices, Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.contact.chains import Chains
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values, means_of_linear
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, linear_values, means_of_linear
 from signorini_fenicsx.discrete.points import CellPoints, facet_quadrature
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, vertex_laws
 from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import at_vertices
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, order_number, reference
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,9 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, inverses, inverted, scaled, squares_of, times
 from signorini_fenicsx.base.owned import cell_dofs, owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import positive_quadrature
-from signorini_fenicsx.base.small_matrices import inverses, inverted, scaled, squares_of, times
 from signorini_fenicsx.discrete.bernstein import basis, jet
 from signorini_fenicsx.discrete.cell_shapes import mean_moments, squared_arms
 from signorini_fenicsx.discrete.points import Points, in_cells

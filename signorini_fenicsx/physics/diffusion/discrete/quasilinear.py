@@ -18,13 +18,12 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, sums_at
 from signorini_fenicsx.discrete.cell_shapes import Entities, corners
 from signorini_fenicsx.discrete.datum import Datum, conductivity_of
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.discrete.points import Points
-from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions import TREES, Tree, depends_on, values_and_gradient
 from signorini_fenicsx.expressions.evaluation import interval
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import Storing
 from signorini_fenicsx.physics.diffusion.soils import FLOOR, FORMS, Soil
 

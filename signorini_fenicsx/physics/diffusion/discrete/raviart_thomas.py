@@ -14,7 +14,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.simplices import Simplices, facet_normals, null_space
+from signorini_fenicsx.discrete.linear_traces import Simplices, facet_normals, null_space
 
 
 @dataclass(frozen=True)

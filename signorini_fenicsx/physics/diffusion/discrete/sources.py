@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from dolfinx import fem
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, inverses
 from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values
-from signorini_fenicsx.base.small_matrices import inverses
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.discrete import cell_shapes
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces

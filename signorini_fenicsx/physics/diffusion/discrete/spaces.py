@@ -1,4 +1,7 @@
-"""The spaces V_h × Q_h × Λ_h = RT0 × P0 × P0(Γ_S) and the facet arrays on which the algorithms work."""
+"""The spaces V_h × Q_h × Λ_h = RT0 × P0 × P0(Γ_S) and the facet arrays on which the algorithms work.
+
+*The spaces of RT1*: fluxes of order two, u in P1 on each cell, traces that are linear on each facet.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +14,14 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base import fenicsx
-from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.base.owned import function_of
-from signorini_fenicsx.discrete.cell_shapes import squared_arms
+from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, function_of, sums_at
+from signorini_fenicsx.base.reference_cells import SIMPLEX
+from signorini_fenicsx.contact.sites import Kind, Sites
+from signorini_fenicsx.discrete.bernstein import exponents, interpolation
+from signorini_fenicsx.discrete.bernstein import nodes as bernstein_nodes
+from signorini_fenicsx.discrete.cell_shapes import corners, squared_arms
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, LinearTraces, linear_traces, opposite
 from signorini_fenicsx.discrete.mesh_spaces import (
     NEUMANN,
     SIGNORINI,
@@ -26,6 +34,7 @@ from signorini_fenicsx.discrete.mesh_spaces import (
 from signorini_fenicsx.discrete.pairing import joints
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.paired_parts import PairedParts
+from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, nodes, reference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,3 +161,154 @@ def build_spaces(
         neumann_basis_flux=flux_of_basis[neumann_dofs],
         neumann_measure=area_of_basis[neumann_dofs] / flux_of_basis[neumann_dofs],
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearSpaces(LinearTraces, Spaces):
+    """The spaces of one domain for RT1, beside those of RT0, for which data have their means.
+
+    Unknown a of a facet is û at its vertex a. On Γ_S û is in the basis dual to the hats φ_a, so that its coefficient is
+    the φ_a-weighted mean of û, and the residual that belongs to it |e|/d times σ·n at the vertex a. On a part inside
+    the domain the unknowns of the named side are the jump, on a slave of a pair û less the mean of û opposite to it.
+    """
+
+    @property
+    def nodes(self) -> npt.NDArray[np.integer]:
+        """The nodes at the vertices of the owned cells in DOLFINx's order."""
+        return cell_nodes(self.mesh)
+
+    @cached_property
+    def flux_space(self) -> fem.FunctionSpace:
+        """RT1, which DOLFINx counts as degree 2."""
+        return fenicsx.function_space(self.mesh, ("RT", 2))
+
+    @cached_property
+    def scalar_space(self) -> fem.FunctionSpace:
+        """P1 on each cell."""
+        return fenicsx.function_space(self.mesh, ("DG", 1))
+
+    @cached_property
+    def _places(self) -> Indices:
+        """Which of `bernstein.nodes` of degree 2 each node of the owned cells is, see `raviart_thomas.nodes`."""
+        dim, twice = self.dim, exponents(SIMPLEX[self.dim], 2)  # the barycentric coordinates
+        digits = 3 ** np.arange(dim + 1)
+        place = np.empty(3 ** (dim + 1), dtype=np.int64)
+        place[twice @ digits] = np.arange(len(twice))
+        in_order = np.rint(2 * nodes(dim)).astype(np.int64)
+        by_dolfinx = np.zeros((len(self.order), *in_order.shape), dtype=np.int64)
+        np.put_along_axis(by_dolfinx, np.broadcast_to(self.order[:, None], by_dolfinx.shape), in_order[None], axis=2)
+        return np.asarray(place[by_dolfinx @ digits])
+
+    @cached_property
+    def _maps(self) -> tuple[Array, Array, npt.NDArray[np.uint32]]:
+        """F/det F of the owned cells in DOLFINx's order, its inverse, and how DOLFINx turns their facets."""
+        x = corners(self.mesh)  # differences of vertices: DOLFINx rounds F where coordinates are far from 0
+        derivative = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+        self.mesh.topology.create_entity_permutations()
+        turned = self.mesh.topology.get_cell_permutation_info()[: len(x)]
+        push = derivative / np.linalg.det(derivative)[:, None, None]
+        return push, np.linalg.inv(push), turned
+
+    def flux(self, values: Array) -> fem.Function:
+        """The flux with these values at the nodes of the owned cells, shape (cells, nodes, d) (collective)."""
+        sigma = fem.Function(self.flux_space, name="sigma")
+        sigma.x.array[cell_dofs(self.flux_space)] = self._coefficients(values)
+        sigma.x.scatter_forward()
+        return sigma
+
+    def _coefficients(self, values: Array) -> Array:
+        """DOLFINx's coefficients of a flux with these values at the nodes of the owned cells, cell by cell."""
+        element = self.flux_space.element.basix_element
+        at_points = interpolation(SIMPLEX[self.dim], 2, element.points)
+        to_dofs = np.einsum(
+            "biq,qa->aib", element.interpolation_matrix.reshape(-1, self.dim, len(at_points)), at_points
+        )
+        _, pull, turned = self._maps
+        by_dolfinx = np.empty_like(values)
+        np.put_along_axis(by_dolfinx, self._places[:, :, None], values, axis=1)
+        pulled = by_dolfinx @ pull.transpose(0, 2, 1)
+        dofs = np.ascontiguousarray(np.tensordot(pulled, to_dofs, ((1, 2), (0, 1)))).ravel()
+        if len(values) > 0:  # DOLFINx divides by the number of cells
+            self.flux_space.element.Tt_inv_apply(dofs, turned, 1)
+        return dofs.reshape(-1, to_dofs.shape[2])
+
+    def by_basis(self, functional: fem.Function) -> Array:
+        """A functional of fluxes as the sum of one on each owned cell, by its values at the basis there.
+
+        Args:
+            functional: Its values at the basis of `flux_space`, ghosts updated.
+        """
+        cells, dofs = Cells(self.vertices), cell_dofs(self.flux_space)
+        shares = (functional.x.array / sums_at(self.flux_space.dofmap.index_map, dofs))[dofs]
+        units = np.eye(len(reference(self.dim).basis))
+        return np.column_stack(
+            [
+                np.einsum(
+                    "nd,nd->n",
+                    shares,
+                    self._coefficients(cells.at_nodes(np.broadcast_to(unit, (len(dofs), len(unit))))),
+                )
+                for unit in units
+            ]
+        )
+
+    def flux_values(self, sigma: fem.Function) -> Array:
+        """The values of a flux at the nodes of the owned cells, see `raviart_thomas.nodes`."""
+        return np.asarray(np.take_along_axis(self.by_dolfinx(sigma), self._places[:, :, None], axis=1))
+
+    def by_dolfinx(self, sigma: fem.Function) -> Array:
+        """The values of a flux in `bernstein.nodes` of degree 2 of the owned cells, shape (cells, nodes, d)."""
+        basis = self.flux_space.element.basix_element.tabulate(0, bernstein_nodes(SIMPLEX[self.dim], 2))[0]
+        dofs, (push, _, turned) = sigma.x.array[cell_dofs(self.flux_space)].ravel(), self._maps
+        if len(push) > 0:  # DOLFINx divides by the number of cells
+            self.flux_space.element.Tt_apply(dofs, turned, 1)
+        return np.asarray(np.tensordot(dofs.reshape(-1, basis.shape[1]), basis, (1, 1)) @ push.transpose(0, 2, 1))
+
+    def scalar(self, values: Array) -> fem.Function:
+        """The function with these values at the vertices of the owned cells, shape (cells, d + 1) (collective)."""
+        u = fem.Function(self.scalar_space, name="u")
+        u.x.array[np.take_along_axis(cell_dofs(self.scalar_space), self.order, axis=1)] = values
+        u.x.scatter_forward()
+        return u
+
+    def scalar_values(self, u: fem.Function) -> Array:
+        """The values of such a function at the vertices of the owned cells."""
+        return u.x.array[np.take_along_axis(cell_dofs(self.scalar_space), self.order, axis=1)]
+
+    def through(self, facets: BoundaryFacets, values: Array) -> Array:
+        """σ·n at the vertices of boundary facets, shape (facets, d), of values at the nodes."""
+        at_vertices = values[facets.cells[:, None], opposite(self.dim)[facets.local]]
+        return np.einsum("naj,nj->na", at_vertices, facets.normals)
+
+    @cached_property
+    def frames(self) -> list[tuple[BoundaryFacets, Array]]:
+        """The facets of Γ_S and the other sides of those inside the domain, see `LinearTraces.frames`."""
+        dual = (self.dim + 1) * np.eye(self.dim) - 1
+        of_jumps = self.contact, self.across, self.boundary_facets(self.tied)
+        return [(facets, np.broadcast_to(dual, (len(facets.facets), *dual.shape))) for facets in of_jumps]
+
+    def unknowns(self, facets: BoundaryFacets) -> npt.NDArray[np.int32]:
+        """The unknowns of facets, shape (facets, d)."""
+        return np.asarray(facets.blocks[:, None] * self.dim + np.arange(self.dim, dtype=np.int32))
+
+    @cached_property
+    def site_kinds(self) -> Sites:
+        """The vertices of the facets of Γ_S, and those of all owned cells for laws in Ω."""
+        number, dim, cells = len(self.facets), self.dim, self.cell_measures
+        share, in_cells = np.repeat(self.contact.measure / dim, dim), np.repeat(cells / (dim + 1), dim + 1)
+        unknown = self.unknowns(self.contact).ravel()
+        return Sites(
+            Kind("facet", number, np.arange(number), share, (dim,), unknown),
+            Kind("cell", len(cells), np.arange(len(cells)), in_cells, (dim + 1,), unknown[:0]),
+        )
+
+    @property
+    def outer_sites(self) -> Indices:
+        """The sites on the boundary, not inside the domain."""
+        sites: Indices = (self.outer_rows[:, None] * self.dim + np.arange(self.dim)).ravel()
+        return sites
+
+
+def linear_spaces(spaces: Spaces) -> LinearSpaces:
+    """The spaces of RT1 on the mesh of those of RT0 (collective)."""
+    return LinearSpaces(**linear_traces(spaces, (spaces.mesh.topology.dim,)) | {"degree": 1})

@@ -27,7 +27,7 @@ from signorini_fenicsx.discrete.points import CellPoints, FacetPoints, facet_qua
 from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.products import products
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.certify import (
     LAST_KAPPA,
@@ -40,7 +40,7 @@ from signorini_fenicsx.physics.diffusion.bound.equilibrated import ROUNDING, dis
 from signorini_fenicsx.physics.diffusion.bound.hidden import degree_near
 from signorini_fenicsx.physics.diffusion.bound.kirchhoff import NAMED, linear_solution
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, energies
-from signorini_fenicsx.physics.diffusion.bound.metric import cell_metric
+from signorini_fenicsx.physics.diffusion.bound.local_fields import cell_metric
 from signorini_fenicsx.physics.diffusion.bound.near_polynomial import NearPolynomial
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values, in_points, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.through import flux_through

@@ -17,7 +17,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.contact.laws import River, Seepage, Signorini
 from signorini_fenicsx.discrete.data_values import extent
-from signorini_fenicsx.discrete.places import Places
+from signorini_fenicsx.discrete.sections import Places
 from signorini_fenicsx.physics.diffusion.soils import FORMS
 
 if TYPE_CHECKING:  # it has these

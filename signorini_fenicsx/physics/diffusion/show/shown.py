@@ -16,7 +16,7 @@ from signorini_fenicsx.base.owned import cells_behind, owned_values
 from signorini_fenicsx.base.parallel import gather_rows
 from signorini_fenicsx.base.rows import in_digits
 from signorini_fenicsx.base.text import named
-from signorini_fenicsx.contact.conditions import Condition
+from signorini_fenicsx.contact.chains import Condition
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.discrete.site_table import FacetTable, along_parts

@@ -11,8 +11,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, set_direct, snes_failure, solver_name, take_options
 from signorini_fenicsx.physics.diffusion.solve.facet_system import FacetSystem

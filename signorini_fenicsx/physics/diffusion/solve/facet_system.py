@@ -15,7 +15,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_values, sums_at
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Sides, copies
 from signorini_fenicsx.discrete.matrices import of_cells
 from signorini_fenicsx.discrete.mesh_spaces import assembled, cells_and_dofs

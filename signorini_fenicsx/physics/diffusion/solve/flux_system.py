@@ -8,14 +8,19 @@ import numpy.typing as npt
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
-from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals, opposite
+from signorini_fenicsx.discrete.linear_traces import (
+    blocks_of_cells,
+    facet_normals,
+    linear_from_means,
+    means_of_linear,
+    opposite,
+)
 from signorini_fenicsx.discrete.vertex_laws import InCells
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 
 
 class FluxSystem(HybridSystem):

@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Inexact, Iterate
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.linear.earlier import EarlierSolutions
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.linear.kept_factors import Imposed, KeptFactors

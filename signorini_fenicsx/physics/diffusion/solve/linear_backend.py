@@ -15,8 +15,7 @@ from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Inexact, Iterate, PlainBackend
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import Chains, SiteConditions
 from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.linear_traces import means_of_linear
@@ -27,9 +26,9 @@ from signorini_fenicsx.discrete.trace_multigrid import DIRECT_UP_TO
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
 from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.solve.flux_system import FluxSystem
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 from signorini_fenicsx.physics.diffusion.solve.tangent import Tangent, off_chains

@@ -18,21 +18,20 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs, function_of, owned_cells
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells
 from signorini_fenicsx.discrete.matrices import identity_with
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.discrete.points import Points, cell_quadrature
 from signorini_fenicsx.discrete.seen_on_facets import dofs_on_boundary
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.forms.mixed import flux_product, mass_balance, trace_term
 from signorini_fenicsx.linear.constrained_matrix import ConstrainedMatrix
 from signorini_fenicsx.linear.petsc import direct_solver
 from signorini_fenicsx.physics.diffusion.discrete.added_flux import AddedFlux
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.solve.linear_backend import VertexBackend
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
 

@@ -8,14 +8,13 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import function_of, sums_at
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Penalty
+from signorini_fenicsx.contact.chains import Penalty
 from signorini_fenicsx.contact.residuals import relative, squares_off
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, linear_values
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.discrete.raviart_thomas import Cells, reference
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.solve.residuals import KKTResiduals, sizes_of_solution
 
 

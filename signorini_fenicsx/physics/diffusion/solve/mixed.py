@@ -11,7 +11,7 @@ from ufl.core.expr import Expr
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import function_of, owned_values
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.discrete.kept_forms import Coefficient
 from signorini_fenicsx.discrete.mesh_spaces import assembled
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import OnStep, Outcome
 from signorini_fenicsx.forms.mixed import flux_equation, load, mass_balance, trace_term
 from signorini_fenicsx.forms.penalty import flux_penalty_law, trace_penalty_law

@@ -1,7 +1,7 @@
 """The history of a method that has no backend, but makes iterates in the mixed spaces itself."""
 
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import SiteConditions
 from signorini_fenicsx.contact.history import History, OnStep
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces

@@ -6,12 +6,11 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.base.arrays import Array, Indices, inverses
 from signorini_fenicsx.base.owned import cell_dofs, owned_values
-from signorini_fenicsx.base.small_matrices import inverses
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Penalty, SiteConditions
 from signorini_fenicsx.contact.residuals import Residuals, relative, squares_off
 from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, joined, mass_diagonal

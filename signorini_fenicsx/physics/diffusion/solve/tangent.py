@@ -13,8 +13,7 @@ from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LinearSolveFailure
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import SiteConditions
+from signorini_fenicsx.contact.chains import Chains, SiteConditions
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.linear.petsc import LinearSolver, direct_solver
 

@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Indices
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, Penalty, SiteConditions
 from signorini_fenicsx.contact.floating import Floating
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.discrete.contact_sets import Segments
@@ -17,8 +17,7 @@ from signorini_fenicsx.methods.task import Loop, Task
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import LinearData
-from signorini_fenicsx.physics.diffusion.discrete.linear_spaces import LinearSpaces
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.solve.facet_system import PREDICT_FROM
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate, linear_kkt
 from signorini_fenicsx.physics.diffusion.solve.quasilinear import Change, QuasiLinear

@@ -39,8 +39,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, facet_normals
 from signorini_fenicsx.discrete.matrices import OfCells, of_cells
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.linear.petsc import MUMPS_WORKSPACE, LinearSolver, set_direct
 from signorini_fenicsx.physics.elasticity.bound.korn import MOMENTS, korn_constants
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, compliance_product, reference

@@ -53,9 +53,8 @@ from signorini_fenicsx.physics.elasticity.bound.resolution import (
 )
 from signorini_fenicsx.physics.elasticity.bound.tied import lacking
 from signorini_fenicsx.physics.elasticity.discrete.data import LARGEST_DEGREE
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 
 LACKING = "not in the discrete spaces"

@@ -11,8 +11,8 @@ import numpy as np
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.discrete.points import facet_lattice
-from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.expressions.enclosures import surely_above
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
     contact_coefficients,

@@ -26,14 +26,13 @@ from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs, cell_nodes, sums_at
 from signorini_fenicsx.discrete.bernstein import exponents
-from signorini_fenicsx.discrete.simplices import BLOCK, facet_normals, opposite
+from signorini_fenicsx.discrete.linear_traces import BLOCK, facet_normals, opposite
 from signorini_fenicsx.discrete.trace_multigrid import DEFAULTS, TraceCoarse
 from signorini_fenicsx.forms.elasticity import pairs as entries
 from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity.discrete.data import OnSplit
 from signorini_fenicsx.physics.elasticity.discrete.material import STIFF_VOLUME
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BULK, ENOUGH, MeanPressure
 from signorini_fenicsx.physics.elasticity.solve.mean_pressure import MOST as MOST_SOLVES
 

@@ -39,8 +39,7 @@ from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import (
 )
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData, material_on_split
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 
 FREE = 1e-12
 """A condition of whose unit direction less than this square is free is left out; what is given meets it, or nothing."""

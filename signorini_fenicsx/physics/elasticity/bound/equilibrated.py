@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import LinearSolveFailure
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.bound.clear import floors
 from signorini_fenicsx.physics.elasticity.discrete.friction import shortened
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells

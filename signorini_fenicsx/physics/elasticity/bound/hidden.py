@@ -38,23 +38,20 @@ from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.lattices import lagrange, lattice
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells
 from signorini_fenicsx.discrete.points import CellPoints, in_facets
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.expressions import Tree, is_polynomial
 from signorini_fenicsx.expressions.enclosures import distances, moments, ranges
-from signorini_fenicsx.expressions.quadratics import Quadratic, barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE as OF_SERIES
-from signorini_fenicsx.expressions.simplices import Parts
+from signorini_fenicsx.expressions.simplices import Parts, Quadratic, barycentric_gradients
 from signorini_fenicsx.physics.elasticity.bound.body import constant_of_body, constant_of_facets, length_of_facets
 from signorini_fenicsx.physics.elasticity.bound.korn import korn_constants, trace_constants
 from signorini_fenicsx.physics.elasticity.bound.local_fields import INSIDE, ON_FACETS
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, LARGEST_DEGREE, ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, split_vertices
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum, facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
 
 MUCH = 0.5
 """If what may be missed is more than this share of the bound, loads are not resolved."""

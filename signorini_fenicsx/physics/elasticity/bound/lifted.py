@@ -49,8 +49,8 @@ from signorini_fenicsx.discrete.points import beside
 from signorini_fenicsx.expressions import Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import distances, in_points, slopes
 from signorini_fenicsx.expressions.evaluation import values_and_gradient
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
 from signorini_fenicsx.expressions.series import DEGREE
+from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.bound.conforming import OUT
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData

@@ -19,7 +19,7 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.discrete.lattices import lagrange, lagrange_slopes, lattice
-from signorini_fenicsx.discrete.simplices import facet_normals, null_space
+from signorini_fenicsx.discrete.linear_traces import facet_normals, null_space
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,
     entries,

@@ -5,9 +5,9 @@ import ufl
 from dolfinx import fem
 
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.certificate.of_field import FieldBound, joined
+from signorini_fenicsx.certificate.certify import FieldBound, joined
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.physics.elasticity.bound.certify import certificate_of
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import to_entries, to_matrices
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution

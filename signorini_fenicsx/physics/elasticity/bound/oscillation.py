@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.discrete.lattices import lagrange, lattice, numbers_in
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, facet_normals
 from signorini_fenicsx.discrete.points import in_facets
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.physics.elasticity.bound.hidden import (
     fit,
     force_near,

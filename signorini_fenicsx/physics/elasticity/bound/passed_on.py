@@ -32,9 +32,8 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values, opposite
 from signorini_fenicsx.discrete.overlay import common_parts
-from signorini_fenicsx.discrete.simplices import opposite
 from signorini_fenicsx.meshes.refinement import OBLIQUE
 from signorini_fenicsx.physics.elasticity.bound.korn import trace_constants
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, compliance_product, reference

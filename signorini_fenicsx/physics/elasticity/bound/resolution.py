@@ -32,7 +32,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.certificate.certificate import Places, first_places
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells
 from signorini_fenicsx.expressions import TREES, values
 from signorini_fenicsx.expressions.enclosures import distances
 from signorini_fenicsx.expressions.tree import Binary, Call, Negative, Tree, exactly

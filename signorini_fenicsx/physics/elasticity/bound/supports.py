@@ -12,8 +12,7 @@ from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import FacetCoefficients, facet_coefficients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 
 
 @dataclass(frozen=True)

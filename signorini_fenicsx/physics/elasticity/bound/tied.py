@@ -35,14 +35,13 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
+from signorini_fenicsx.discrete.linear_traces import opposite
 from signorini_fenicsx.discrete.overlay import Pieces
-from signorini_fenicsx.discrete.simplices import opposite
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import NOTHING, FacetCoefficients, facet_coefficients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 
 SAME = 1e-7
 """Corners of pieces whose places on a facet differ by less are one."""

@@ -27,11 +27,10 @@ from ufl import Form
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.owned import cell_dofs
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, Solved
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells
 from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.linear.gmres import gmres
 from signorini_fenicsx.physics.elasticity.derivative.moments import of_friction, of_laws, on_boundary
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData

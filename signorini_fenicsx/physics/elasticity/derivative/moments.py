@@ -14,8 +14,8 @@ from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_points, lines
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal
 from signorini_fenicsx.physics.elasticity.discrete.data import DEGREE, ElasticData
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 
 

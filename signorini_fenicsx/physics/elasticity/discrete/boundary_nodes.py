@@ -28,9 +28,8 @@ from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from
 from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import VectorDatum
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import VectorDatum
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 
 ALONG = 1e-12
 """v is given at a node along directions on which the squares of what is given of unit directions add up to more."""

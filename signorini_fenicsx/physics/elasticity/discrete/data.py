@@ -19,10 +19,9 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.discrete.data_values import check_means, check_nodes
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_on_parts
-from signorini_fenicsx.discrete.linear_traces import linear_from_means, linear_values
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, FromBefore, friction_bounds
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import SplitQuadrature, split_vertices
@@ -36,25 +35,22 @@ from signorini_fenicsx.physics.elasticity.discrete.material import (
 )
 from signorini_fenicsx.physics.elasticity.discrete.normal_laws import normal_laws
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
+    PressureDatum,
     Pull,
+    VectorDatum,
     add_pulls,
     add_tractions,
     facet_moments,
     pulls_of,
     traction_moments,
     tractions_given,
-)
-from signorini_fenicsx.physics.elasticity.discrete.raised_gap import RaisedGap, beyond_surfaces
-from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
-from signorini_fenicsx.physics.elasticity.discrete.split_mesh import SplitMesh
-from signorini_fenicsx.physics.elasticity.discrete.supports import Supports, supports_of
-from signorini_fenicsx.physics.elasticity.discrete.tools import Tool, moves_at_sites, tools_at, tools_of
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import (
-    PressureDatum,
-    VectorDatum,
     vector_datum_of,
     vector_on_parts,
 )
+from signorini_fenicsx.physics.elasticity.discrete.raised_gap import RaisedGap, beyond_surfaces
+from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
+from signorini_fenicsx.physics.elasticity.discrete.supports import Supports, supports_of
+from signorini_fenicsx.physics.elasticity.discrete.tools import Tool, moves_at_sites, tools_at, tools_of
 from signorini_fenicsx.physics.elasticity.discrete.viscous import Viscous
 from signorini_fenicsx.physics.elasticity.problem import ElasticProblem
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.reference_cells import SIMPLEX
-from signorini_fenicsx.discrete.simplices import Simplices, facet_normals, null_space, opposite
+from signorini_fenicsx.discrete.linear_traces import Simplices, facet_normals, null_space, opposite
 from signorini_fenicsx.forms.elasticity import pairs as entries
 
 

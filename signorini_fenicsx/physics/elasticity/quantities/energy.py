@@ -15,7 +15,7 @@ from signorini_fenicsx.discrete.bernstein import jet
 from signorini_fenicsx.discrete.cell_shapes import corners
 from signorini_fenicsx.expressions import Tree
 from signorini_fenicsx.expressions.products import products
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.forms.elasticity import square, strain, vector
 from signorini_fenicsx.physics.elasticity.bound.certify import (
     LACKING,
@@ -31,8 +31,7 @@ from signorini_fenicsx.physics.elasticity.bound.lifted import degree_of
 from signorini_fenicsx.physics.elasticity.bound.oscillation import load_oscillation
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_moments
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import PressureDatum, VectorDatum
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import PressureDatum, VectorDatum, facet_moments
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
 from signorini_fenicsx.quantities.beside import SHARE
 from signorini_fenicsx.quantities.bracket import Quantity

@@ -26,8 +26,8 @@ from signorini_fenicsx.expressions.given import Given
 from signorini_fenicsx.forms.elasticity import strain
 from signorini_fenicsx.meshes.domain import AXES, Domain
 from signorini_fenicsx.physics.elasticity.bound.resolution import Resolution
+from signorini_fenicsx.physics.elasticity.discrete.on_facets import components_of
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool
-from signorini_fenicsx.physics.elasticity.discrete.vector_datum import components_of
 from signorini_fenicsx.physics.elasticity.problem import ElasticBoundary, ElasticProblem
 from signorini_fenicsx.quantities.beside import added, check_part
 from signorini_fenicsx.quantities.kinds import Force, Moment

@@ -11,7 +11,7 @@ from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_wor
 from signorini_fenicsx.discrete.curved import curved_parts
 from signorini_fenicsx.discrete.pair_overviews import Overview, overviews
 from signorini_fenicsx.discrete.pairing import Joint
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.show.readings import largest_of

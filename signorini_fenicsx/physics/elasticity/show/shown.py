@@ -10,9 +10,8 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.text import counted
-from signorini_fenicsx.discrete.linear_traces import linear_from_means
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, opposite
 from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, opposite
 from signorini_fenicsx.discrete.site_table import Facets, along_parts
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import to_entries

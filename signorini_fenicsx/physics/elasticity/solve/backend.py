@@ -16,8 +16,7 @@ from signorini_fenicsx.base.errors import LinearSolveFailure
 from signorini_fenicsx.base.tolerances import KKT, LINEAR, STEP
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.contact.backend import Anchored, Inexact, Iterate
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Condition, SiteConditions
 from signorini_fenicsx.contact.sites import Kind
 from signorini_fenicsx.discrete.field_change import FieldChange
 from signorini_fenicsx.discrete.posed import Posed, State

@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.discrete.simplices import facet_normals
+from signorini_fenicsx.discrete.linear_traces import facet_normals
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 BULK = 1e4

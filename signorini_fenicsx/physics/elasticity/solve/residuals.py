@@ -9,9 +9,8 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import sums_at
 from signorini_fenicsx.base.tolerances import LINEAR
 from signorini_fenicsx.contact.residuals import Residuals, squares_off
-from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
+from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, blocks_of_cells, facet_normals, linear_values
 from signorini_fenicsx.discrete.pairing import Joint
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, hats_in_subcells, to_entries
 from signorini_fenicsx.physics.elasticity.discrete.material import mean_compliances

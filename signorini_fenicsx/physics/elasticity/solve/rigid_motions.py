@@ -10,9 +10,8 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
-from signorini_fenicsx.discrete.linear_traces import linear_from_means, means_of_linear
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, means_of_linear
 from signorini_fenicsx.discrete.pairing import Joint
-from signorini_fenicsx.discrete.simplices import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.hybrid_system import Eliminated, HybridSystem, eliminate
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, facet_normals
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, facet_normals
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import (
     Cells,

@@ -9,8 +9,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.chains import Chains
-from signorini_fenicsx.contact.conditions import Penalty, SiteConditions
+from signorini_fenicsx.contact.chains import Chains, Penalty, SiteConditions
 from signorini_fenicsx.contact.history import FoundSets, Outcome
 from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.discrete.contact_sets import Segments

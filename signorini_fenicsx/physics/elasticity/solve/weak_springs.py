@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 
 SPRING = 1e-6
 """Share of a site's diagonal entry that is its spring."""

@@ -7,8 +7,8 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.tolerances import TIE
-from signorini_fenicsx.discrete.simplices import blocks_of_cells, opposite
-from signorini_fenicsx.expressions.quadratics import barycentric_gradients
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, opposite
+from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, reference, split_vertices, to_entries
 from signorini_fenicsx.physics.elasticity.show.readings import largest_of
 

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import eigsh
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.parallel import on_root, on_root_only
 from signorini_fenicsx.base.tolerances import STEP
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.diffusion.solve.classical.gathered import RootRows, matrix_on_root
 from signorini_fenicsx.physics.diffusion.solve.classical.primal import P1History, P1System, primal_outcome

@@ -15,7 +15,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.owned import function_of
 from signorini_fenicsx.base.tolerances import KKT, ROUNDING
 from signorini_fenicsx.contact.backend import Iterate
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.history import History, Outcome
 from signorini_fenicsx.discrete.mesh_spaces import assembled, owned_on_facets
 from signorini_fenicsx.forms.crouzeix_raviart import stiffness

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array
-from signorini_fenicsx.contact.conditions import Condition, SiteConditions
+from signorini_fenicsx.contact.chains import Condition, SiteConditions
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.physics.diffusion.solve.classical.primal import P1History, P1System, primal_outcome
 from signorini_fenicsx.physics.diffusion.solve.classical.projection import iterate_projection, scattered, step_length
