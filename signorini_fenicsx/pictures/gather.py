@@ -22,7 +22,8 @@ class Boundary:
 
     Attributes:
         kind: `spaces.SIGNORINI`, `DIRICHLET` or `NEUMANN`; `PARTLY_FIXED` of an elastic body.
-        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain.
+        u: The known values of u: p_h on Γ_S, the mean of u_D on Γ_D, NaN on Γ_N and inside the domain; of bodies means
+            of the traction that is given, shape (facets, dim).
         vertices: Rows of `Fields.points`, ascending by their numbers in the mesh, shape (facets, dim).
         middles: The middle of the cell of each facet, shape (facets, dim).
     """
@@ -67,15 +68,16 @@ def sample_of(spaces: MeshSpaces) -> Sample:
 def boundary_of(mesh: dolfinx.mesh.Mesh, kinds: Mapping[int, Kind], sample: Sample) -> Boundary | None:
     """The boundary on rank 0; None elsewhere (collective)."""
     columns = [
-        np.column_stack([np.full(len(facets), kind), values, facet_vertices(mesh, facets), _middles(mesh, facets)])
+        np.column_stack([values, np.full(len(facets), kind), facet_vertices(mesh, facets), _middles(mesh, facets)])
         for kind, (facets, values) in kinds.items()
     ]
     rows = gather_rows(mesh.comm, np.concatenate(columns))
     if rows is None:
         return None
     dim = mesh.topology.dim
-    vertices = sample.rows_of(rows[:, 2:-dim].astype(np.int64))
-    return Boundary(rows[:, 0].astype(np.int64), rows[:, 1], vertices, rows[:, -dim:])
+    values, (kind, vertices, middles) = rows[:, : -2 * dim - 1], np.split(rows[:, -2 * dim - 1 :], [1, 1 + dim], axis=1)
+    u = values[:, 0] if values.shape[1] == 1 else values
+    return Boundary(kind[:, 0].astype(np.int64), u, sample.rows_of(vertices.astype(np.int64)), middles)
 
 
 def _middles(mesh: dolfinx.mesh.Mesh, facets: npt.NDArray[np.int32]) -> Array:

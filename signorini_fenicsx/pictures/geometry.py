@@ -54,6 +54,23 @@ def creases(points: Array, triangles: Indices, angle: float = 30) -> Indices:
     return np.unique(edges[~inner], axis=0)
 
 
+def arrows(begins: Array, along: Array, wide: float) -> Array:
+    """Arrows in the plane as polygons, shape (arrows, 7, 2).
+
+    Args:
+        begins: Where they begin, shape (arrows, 2).
+        along: Where they end from there.
+        wide: The width of their heads.
+    """
+    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+    across = wide / length * np.column_stack([-along[:, 1], along[:, 0]])
+    head = 1 - np.minimum(1.2 * wide / length, 0.8)
+    shaft, side = 0.12 * across, 0.5 * across
+    neck, tip = begins + head * along, begins + along
+    corners = [begins + shaft, neck + shaft, neck + side, tip, neck - side, neck - shaft, begins - shaft]
+    return np.stack(corners, axis=1)
+
+
 def framed(points: Array) -> Array:
     """Smallest and largest coordinates with some room around, shape (2, 2)."""
     low, high = points.min(axis=0), points.max(axis=0)

@@ -91,7 +91,7 @@ class Plane:
             (panel, part)
             for of in dict.fromkeys(each.scene for each in shown)
             for part in list((of or scene).labels)[: OVERVIEW_PARTS if maps else None]
-            for panel in _in_pairs([each for each in shown if each.scene is of])
+            for panel in _in_pairs([each for each in shown if each.scene is of and (of or scene).shows(each, part)])
         ]
         steps = [each for each in panels if each.where is Where.STEPS and moves(scene.history)]
         alone = not shown and not steps

@@ -1,7 +1,7 @@
 """Tools for rendered views: rendering without a display, cropping, arrows along the coordinates."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pyvista
 from matplotlib.axes import Axes
 
-from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.base.arrays import Array, Indices
 
 
 @contextmanager
@@ -61,3 +61,16 @@ def triad(axes: Axes, view: Array, size: tuple[float, float]) -> None:
         tip = np.array([direction @ across, direction @ up])
         corner.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "lw": 0.9, "shrinkA": 0, "shrinkB": 0})
         corner.text(*(1.35 * tip), f"${name}$", ha="center", va="center", fontsize=9)
+
+
+def lines_of(points: Array, edges: Indices) -> pyvista.PolyData:
+    """Edges of a mesh, shape (edges, 2)."""
+    if not len(edges):
+        return pyvista.PolyData()
+    return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
+
+
+def surface_of(triangles: Sequence[Array]) -> pyvista.PolyData:
+    """A surface of triangles."""
+    corners = np.concatenate(triangles)
+    return pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))

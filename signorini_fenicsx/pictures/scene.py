@@ -17,6 +17,7 @@ from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import owned_values
 from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.base.rows import in_digits
+from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.cases.case import CaseFile
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -26,7 +27,7 @@ from signorini_fenicsx.discrete.site_table import Facets
 from signorini_fenicsx.meshes.domain import membership
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.gather import Boundary, Fields, boundary_of, fields_of, sample_of
-from signorini_fenicsx.pictures.panels import File, Overlay, Pictures
+from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures
 from signorini_fenicsx.pictures.sample import Sample
 from signorini_fenicsx.solving.drawn import PARTLY_FIXED
 from signorini_fenicsx.solving.physics import PHYSICS
@@ -149,6 +150,24 @@ class Scene:
         """The means of a column of the table of sites over each facet."""
         values: Array = getattr(self.sites, column)[self.rows].mean(axis=1)
         return values
+
+    def shows(self, panel: Panel, part: str) -> bool:
+        """Whether there is more of a panel on a part than 0; what tells its peak tells this too."""
+        plane = self.dim == 2
+        columns = [getattr(self.sites, key) for key in panel.curves] if plane else [self.on_facets(panel.what)]
+        here = (self.sites if plane else self.facets).part == list(self.labels).index(part)
+        sizes = [np.abs(np.nan_to_num(each)) for each in columns]
+        return panel.peak or any(np.any(each[here] > TIE * each.max(initial=0.0)) for each in sizes)
+
+    @cached_property
+    def by_parts(self) -> list[Scene]:
+        """The scene of each part of Γ_S, or of what stands in its place, alone."""
+        alone = []
+        for index, name in enumerate(self.labels):
+            tables = (replace(each, **_rows(each, each.part == index)) for each in (self.facets, self.sites))
+            facets, sites = (replace(each, part=0 * each.part) for each in tables)
+            alone.append(replace(self, facets=facets, sites=sites, parts=[name], opposite=None))
+        return alone
 
     @cached_property
     def touching(self) -> Mask:
@@ -298,6 +317,11 @@ def gathered_scene(
     return replace(
         scene, opposite=replace(scene, facets=there, sites=others[1], parts=surfaces.names, segments=(), inside=())
     )
+
+
+def _rows(table: Any, here: Mask) -> dict[str, npt.NDArray]:
+    """The columns of a table on some of its rows."""
+    return {key: values[here] for key, values in vars(table).items()}
 
 
 def caption(solution: Solved, words: Sequence[str], certificate: Certificate | None) -> str:

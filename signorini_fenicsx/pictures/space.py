@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +23,7 @@ from signorini_fenicsx.pictures.cuts import VIEWS, Cut, best_cuts, best_view, ou
 from signorini_fenicsx.pictures.geometry import creases
 from signorini_fenicsx.pictures.panels import Panel, Where
 from signorini_fenicsx.pictures.plane import log_norm
-from signorini_fenicsx.pictures.rendering import cropped, go_near, offscreen, triad
+from signorini_fenicsx.pictures.rendering import cropped, go_near, lines_of, offscreen, surface_of, triad
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
 
@@ -38,11 +37,11 @@ STILL = 1e-6
 """Vectors that are less than this share of the largest one of the scale have no arrow."""
 HULL = "#c8c8c8"
 """The colour of the boundary that is not in Γ_S."""
-NEAR = 0.25
+NEAR = 0.6
 """Γ_S is shown from near if it is less long than this share of the domain."""
 SAME = 0.92
 """One view is enough if it shows this share of what all views show."""
-SIDE, WIDE_SIDE = 2.5, 3.4
+SIDE, WIDE_SIDE = 2.7, 3.4
 """Inches of a view in a sheet of three columns and of fewer."""
 SHOWN, CUTS = set(Where) - {Where.SURFACE}, (Where.MAP, Where.CUT, Where.ACROSS)
 
@@ -96,13 +95,13 @@ class Space:
     @cached_property
     def frame(self) -> pyvista.PolyData:
         """The edges of the domain."""
-        return _lines(self.scene.fields.points, creases(self.scene.fields.points, self.scene.boundary.vertices))
+        return lines_of(self.scene.fields.points, creases(self.scene.fields.points, self.scene.boundary.vertices))
 
     @cached_property
     def rim(self) -> pyvista.PolyData:
         """The rim of the contact set."""
         touching = self.scene.facets.vertices[self.scene.touching]
-        return _lines(self.scene.fields.points, creases(self.scene.fields.points, touching, angle=180))
+        return lines_of(self.scene.fields.points, creases(self.scene.fields.points, touching, angle=180))
 
     @cached_property
     def views(self) -> list[Array]:
@@ -166,26 +165,40 @@ class Space:
         return grid
 
     def sheet(self, panels: Iterable[Panel], title: str = "") -> Sheet:
-        """Views in rows; those of Γ_S alone from all sides that show it."""
+        """Views in rows; those of Γ_S alone of each part, from all sides that show it."""
         steps, on_gamma = moves(self.scene.history), (Where.GAMMA, Where.SETS)
         shown = [each for each in panels if each.where in SHOWN and (steps or each.where is not Where.STEPS)]
-        views = self.views if all(each.where in on_gamma for each in shown) else [self.view_of_contact]
-        columns = min(3, len(shown))
-        rows, size, handles = -(-len(shown) // columns), SIDE if columns == 3 else WIDE_SIDE, self.handles()
-        sheet = Sheet([size] * columns, [size] * rows * len(views), title=title)
-        for side, (number, panel) in itertools.product(range(len(views)), enumerate(shown)):
-            place = rows * side + number // columns, number % columns
-            name = panel.title if len(shown) == 1 else f"{style.letter(len(shown) * side + number)} {panel.title}"
+        if alone := all(each.where in on_gamma for each in shown):
+            shown = [part for each in shown for part in self._by_parts(each)]
+        views = {id(each): self._views_of(each, alone) for each in shown}
+        cells = [(panel, view) for side in range(2) for panel in shown for view in views[id(panel)][side : side + 1]]
+        columns = min(2 if len(cells) == 4 else 3, len(cells))
+        size, handles = SIDE if columns == 3 else WIDE_SIDE, self.handles()
+        sheet = Sheet([size] * columns, [size] * -(-len(cells) // columns), title=title)
+        for number, (panel, view) in enumerate(cells):
+            place = divmod(number, columns)
+            name = panel.title if len(cells) == 1 else f"{style.letter(number)} {panel.title}"
             if panel.where is Where.STEPS:
                 axes = sheet.panel(*place)
                 draw_steps(axes, self.scene.history, name)
                 handles += axes.get_legend_handles_labels()[0]
             else:
-                space = self.of(panel.scene) if panel.scene else self
-                of = space.views if panel.scene and panel.where is Where.GAMMA else views
-                space.draw(panel, sheet, sheet.view(*place), name, of[min(side, len(of) - 1)])
+                (self.of(panel.scene) if panel.scene else self).draw(panel, sheet, sheet.view(*place), name, view)
         sheet.legend_below(handles)
         return sheet
+
+    def _by_parts(self, panel: Panel) -> list[Panel]:
+        """A panel of Γ_S for each part on which it shows something."""
+        scene = panel.scene or self.scene
+        if panel.where is not Where.GAMMA or len(scene.labels) == 1:
+            return [panel]
+        return [replace(panel, scene=part) for part in scene.by_parts if part.shows(panel, *part.labels)]
+
+    def _views_of(self, panel: Panel, alone: bool) -> list[Array]:
+        """From where a panel is seen."""
+        if alone or (panel.where is Where.GAMMA and panel.scene):
+            return (self.of(panel.scene) if panel.scene else self).views[: None if alone else 1]
+        return [self.view_of_contact]
 
     def of(self, scene: Scene) -> Space:
         """The views of another scene, which keep their images too."""
@@ -207,8 +220,10 @@ class Space:
         where, cut, near = panel.where, None, panel.where is Where.GAMMA and self.is_small
         ends = 0.0, 1.0, "neither"
         if where is Where.GAMMA:
-            ends = _scale(panel.what, scenes or [self.scene])
+            ends = _scale(panel, scenes or [self.scene])
             title = f"{title}{'' if scenes else f' on {self.scene.gamma}'}{', enlarged' * near}"
+            if panel.peak:
+                title += f", at most {getattr(self.scene.sites, panel.what).max():.4g}"
         elif where is not Where.SETS:
             view, ends = self.views[0], panel.ends or (float(panel.what.min()), float(panel.what.max()), "neither")
         norm = log_norm(panel.what) if panel.log else Normalize(*ends[:2])
@@ -235,7 +250,7 @@ class Space:
         elif panel.where is Where.STREAMS:
             self._add_contact(plotter, opacity=0.3)
             for triangles in (each for each in self.scene.lines.values() if len(each)):
-                plotter.add_mesh(_surface(triangles), color=style.WATER, opacity=0.35, lighting=False)
+                plotter.add_mesh(surface_of(triangles), color=style.WATER, opacity=0.35, lighting=False)
             lines = self.streamlines
             tubes = lines.tube(radius=0.005 * self.extent, n_sides=8) if lines.n_points else lines
             if tubes.n_points:  # without flux each line is a point, which has no tube
@@ -244,7 +259,7 @@ class Space:
             surface = self.with_values(panel).extract_surface(algorithm=None)
             plotter.add_mesh(surface, scalars="values", **look)
             for each in (each for each in self.scene.given or () if each.filled and len(each.points)):
-                plotter.add_mesh(_surface(each.points), color=each.look["color"], opacity=0.35, lighting=False)
+                plotter.add_mesh(surface_of(each.points), color=each.look["color"], opacity=0.35, lighting=False)
         elif cut is not None and panel.in_cells:
             self._add_half(plotter, panel, cut, look)
         elif cut is not None:
@@ -297,7 +312,7 @@ class Space:
         for colour, vertices in [*groups, (HULL, boundary.vertices[boundary.kind != SIGNORINI])]:
             self._add_shell(plotter, cut, colour, vertices)
         for triangles in self.scene.lines.values():
-            edge = _surface(triangles).slice(cut.normal, origin=cut.origin) if len(triangles) else pyvista.PolyData()
+            edge = surface_of(triangles).slice(cut.normal, origin=cut.origin) if len(triangles) else pyvista.PolyData()
             if edge.n_cells:
                 self._add_lines(plotter, edge, cut.view, "black", 4)
         sets = [*groups, (style.CONTACT, self.scene.free_boundary())]
@@ -406,30 +421,22 @@ class Space:
         return cropped(image)
 
 
-def _lines(points: Array, edges: Indices) -> pyvista.PolyData:
-    if not len(edges):
-        return pyvista.PolyData()
-    return pyvista.PolyData(points, lines=np.column_stack([np.full(len(edges), 2), edges]).ravel())
-
-
-def _surface(triangles: Sequence[Array]) -> pyvista.PolyData:
-    """A surface of triangles."""
-    corners = np.concatenate(triangles)
-    return pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))
-
-
 def _sizes(values: Array) -> Array:
     """Numbers, of vectors their lengths."""
     return values if values.ndim == 1 else np.linalg.norm(values, axis=1)
 
 
-def _scale(column: str, scenes: Sequence[Scene]) -> tuple[float, float, str]:
-    """Colour limits for a column of tables, and the ends of the colour bar to extend; facets with NaN do not count."""
-    values = np.concatenate([_sizes(scene.on_facets(column)) for scene in scenes])
+def _scale(panel: Panel, scenes: Sequence[Scene]) -> tuple[float, float, str]:
+    """Colour limits for a column of tables, and the ends of the colour bar to extend; facets with NaN do not count.
+
+    Those of lengths of vectors, and of what has a peak, begin at 0.
+    """
+    columns = [scene.on_facets(panel.what) for scene in scenes]
+    values, measure = np.concatenate([_sizes(each) for each in columns]), [scene.facets.measure for scene in scenes]
     finite = np.isfinite(values)
-    measure, least = np.concatenate([scene.facets.measure for scene in scenes]), values[finite].min()
-    low, high, extend = style.limits(values[finite] - least, measure[finite])
-    return low + least, high + least, extend
+    least = 0.0 if panel.peak or columns[0].ndim > 1 else values[finite].min()
+    low, high, extend = style.limits(values[finite] - least, np.concatenate(measure)[finite])
+    return 0.0 if least == 0 else low + least, high + least, extend
 
 
 def _pale(colour: str) -> tuple[float, ...]:

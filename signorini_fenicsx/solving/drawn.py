@@ -15,7 +15,7 @@ PARTLY_FIXED = 4
 """A part of the boundary that is fixed in some components only."""
 
 type Kind = tuple[npt.NDArray[np.int32], Array]
-"""Some facets, and the values of u that are known there; NaN where none is."""
+"""Some facets, and the values of u that are known there; NaN where none is. Of bodies means of given tractions."""
 
 
 @dataclass(frozen=True)

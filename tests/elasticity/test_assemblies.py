@@ -170,13 +170,22 @@ def test_results_of_other_coverage_are_refused(tmp_path: Path, monkeypatch: pyte
     assert "covered in pairs now: it is damaged, or of another version" in " ".join(done.stderr.split())
 
 
-def test_curved_bodies_are_not_drawn_in_one_another() -> None:
-    """A cylinder on a block is drawn apart from it; a shaft in its hub cannot be, so nothing is enlarged."""
-    for name, enlarged in (("roller", True), ("press_fit", False)):
-        scene = gathered_scene(solved(name))
+def test_bodies_in_contact_are_drawn_in_contact() -> None:
+    """A cylinder on a block, a shaft in its hub, and blocks that press each other as shrunk on, are not enlarged.
+
+    Blocks with a gap between meshes that fit together are drawn apart.
+    """
+    blocks = load_case("two_cylinders")
+    shrunk = solve_case(blocks.with_values({"law.0.gap": "-1e-3", "problem.u_D": {"top": [0, 0]}}))
+    for found in (solved("roller"), solved("press_fit"), shrunk):
+        scene = gathered_scene(found)
         assert scene is not None
         title, _ = scene.files["deformed"]
-        assert ("bodies drawn apart" in title) == enlarged
+        assert "bodies drawn apart" not in title
+        assert title.endswith("× 1")
+    apart = gathered_scene(solve_case(blocks))
+    assert apart is not None
+    assert "bodies drawn apart" in apart.files["deformed"][0]
 
 
 WRONG = [

@@ -439,7 +439,7 @@ def test_small_parts_inside_have_a_panel():
     assert 0 < len(near.fields.cells) == cells.sum() < len(rock.fields.cells)
     assert np.ptp(near.frame, axis=0) == pytest.approx(1.5 * np.ptp(rock.fields.points[crack], axis=0).max())
     titles = [axes.get_title() for axes in overview(rock).axes if axes.get_title()]
-    assert titles == ["(a) von Mises stress", rf"(b) less the mean displacement, $\times$ {factor:g}"]
+    assert titles == ["(a) von Mises stress", rf"(b) von Mises stress, less the mean displacement, $\times$ {factor:g}"]
     assert _near(scene("stack")) is None
 
 

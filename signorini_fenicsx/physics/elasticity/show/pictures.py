@@ -10,15 +10,17 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.rows import joined
 from signorini_fenicsx.cases.plot import with_unit
+from signorini_fenicsx.discrete.mesh_spaces import NEUMANN
 from signorini_fenicsx.meshes.domain import AXES, other_side
 from signorini_fenicsx.physics.elasticity.show.shown import BodyFacets
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.evolution import draw_over_time
+from signorini_fenicsx.pictures.geometry import arrows
 from signorini_fenicsx.pictures.panels import File, Overlay, Panel, Pictures, Steps, Where, error_panel, on_gamma
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
 
-SHARE = 0.1
+SHARE = 0.05
 """Of the body's size that the largest displacement is drawn as."""
 APART = 0.08
 """Of the body's size: the distance of bodies that are drawn apart."""
@@ -28,9 +30,12 @@ AROUND = 0.75
 """Of the size of these parts: how far the panel reaches from their middle."""
 TOUCHES = 1e-3
 """Of the body's size: bodies that are drawn this deep in one another touch."""
-NEAR = 0.12
+NEAR = 0.05
 """Of the body's size: where the gap is drawn larger than this, the foundation is not drawn."""
-
+LONG, WIDE, SPACING = 0.09, 0.02, 0.035
+"""Of the body's size: the longest arrow of a traction, the width of its head, the least distance of two."""
+WEAK = 0.1
+"""Tractions of less than this share of the largest one have no arrow."""
 
 MOVES = 0.01
 """A part moves if the mean of its displacement changes by more than this share of the largest of all parts."""
@@ -65,16 +70,16 @@ def files(scene: Scene) -> dict[str, File]:
             "ends": scene.usual(in_cells),
         }
         at_points, plane = np.linalg.norm(fields.at_points[field], axis=1), scene.dim == 2
+        if near is not None:
+            look |= {"ends": style.limits(in_cells[near[1]], scene.measure[near[1]])}
         panels = [
             Panel(at_points, Where.OUTSIDE, f"{label}, deformed body{foundation}", scene=body, **look),
             Panel(in_cells if plane else at_points, Where.MAP, label, scene=body, in_cells=plane, **look),
         ]
         if near is not None:
             few, cells, by = near
-            look |= {"ends": style.limits(in_cells[cells], scene.measure[cells]), "in_cells": True}
-            panels.append(
-                Panel(in_cells[cells], Where.MAP, rf"less the mean displacement, $\times$ {by:g}", scene=few, **look)
-            )
+            words = rf"{label}, less the mean displacement, $\times$ {by:g}"
+            panels.append(Panel(in_cells[cells], Where.MAP, words, scene=few, in_cells=True, **look))
         found[name] = title, panels
     return found | {"pressure": (scene.caption, _on_gamma(scene)), "certificate": ("", error_panel(scene))}
 
@@ -91,7 +96,7 @@ def _on_gamma(scene: Scene) -> list[Panel]:
     if scene.labels:
         gap = on_gamma("gap", "gap", length, ("gap", "$g - u_n$", "C0"))
         slid = on_gamma("sliding_vector", slip, length, ("sliding", "$u_t$", "C1"), **look)
-        panels = [pressed, gap, Panel("", Where.SETS, "contact set")]
+        panels = [pressed, *([] if sites.touching.all() else [gap]), Panel("", Where.SETS, "contact set")]
         panels += [sheared] if (sites.state >= 0).any() else []
         panels += [slid] if np.isfinite(sites.slip).any() else []
     if (other := scene.opposite) is not None:
@@ -112,6 +117,8 @@ def _beside(scene: Scene, moved: Array, factor: float, most: float) -> list[Over
         Overlay("foundation", list(facets), look, filled=True),
         Overlay("", list(facets[:, :2]), {"color": "black", "linewidth": 1.2}),
         Overlay("", list(touching), {"color": "black", "linewidth": 0.8}),
+        _arrows(scene, moved, given=True),
+        _arrows(scene, moved, given=False),
     ]
 
 
@@ -124,54 +131,77 @@ def _mesh(scene: Scene) -> tuple[list[Array], dict[str, Any]]:
 def _placed(scene: Scene, size: float, largest: float) -> tuple[float, Array]:
     """How many times displacements are drawn, and how far bodies are moved apart.
 
-    Where surfaces that share no nodes have a distance, which is not enlarged, bodies would be drawn into one another.
-    Where no motion of whole bodies prevents this, as of a shaft in a hub, displacements are not enlarged.
+    Bodies in contact are drawn in contact. Distances before any displacement are not enlarged: where they would be
+    drawn as gaps, or bodies in one another, displacements are not enlarged either. Where a gap is given between meshes
+    that fit together, this may not do: then bodies are drawn apart, if a motion of whole bodies does that.
     """
+    enlarged, still = _rounded(SHARE * size / largest) if largest > 0 else 1.0, np.zeros_like(scene.fields.points)
+    for factor in (enlarged, min(enlarged, 1.0)):
+        if _is_true(scene, factor, TOUCHES * size):
+            return factor, still
+    moved = _apart(scene, APART * size)
+    return (min(enlarged, 1.0), still) if moved is None else (enlarged, moved)
+
+
+def _is_true(scene: Scene, factor: float, near: float) -> bool:
+    """Whether two bodies are drawn in contact where they are, and nowhere in one another."""
     facets = scene.facets
     assert isinstance(facets, BodyFacets)
-    body = joined(len(scene.fields.points), scene.fields.cells)
-    enlarged = _rounded(SHARE * size / largest) if largest > 0 else 1.0
-    for factor in (enlarged, min(enlarged, 1.0)):
-        moved = _apart(scene, body, APART * size, factor)
-        slaves = np.flatnonzero(facets.opposite >= 0)
-        there = np.searchsorted(scene.fields.ids, facets.opposite[slaves])
-        between = moved[body[facets.vertices[slaves, 0]]] - moved[body[there]]
-        gaps = _drawn_gaps(facets, factor)[slaves] - np.einsum("ni,ni->n", between, facets.normals[slaves])[:, None]
-        if gaps.min(initial=0.0) >= -TOUCHES * size:
-            break
-    return factor, moved[body]
+    inside = _inside(scene)
+    before = np.where(facets.opposite >= 0, factor - 1, factor)[:, None] * facets.apart  # which meshes have in pairs
+    drawn = (factor * facets.gaps - before)[inside]
+    held = facets.gaps[inside] <= near / max(factor, 1.0)
+    return bool(drawn.min(initial=0.0) >= -near and drawn[held].max(initial=0.0) <= 2 * near)
 
 
-def _drawn_gaps(facets: BodyFacets, factor: float) -> Array:
-    """The gaps of pairs where displacements are drawn larger by this factor, and distances as they are."""
-    return factor * facets.gaps - (factor - 1) * facets.apart
+def _apart(scene: Scene, distance: float) -> Array | None:
+    """How far points are moved so that bodies with a gap between meshes that fit together are this far from each other.
 
-
-def _apart(scene: Scene, body: Indices, distance: float, factor: float) -> Array:
-    """How far each body is moved so that bodies that would cover each other are this far from each other.
-
-    These are bodies with a gap between them whose meshes fit together, and pairs, see `_placed`.
+    None if no motion of whole bodies does that.
     """
-    facets, points, number = scene.facets, scene.fields.points, int(body.max()) + 1
+    facets, points, inside = scene.facets, scene.fields.points, _inside(scene)
     assert isinstance(facets, BodyFacets)
-    slave, gaps = facets.opposite >= 0, _drawn_gaps(facets, factor).min(axis=1)
-    inside, deep = _inside(scene) & ~slave, slave & (gaps < -TOUCHES * distance)
-    parted = facets.apart[inside].any()
-    if not (parted or deep.any()):
-        return np.zeros((number, points.shape[1]))
-    other = np.full(len(points), -1)
+    body, other = joined(len(points), scene.fields.cells), np.full(len(points), -1)
     _, place = np.unique(points, axis=0, return_inverse=True)
     for point in np.setdiff1d(np.arange(len(points)), facets.vertices[inside]):
         other[place[point]] = body[point]
     named_body, other_body = body[facets.vertices[:, 0]], other[place[facets.vertices]].max(axis=1)
-    other_body[slave] = body[np.searchsorted(scene.fields.ids, facets.opposite[slave])]
-    lengths = np.where(inside & parted, distance, 0.0)
-    lengths[deep] = distance - gaps[deep].min(initial=0.0)
-    held = inside | deep | (slave & ~np.isin(facets.part, facets.part[deep]))
-    two = held & (named_body != other_body) & (other_body >= 0)
-    rows, each = np.zeros((int(two.sum()), number)), np.arange(int(two.sum()))
+    two = inside & (facets.opposite < 0) & (named_body != other_body) & (other_body >= 0)
+    rows, each = np.zeros((int(two.sum()), int(body.max()) + 1)), np.arange(int(two.sum()))
     rows[each, named_body[two]], rows[each, other_body[two]] = 1.0, -1.0
-    return np.asarray(np.linalg.lstsq(rows, -(lengths[:, None] * facets.normals)[two], rcond=None)[0])
+    moves = np.linalg.lstsq(rows, -distance * facets.normals[two], rcond=None)[0]
+    between = -np.einsum("ni,ni->n", rows @ moves, facets.normals[two])
+    return np.asarray(moves[body]) if between.min(initial=np.inf) > distance / 2 else None
+
+
+def _arrows(scene: Scene, moved: Array, given: bool) -> Overlay:
+    """The tractions that are given, or those of the foundation, as arrows on a deformed body of the plane."""
+    facets, boundary, size = scene.facets, scene.boundary, float(np.ptp(scene.fields.points, axis=0).max())
+    assert isinstance(facets, BodyFacets)
+    if given:
+        loaded = boundary.kind == NEUMANN
+        vertices, pulls, inwards = boundary.vertices[loaded], boundary.u[loaded], boundary.middles[loaded]
+        inwards = inwards - scene.fields.points[vertices].mean(axis=1)
+    else:
+        free = ~_inside(scene)
+        shear = np.nan_to_num(scene.on_facets("shear_vector")[:, :2])
+        pulls = (shear - scene.on_facets("pressure")[:, None] * facets.normals)[free]
+        vertices, inwards = facets.vertices[free], -facets.normals[free]
+    x, strength = moved[vertices].mean(axis=1), np.linalg.norm(pulls, axis=1)
+    kept: list[int] = []
+    for row in np.argsort(-strength, kind="stable") if strength.max(initial=0.0) > LOADED * _strongest(scene) else []:
+        clear = not kept or np.linalg.norm(x[kept] - x[row], axis=1).min() > SPACING * size
+        kept += [row] if clear and strength[row] > WEAK * strength.max() else []
+    along = LONG * size * pulls[kept] / max(float(strength.max(initial=0.0)), 1e-300)
+    push = (np.einsum("ni,ni->n", along, inwards[kept]) > 0)[:, None]
+    label, colour = ("given traction", style.LOAD) if given else ("contact", style.CONTACT)
+    look = {"facecolor": colour, "linewidth": 0.0, "zorder": 6}
+    return Overlay(label, list(arrows(x[kept] - push * along, along, WIDE * size)), look, filled=True)
+
+
+def _strongest(scene: Scene) -> float:
+    """The largest stress."""
+    return float(np.abs(scene.fields.in_cells["stress"]).max(initial=0.0))
 
 
 def _inside(scene: Scene) -> Mask:
@@ -224,8 +254,8 @@ def _near(scene: Scene) -> tuple[Scene, Mask, float] | None:
     largest = float(np.linalg.norm(moves[of_parts], axis=1).max())
     facets = scene.facets
     assert isinstance(facets, BodyFacets)
-    factor = _rounded(SHARE * size / largest) if largest > 0 else 1.0
-    factor = min(factor, 1.0) if facets.apart[facets.opposite >= 0].any() else factor  # distances are not enlarged
+    factor = _rounded(2 * SHARE * size / largest) if largest > 0 else 1.0
+    factor = min(factor, 1.0) if facets.apart.any() else factor  # distances are not enlarged
     frame = np.stack([(low + high) / 2 - AROUND * size, (low + high) / 2 + AROUND * size])
     moved = fields.points + factor * moves
     shown = [places[fields.cells] for places in (fields.points, moved)]

@@ -103,15 +103,17 @@ def drawn(solution: ElasticSolution) -> Drawn:
     by_geometry = np.argsort(spaces.order, axis=1)[:, :, None]
     fixed = np.concatenate([nothing, *(spaces.domain.facets[part] for part in solution.boundary.fixed)])
     free = np.setdiff1d(spaces.neumann_facets, fixed)
-    kinds = {NEUMANN: free, PARTLY_FIXED: fixed}
+    kinds = {kind: facets for kind, (facets, _) in whole_boundary(spaces).items()}
+    kinds |= {NEUMANN: free, PARTLY_FIXED: fixed}
+    unknown = {kind: np.full((len(facets), spaces.dim), np.nan) for kind, facets in kinds.items()}
+    given = spaces.tractions(spaces.boundary_facets(free), solution.stresses).mean(axis=1)
     u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)
     stress = von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None]
     named = solution.data.laws.of_parts or solution.data.friction
     return Drawn(
         corners={"u": u, "stress": np.repeat(stress[:, None], spaces.dim + 1, axis=1)},
         facets=_facets(solution),
-        boundary=whole_boundary(spaces)
-        | {kind: (facets, np.full(len(facets), np.nan)) for kind, facets in kinds.items()},
+        boundary={kind: (facets, (unknown | {NEUMANN: given})[kind]) for kind, facets in kinds.items()},
         cells={"u": u.mean(axis=1), "stress": stress},
         segments=[*segment_names(solution), *STATES] if named else (),
         inside=[*solution.boundary.inner, *(part for pair in solution.boundary.pairs for part in pair.slave)],
