@@ -36,6 +36,7 @@ def test_examples_are_shipped():
             *exact,
             "bar",
             "celia",
+            "confined_cylinder",
             "cylinders",
             "two_spheres",
             "electropainting_growth",

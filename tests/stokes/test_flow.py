@@ -185,6 +185,12 @@ def test_flows_balance_and_their_field_has_no_divergence():
     assert "largest" not in told
 
 
+def test_the_drag_of_a_cylinder_between_walls():
+    """A quarter of it is that of the benchmark of confined cylinders, less what the polygon leaves out."""
+    drag = -4 * solve_case(load_case("confined_cylinder")).resultants()["cylinder"][0]
+    assert drag == pytest.approx(132.36, rel=1e-3)
+
+
 def test_a_report_has_the_words_of_flow():
     """Nothing is said of a contact pressure; the wall is closed where u_n = 0, and the numbers are those of its law."""
     found = channel([Dirichlet("x0", ["y*(1 - y)", 0]), Leak("y1", g=1.0)], ["0", "0"])
