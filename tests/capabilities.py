@@ -253,26 +253,26 @@ def capabilities() -> list[Capability]:
     return [*_shipped(), *_methods(), *_rare(), *_of_0_4()]
 
 
-ON_RANKS = (
-    *("example2", "example6", "crack", "transition3d", "electropainting", "sphere", "dam_baiocchi", "two_obstacles"),
-    *("phases", "hertz", "seepage_falling", "block.toml", "coulomb", "pushed.toml", "space.toml", "read_off.toml"),
-)
-"""Cases that are also run on several ranks, each by its first capability."""
-PATHS_ON_RANKS = (
+ON_THREE_RANKS = (*("example2", "crack", "transition3d --h 1/3 --set", "sphere", "two_obstacles", "hertz", "coulomb"),)
+"""Words in the names of capabilities that are also run on three ranks, each the first with it."""
+ON_TWO_RANKS = (
+    *("example6", "electropainting", "dam_baiocchi", "phases", "block.toml", "space.toml", "read_off.toml"),
+    *("seepage_falling", "pushed.toml"),
     *("transition3d --h 1/3 --element", "regulator --h 1/8 --element", "fault --element"),
     *("alg3", "snes1", "snes2", "--algorithm vi", "qp", "psor", "mixed-uzawa-h12", "--backend mixed", "--rigorous"),
     *("--for-signorini", "solve.max_iterations=1", "--start-from", "export out", "restart", "restart of a storage"),
     *("adapt", "problem.f=", "problem.obstacle=", "solve two_parts.toml", "solve crossed.toml", "solve reaction.toml"),
     *("solve springs.toml", "solve film.toml", "solve blocks.toml", "solve many.toml"),
 )
-"""Words in the names of other capabilities that are also run on several ranks, each the first with it."""
+"""Words in the names of others that are also run on two, as many as there are cores, which takes half the time."""
 
 
 def on_ranks() -> list[list[Capability]]:
-    """Those that together take all paths of the program, for several ranks: by their cases, and the others by words."""
-    of_case = [next(each for each in capabilities() if name in each.name.split()) for name in ON_RANKS]
-    of_path = [next(each for each in capabilities() if word in each.name) for word in PATHS_ON_RANKS]
-    return [of_case, [each for each in of_path if each not in of_case]]
+    """The capabilities that together take all paths of the program: those for three ranks, and those for two."""
+    return [
+        [next(each for each in capabilities() if word in each.name) for word in words]
+        for words in (ON_THREE_RANKS, ON_TWO_RANKS)
+    ]
 
 
 def run(capability: Capability, folder: Path) -> dict[str, Any]:

@@ -2,12 +2,13 @@
 
 import gc
 import os
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 from mpi4py import MPI
-from under_mpirun import IS_CHILD, Launches, OneProcessForLaunches, number_of_ranks, share_folder, tell_parent
+from under_mpirun import IS_CHILD, Launches, number_of_ranks, share_folder, tell_parent
 
 import signorini_fenicsx.api  # noqa: F401 - with DOLFINx, before a test loads adios2, which brings the same libraries
 from signorini_fenicsx.base.parallel import collect_garbage
@@ -17,6 +18,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes c
 
 USUAL_RANKS = 3
 LAUNCHES = pytest.StashKey[Launches]()
+COLLECTED = pytest.StashKey[float]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -48,15 +50,17 @@ def usual_ranks(numbers: Sequence[int]) -> int:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Plan one launch for each number of ranks, and freeze modules, so that the collector skips them between tests."""
-    OneProcessForLaunches.note(session.items)
-    session.stash[LAUNCHES] = Launches(session.items)
+    """Freeze modules, so that the collector skips them between tests."""
     gc.freeze()
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> OneProcessForLaunches:
-    """Spread tests over processes by files, but for parallel ones."""
-    return OneProcessForLaunches(config, log)
+@pytest.hookimpl(wrapper=True)
+def pytest_runtestloop(session: pytest.Session) -> Iterator[None]:
+    """Run the tests of several ranks first, one launch for each number of ranks."""
+    session.stash[LAUNCHES] = launches = Launches(session.items)
+    if not (IS_CHILD or MPI.COMM_WORLD.size > 1 or session.config.option.collectonly):
+        launches.run()
+    return (yield)
 
 
 @pytest.hookimpl(trylast=True)
@@ -73,11 +77,20 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 @pytest.fixture(autouse=True)
-def collect_between_tests() -> Iterator[None]:
-    """Free meshes between tests only, as the command line does (see `parallel.collect_garbage`)."""
+def collect_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Free meshes between tests only, as commands do (see `parallel.collect_garbage`); on one rank once a second."""
     gc.disable()
     yield
-    collect_garbage(MPI.COMM_WORLD)
+    stash, now = request.config.stash, time.monotonic()
+    if MPI.COMM_WORLD.size > 1 or now > stash.get(COLLECTED, 0.0) + 1:
+        collect_garbage(MPI.COMM_WORLD)
+        stash[COLLECTED] = now
+
+
+@pytest.fixture(autouse=True)
+def disk_in_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do not wait for the disk: only a machine that loses its power needs that."""
+    monkeypatch.setattr(os, "fsync", lambda file: None)
 
 
 @pytest.fixture

@@ -9,64 +9,48 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from pathlib import Path
 
 import pytest
 from mpi4py import MPI
 from pytest_mpi.plugin import CHILD_PROCESS_FLAG
-from xdist.scheduler import LoadFileScheduling
 
 from signorini_fenicsx.base.parallel import FORWARDING
 
 PASSED = "SIGNORINI_PASSED_TESTS"
 """File to which rank 0 of a launch adds the tests that pass."""
 SHARED = "SIGNORINI_LAUNCHES"
-"""Folder with the results of launches: the first process of pytest-xdist that needs one starts it for all."""
+"""Folder with the results of launches, for all processes of pytest-xdist."""
 IS_CHILD = CHILD_PROCESS_FLAG in os.environ
 
 
 def number_of_ranks(item: pytest.Item) -> int:
     """The number of ranks of a test, by the marker `parallel[N]` that mpi-pytest gives to each."""
-    return next(int(marker.name[9:-1]) for marker in item.iter_markers() if marker.name.startswith("parallel["))
-
-
-class OneProcessForLaunches(LoadFileScheduling):
-    """Gives one process of pytest-xdist all parallel tests, so that the others need not wait for launches."""
-
-    @staticmethod
-    def note(items: list[pytest.Item]) -> None:
-        """Note the parallel tests where the first process finds them; each process has the same ones."""
-        if "PYTEST_XDIST_WORKER" in os.environ:
-            parallel = [item.nodeid for item in items if number_of_ranks(item) > 1]
-            Path(os.environ[SHARED], "parallel.json").write_text(json.dumps(parallel), encoding="utf-8")
-
-    @cached_property
-    def _parallel(self) -> set[str]:
-        return set(json.loads(Path(os.environ[SHARED], "parallel.json").read_text(encoding="utf-8")))
-
-    def _split_scope(self, nodeid: str) -> str:
-        return "mpirun" if nodeid in self._parallel else super()._split_scope(nodeid)
+    return next((int(marker.name[9:-1]) for marker in item.iter_markers() if marker.name.startswith("parallel[")), 1)
 
 
 class Launches:
-    """The launches of a run; each starts when the first of its tests is due."""
+    """The launches of a run of pytest, which come first: beside another process their ranks would wait for cores."""
 
     def __init__(self, items: list[pytest.Item]):
         """Register the chosen tests."""
         self._items = items
         self._ended: dict[int, tuple[set[str], str]] = {}
 
+    def run(self) -> None:
+        """Run the parallel tests: the first process of pytest-xdist runs them, the others wait for it."""
+        for ranks in sorted({number_of_ranks(item) for item in self._items} - {1}):
+            tests = [item for item in self._items if number_of_ranks(item) == ranks]
+            with in_turn(f"{ranks}.json") as file:
+                if file.stat().st_size == 0:
+                    ended = launch(tests[0].config.rootpath, ranks, [item.nodeid for item in tests])
+                    file.write_text(json.dumps(ended), encoding="utf-8")
+                passed, output = json.loads(file.read_text(encoding="utf-8"))
+            self._ended[ranks] = set(passed), output
+
     def check(self, item: pytest.Item) -> None:
         """Fail if the test did not pass on all ranks."""
         ranks = number_of_ranks(item)
-        if ranks not in self._ended:
-            tests = [other.nodeid for other in self._items if number_of_ranks(other) == ranks]
-            with in_turn("launches"), in_turn(f"{ranks}.json") as file:  # ranks of two launches would wait for cores
-                if file.stat().st_size == 0:
-                    file.write_text(json.dumps(launch(item.config.rootpath, ranks, tests)), encoding="utf-8")
-                passed, output = json.loads(file.read_text(encoding="utf-8"))
-            self._ended[ranks] = set(passed), output
         passed, output = self._ended[ranks]
         if item.nodeid not in passed:
             pytest.fail(f"{item.nodeid} did not pass in this mpirun -n {ranks}:\n{output}", pytrace=False)

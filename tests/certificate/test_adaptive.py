@@ -163,7 +163,7 @@ def test_best_rate_where_uniform_meshes_lose_it(element: str, best: float):
 
 
 @pytest.mark.slow
-@pytest.mark.parallel([3])
+@pytest.mark.parallel(2)
 def test_adaptive_runs_do_not_depend_on_the_ranks():
     for name, values in [
         ("example2", {"solve.h": 0.6, "solve.algorithm": "alg2"}),

@@ -58,7 +58,7 @@ def test_loads_that_are_no_polynomials():
         assert errors["energy"] <= certificate.sigma_bound < 1.25 * errors["energy"]
 
 
-@pytest.mark.parallel([3])
+@pytest.mark.parallel(2)
 def test_on_ranks():
     """The bound of several ranks is that of one."""
     together, alone = (of_sines(comm, 3)[1].numbers() for comm in (COMM, MPI.COMM_SELF))

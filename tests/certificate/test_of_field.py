@@ -152,7 +152,7 @@ def test_finer_flux(folder: Path):
     assert coarse["lower"] < fine["lower"] < 0.0613650 < fine["bound"] < coarse["bound"]
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_any_ranks(folder: Path):
     """Bounds and repair of a field of a file are the same on any number of ranks."""
     found = certified(folder)

@@ -199,7 +199,7 @@ def test_tied_on_two_bodies(end: float) -> None:
     assert "its masters are several bodies" in certificate.reservation + certificate.if_none
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_several_ranks(folder: Path) -> None:
     """The bound is that of one rank, also of a solution that is read; refinement keeps both sides on one rank."""
     pair, parts, world = Pair("up.bottom", "low.top", Tresca(0.02)), ("up.bottom", "low.top"), MPI.COMM_WORLD

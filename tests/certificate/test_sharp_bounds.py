@@ -147,7 +147,7 @@ def test_water_filling():
     assert np.nanmax(np.nanmax(raised, axis=1) - np.nanmin(raised, axis=1)) == 0
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_ranks_do_not_matter():
     """The same on several ranks: vertices of Γ_S with facets of other ranks, loads on facets, a corrected balance."""
     general = {"problem__psi": "0.2*sin(40*x)*cos(30*y) - 0.1", "problem__u_D": "1", "boundary__neumann": ["top"]}

@@ -75,7 +75,7 @@ def test_second_step():
     assert error < certificate.sigma_bound < 2.5 * error
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_ranks_do_not_matter():
     """The same bounds of two steps on several ranks."""
     found = []

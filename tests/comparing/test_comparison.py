@@ -31,7 +31,7 @@ def facet_set(spaces: Spaces, low: float, high: float) -> FacetSet:
     return FacetSet(spaces, (low < x) & (x < high))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_known_sets():
     """Intervals on the bottom of the square and strips on the bottom of the cube, on meshes that do not match."""
     for shape, per_unit in (("square", (4, 10)), ("cube", (2, 6))):

@@ -159,7 +159,7 @@ def test_taylor(name: str):
     assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2, abs=0.1)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize("name", ["laws", "in Ω", "inside", "RT1, laws", "RT1, inside"])
 def test_ranks(name: str):
     """Value and derivatives do not depend on the number of ranks."""

@@ -101,7 +101,7 @@ def test_traces_are_those_of_the_recovered_flux(name: str):
     np.testing.assert_allclose(flux, expected.flux, atol=1e-11)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_sweeps_reduce_every_error():
     """Also where each unknown of a flat cell is on another rank; with ω = 1 that error would grow."""
     matrix = PETSc.Mat().createDense((3, 3), comm=COMM)
@@ -167,7 +167,7 @@ def view(solver: PETSc.KSP) -> str:
         return file.read()
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_levels_of_a_refined_mesh():
     """The meshes from which it was refined are levels: fewer iterations than by GAMG, the same solution."""
     case = load_case("example1")
@@ -313,7 +313,7 @@ def test_an_option_with_a_prefix_is_for_some_solvers_and_nothing_stays():
     assert not {name for name in options.getAll() if name.startswith(("mat_mumps", "snes_vi"))}
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_one_factorisation_for_any_conditions(folder: Path):
     """All kinds at once, with a β and a value on each site, as by a factorisation for these conditions alone."""
     case = make_case(folder, shape="lshape", parts=["bottom", "left"], f="x - y", h=0.3)

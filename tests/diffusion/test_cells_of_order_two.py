@@ -55,9 +55,9 @@ def test_exact_solutions(name: str, order: float, better: float):
     ("name", "h", "most"),
     [
         ("sphere", 1 / 4, 2.4),
-        ("sphere", 1 / 8, 2.1),
+        pytest.param("sphere", 1 / 8, 2.1, marks=pytest.mark.slow),
         ("two_obstacles", 1 / 8, 1.05),
-        ("two_obstacles", 1 / 16, 2.3),
+        pytest.param("two_obstacles", 1 / 16, 2.3, marks=pytest.mark.slow),
         ("saturation", 1 / 8, 2.9),
         ("dead_core", 1 / 8, 2.2),
         ("phases", 1 / 8, 2.8),

@@ -108,8 +108,8 @@ def test_orders_and_bounds(name: str):
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_certificate(name: str):
-    """The bound is true on meshes of two sizes and sharp, and the sum of both squared errors is the gap."""
-    for solution in solutions(name)[:2]:
+    """The bound is true on meshes of two sizes, in space of one, and sharp; both squared errors are the gap."""
+    for solution in solutions(name)[: 1 if "3d" in name else 2]:
         spaces = solution.spaces
         certificate = certify(solution)
         u = parse_expression(case_of(solution).exact.u, ufl.SpatialCoordinate(spaces.mesh))

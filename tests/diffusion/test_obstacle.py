@@ -255,7 +255,7 @@ def test_files(tmp_path):
     assert read.on_obstacle()["contact_cells"] == summary["obstacle"]["contact_cells"]
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_contact_on_another_mesh():
     """Cells are searched only around the contact, and found as if all were; without contact none are."""
     coarse, fine = (build_spaces(build_domain(COMM, "square", h, mesh="unstructured"), []) for h in (0.2, 0.07))

@@ -216,7 +216,7 @@ def test_inside_the_domain():
     assert errors["RT1"]["p_L2"] < errors["RT0"]["p_L2"] / 8, errors
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize("name", ["transition3d", "fault", "regulator"])
 def test_ranks(name: str):
     """Numbers do not depend on the number of ranks."""

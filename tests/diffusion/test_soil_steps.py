@@ -194,7 +194,7 @@ def test_a_case_ends_and_goes_on(tmp_path: Path):
     assert inflow.lower < inflow.value < inflow.upper
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_ranks():
     """Rain, a river and a seepage face that change in time balance; the numbers do not depend on the ranks."""
     beside = [Neumann("left", 0), Seepage("right", level="y")]

@@ -125,7 +125,7 @@ def test_water_is_water(options: Options):
     assert pressures[0].cell_means == pytest.approx(pressures[1].cell_means, abs=1e-9)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_ranks():
     """The phreatic line and all that is read off are the same on any number of ranks."""
     many, one = dam(HEAD), dam(HEAD, MPI.COMM_SELF)

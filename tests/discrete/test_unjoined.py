@@ -242,7 +242,7 @@ def test_command_line(tmp_path: Path) -> None:
         assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_ranks_tell_the_same() -> None:
     """The sentences do not depend on ranks, some of which have no facet there."""
     found = []

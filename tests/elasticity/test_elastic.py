@@ -84,7 +84,7 @@ def linear_problem(dim: int, nu: float) -> tuple[np.ndarray, list[str], list[str
     return stress, u, [f"{float(c)!r} if y > 1 - 1e-9 else 0" for c in stress[:, 1]]
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_patch(dim: int):
     """Linear displacements are found exactly, with parts that are fixed in some components, by axis and by normal."""

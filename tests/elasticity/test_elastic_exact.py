@@ -70,7 +70,7 @@ def test_hertz_without_an_effect_of_the_domain(nu: float, plane: str):
 
 
 @pytest.mark.parallel([1, 3])
-@pytest.mark.parametrize("nu", [0.3, 0.49])
+@pytest.mark.parametrize("nu", [pytest.param(0.3, marks=pytest.mark.slow), 0.49])
 def test_rigid_punch(nu: float):
     """The gap jumps where the punch ends and the pressure is infinite: order 1/2, and the bound follows the error."""
     errors = []
@@ -85,5 +85,6 @@ def test_rigid_punch(nu: float):
     assert errors[1] < 0.07
     assert np.log2(errors[0] / errors[1]) > 0.4
     assert solution.norms()["contact_force"] == pytest.approx(np.pi * P, rel=0.06)
-    alone = certify(solved(MPI.COMM_SELF, 8, nu, "strain", 0.5, flat=True))
-    assert certificate.bound == pytest.approx(alone.bound, rel=1e-10)
+    if COMM.size > 1:
+        alone = certify(solved(MPI.COMM_SELF, 8, nu, "strain", 0.5, flat=True))
+        assert certificate.bound == pytest.approx(alone.bound, rel=1e-10)

@@ -101,7 +101,7 @@ def test_sets_predicted_from_coarser_meshes():
     assert certify(warm).gap == pytest.approx(certify(cold).gap, rel=1e-10)  # no linear solver in it
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize("tuning", [MULTIGRID, DIRECT])
 def test_sets_that_do_not_hold_the_body(tuning: Tuning):
     """Pressed off the middle of a ridge, the body may turn about a single vertex; springs hold it for that step."""
@@ -114,7 +114,7 @@ def test_sets_that_do_not_hold_the_body(tuning: Tuning):
     assert np.abs(solution.resultants()["sum"]).max() < 1e-12
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_the_copy_in_blocks_takes_new_conditions():
     """With two bodies it has the blocks of the traces, and under one set after another, with springs, the products."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [[0.0, 0.0], [1.0, 1.0]], [4, 4])

@@ -93,9 +93,9 @@ def test_patch(dim: int, plane: str):
     check_patch(dim, plane)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_patch_on_ranks():
-    """On three ranks."""
+    """On several ranks."""
     check_patch(2, "strain")
 
 

@@ -44,7 +44,7 @@ def work_at_most(work: Array, into: Array, slips: Array, shears: Array) -> float
     return float(-linprog(cost, A_ub=rows, b_ub=np.zeros(len(rows)), bounds=bounds).fun)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_cutting_planes_find_what_one_programme_finds():
     """For random rows of 1 to 6 motions, spread over the ranks, some with none; and the motion is one of those."""
     rng, held, slides = np.random.default_rng(3), 0, 0

@@ -28,7 +28,7 @@ def solved(comm: MPI.Comm, young: float, laws: list[CoulombLaw]) -> ElasticSolut
     return solve(box(comm, 8, [-1.0, 0.0], [1.0, 1.0]), replace(problem, boundary=boundary))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize(("young", "laws"), [(1e9, []), (1.0, [CoulombLaw(["y0"], mu=0.3)])])
 def test_old_factors_solve_for_new_sets(young: float, laws: list[CoulombLaw], monkeypatch: pytest.MonkeyPatch):
     """Sites are fixed and released by the factors of another set, in any units; Coulomb's steps hardly factorise."""
@@ -96,7 +96,7 @@ def test_a_new_bound_leaves_the_sets_of_a_prediction():
     assert found.friction_states()["slip-"]["measure"] > 0
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize(
     "law",
     [pytest.param(Tresca(0.03), id="Tresca", marks=pytest.mark.slow), pytest.param(Coulomb(0.3), id="Coulomb")],

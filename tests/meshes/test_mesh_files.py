@@ -168,7 +168,7 @@ def test_a_named_shape_from_a_file_has_the_same_solution(tmp_path: Path):
     assert max(result.hausdorff, *vars(result.norms).values()) < 1e-10
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_parts_and_regions_on_any_number_of_ranks(folder: Path):
     """Solve, write, read on one rank, refine: facets, regions and numbers are those of one rank."""
     case = cube_case(folder)

@@ -75,7 +75,7 @@ def test_few_solves_at_any_size(element: str):
             assert 0 < max(step.linear_iterations for step in solution.outcome.history) <= 18
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_patch_is_solved_and_nothing_else_changes():
     """On a patch around two facets of one rank the equations of that rank's unknowns hold; elsewhere x stays."""
     case = load_case("example2").with_values({"solve.h": 1 / 16})

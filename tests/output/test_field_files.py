@@ -57,7 +57,7 @@ def names(folder: Path) -> dict[str, dict[str, list[str]]]:
     return ast.literal_eval(line.removeprefix("NAMES = "))
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_a_uniform_state_of_a_body(folder: Path):
     """Under a uniform pressure all stresses, the contact and the points of the warped body are exact."""
     domain = box(COMM, 1, [0.0, 0.0, 0.0], [2.0, 3.0, 1.0])
@@ -89,7 +89,7 @@ def test_a_uniform_state_of_a_body(folder: Path):
     assert names(folder)["contact"]["contact"] == ["open", "contact"]
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_a_constant_flux_with_regions(folder: Path):
     """A potential u = x is a constant per cell with its exact flux; parts and regions are where they are."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 6, 6)

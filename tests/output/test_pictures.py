@@ -196,7 +196,7 @@ def _by_x(facets: FacetTable) -> FacetTable:
     return type(facets)(**columns | {"along": columns["x"][:, 0]})
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 @pytest.mark.parametrize(("name", "h", "most"), [("example2", 0.1, 300), ("cube", 0.25, 800)])
 def test_sample_is_the_same_on_all_ranks(name: str, h: float, most: int, monkeypatch: pytest.MonkeyPatch):
     """It covers the domain, has all vertices of the boundary, and the values of the whole mesh in its points."""
@@ -334,7 +334,7 @@ def test_titles_are_broken_where_they_are_too_wide():
     assert _wrapped(title, 1.0) == ["one,", "two three", "four", r"$\|a b\| \leq 3$,", "five"]
 
 
-@pytest.mark.parametrize("name", ["example1", "example5", "cube", "sphere"])
+@pytest.mark.parametrize("name", ["example5", "cube"])
 def test_no_panel_without_iteration_errors(name: str):
     """An overview has one panel less where no step changed the first sets, in the plane and in space."""
     drawn = scene(name, h=1 / 4)

@@ -354,7 +354,7 @@ def test_where_given_jumps_meet_the_gap():
     assert proof.proven is not None, proof.reason
 
 
-@pytest.mark.parallel([2, 3])
+@pytest.mark.parallel(2)
 def test_on_ranks():
     """The bound of several ranks is that of one."""
     bounds = []

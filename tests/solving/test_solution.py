@@ -39,7 +39,7 @@ def test_examples():
     assert failed == 0
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_values_at_points_of_any_rank():
     """Each rank asks for its own points, some outside; u has in each cell the mean u_h and the gradient σ_h of RT0."""
     solution = solved()

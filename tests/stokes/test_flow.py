@@ -222,7 +222,7 @@ def test_an_outlet_that_would_suck_is_closed_there():
     assert flows == pytest.approx(1 / 6, rel=1e-12)  # what came in
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_a_wall_leaks_where_it_is_pressed_enough():
     """Fluid from the left leaves by the top, with −σ_nn at most g there, all that comes in."""
     conditions = [Dirichlet("x0", ["y*(1 - y)", 0]), Leak("y1", g=1.0)]

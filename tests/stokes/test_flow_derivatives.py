@@ -61,7 +61,7 @@ def test_gradients(large: int, some: list[int]):
         assert [each[column] for each in gradients] == pytest.approx(differences.tolist(), rel=1e-6, abs=1e-7)
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_gradients_on_several_ranks():
     """They are those on one, also where ranks have no facet with a law."""
     gradients = []

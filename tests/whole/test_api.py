@@ -103,7 +103,7 @@ def test_kinds_of_data(folder: Path):
     assert (folder / "facets.csv").is_file()
 
 
-@pytest.mark.parallel(3)
+@pytest.mark.parallel(2)
 def test_functions_of_points_choose_parts():
     """Parts and regions by functions of points are those by numbers, with ghosts or with those of other ranks alone."""
     mesh, parts = square()

@@ -7,6 +7,9 @@ from typing import Any
 import pytest
 from capabilities import GOLDEN, Capability, capabilities, differences, on_ranks, run
 
+ON_RANKS = {each.name for some in on_ranks() for each in some}
+"""Names of the capabilities that are run on several ranks; on one rank they are slow tests."""
+
 
 @pytest.fixture(scope="module")
 def recorded() -> dict[str, Any]:
@@ -21,7 +24,10 @@ def test_each_capability_has_a_name_and_a_record(recorded: dict[str, Any]) -> No
 
 @pytest.mark.parametrize(
     "capability",
-    [pytest.param(each, id=each.name, marks=pytest.mark.slow if each.slow else ()) for each in capabilities()],
+    [
+        pytest.param(each, id=each.name, marks=pytest.mark.slow if each.slow or each.name in ON_RANKS else ())
+        for each in capabilities()
+    ],
 )
 def test_results_are_those_recorded(capability: Capability, recorded: dict[str, Any], tmp_path: Path) -> None:
     assert capability.differences(recorded[capability.name], run(capability, tmp_path)) == []

@@ -15,7 +15,7 @@ SCRIPT = str(Path(__file__).parents[2] / "scripts" / "fuzz.py")
 @pytest.mark.parametrize(
     "options",
     [
-        "--count 8 --seed 9",
+        "--count 4 --seed 9",
         pytest.param("--count 600 --seed 2", marks=pytest.mark.slow),
         pytest.param("--count 50 --seed 3 --ranks 2", marks=pytest.mark.slow),
     ],
