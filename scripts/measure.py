@@ -12,6 +12,7 @@
 `gradients`   seconds and memory of gradients beside solves
 `methods`     all algorithms on all examples
 `adaptive`    what adaptive refinement gains; `quantities` for intervals of quantities
+`orders`      how intervals of quantities shrink with h
 `cubics`      bounds of bodies by quadratics and by cubics
 `quadratics`  how far quadratic elements pass a bound, and how wrong they are
 `friction`    how many linear problems friction in space takes
@@ -32,7 +33,7 @@ MODULES = {
     **dict.fromkeys(["benchmark", "ours"], "benchmark"),
     **dict.fromkeys(["libraries", "conforming"], "conforming"),
     **dict.fromkeys(["whole-runs", "phases", "repeated", "steps", "gradients"], "runs"),
-    **dict.fromkeys(["adaptive", "quantities", "cubics", "quadratics"], "bounds"),
+    **dict.fromkeys(["adaptive", "quantities", "orders", "cubics", "quadratics"], "bounds"),
     "friction": "elastic",
     **dict.fromkeys(["korn", "proved-korn"], "korn"),
     **dict.fromkeys(["mindlin", "plate", "penalty"], "published"),

@@ -27,8 +27,8 @@ from dataclasses import dataclass
 
 import dolfinx.mesh
 import numpy as np
+from makers.bounds import Row
 from mpi4py import MPI
-from random_bounds import Row
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from broken_input import msh_text, square_msh
-from exact_quantities import Known, bar, membrane
+from makers.quantities import Known, bar, membrane
 from scipy.linalg import solveh_banded
 
 from fuzzing.broken import OUTPUT, Broken, Valid

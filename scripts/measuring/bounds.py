@@ -19,7 +19,17 @@ from petsc4py import PETSc
 from rich.console import Console
 from rich.table import Table
 
-from signorini_fenicsx import Elasticity, adapt_case, certify, load_case, solve, solve_case
+from signorini_fenicsx import (
+    Diffusion,
+    Elasticity,
+    Neumann,
+    Signorini,
+    adapt_case,
+    certify,
+    load_case,
+    solve,
+    solve_case,
+)
 from signorini_fenicsx.certificate.adaptive import ALONE, FIRST_MESH, AdaptRow
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
@@ -29,7 +39,7 @@ from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.elasticity.bound import certify as bound
 from signorini_fenicsx.physics.elasticity.bound import lifted
 from signorini_fenicsx.physics.elasticity.solution import ElasticSolution
-from signorini_fenicsx.quantities import Integral, Kind, Mean, Quantity
+from signorini_fenicsx.quantities import Energy, Flux, Integral, Kind, Mean, Quantity
 from signorini_fenicsx.solving.solved import Solved
 
 QUANTITIES: dict[str, Kind] = {
@@ -199,6 +209,17 @@ def quadratic(domain: Domain) -> fem.Function:
     if snes.getConvergedReason() <= 0:
         raise SystemExit(f"error: SNES does not converge, reason {snes.getConvergedReason()}")
     return w
+
+
+def orders() -> None:
+    """How half the length of some intervals shrinks with h (collective)."""
+    problem = Diffusion(f="-10 if x < 0.5 else 10", conditions=[Signorini("bottom"), Neumann("right")])
+    kinds = [Integral(weight="1 if x < 0.5 else 0"), Mean(), Flux(["left", "bottom", "top"]), Energy()]
+    for n in (16, 32, 64, 128):
+        solution = solve(build_domain(MPI.COMM_WORLD, "square", 1.001 * 2**0.5 / n, mesh="structured"), problem)
+        intervals = [solution.quantity(kind) for kind in kinds]
+        if MPI.COMM_WORLD.rank == 0:
+            print(f"{n:4d} " + "  ".join(f"{each.middle:.6f} ± {each.width / 2:.2e}" for each in intervals), flush=True)
 
 
 def finer(domain: Domain, w: fem.Function, levels: int) -> tuple[Domain, fem.Function]:

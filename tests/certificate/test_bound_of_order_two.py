@@ -8,8 +8,8 @@ import pytest
 import ufl
 from dolfinx import fem
 from made_cases import EXACT, on_grid
+from makers.bounds import examine
 from mpi4py import MPI
-from random_bounds import examine
 
 from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.cases.case import load_case

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from commands import signorini
 from made_cases import EXACT, on_grid
+from makers.bounds import difference
 from mpi4py import MPI
-from random_bounds import difference
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case

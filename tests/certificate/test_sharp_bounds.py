@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import ufl
 from made_cases import on_square, rotated
+from makers.bounds import difference, examine
 from mpi4py import MPI
-from random_bounds import difference, examine
 
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.domains import mesh_case

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from exact_strips import Strip
+from makers.bounds import Strip
 from mpi4py import MPI
 
 from signorini_fenicsx import Diffusion, Neumann, Signorini, certify, domain_of, solve

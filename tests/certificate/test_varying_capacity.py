@@ -3,8 +3,8 @@
 import dolfinx
 import numpy as np
 import pytest
+from makers.bounds import difference
 from mpi4py import MPI
-from random_bounds import difference
 
 from signorini_fenicsx import Diffusion, Evolution, Signorini, StepBounds, evolve
 from signorini_fenicsx.base.owned import function_of

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from in_time import run, run_in_two
+from makers.bounds import difference
 from mpi4py import MPI
-from random_bounds import difference
 
 from signorini_fenicsx import (
     Diffusion,

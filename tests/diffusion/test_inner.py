@@ -7,8 +7,8 @@ import dolfinx.mesh
 import numpy as np
 import pytest
 from exact import energy_error
+from makers.bounds import difference
 from mpi4py import MPI
-from random_bounds import difference
 
 from signorini_fenicsx import Diffusion, Signorini
 from signorini_fenicsx.base.errors import InputError

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from commands import run
 from made_cases import EXACT, many, on_grid
+from makers.scalar import examine_laws
 from mpi4py import MPI
-from random_laws import examine
 
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.base.tuning import Tuning
@@ -97,7 +97,7 @@ def test_all_laws_at_once(folder: Path):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_random_problem(seed: int):
-    result = examine(seed)
+    result = examine_laws(seed)
     assert result is None or (result.good and result.difference < 1e-6) or np.isnan(result.difference), result
 
 

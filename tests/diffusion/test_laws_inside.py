@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from makers.bounds import difference
+from makers.scalar import AGREE_OF_LAWS, examine_laws, halved
 from mpi4py import MPI
-from random_bounds import difference
-from random_laws import AGREE, examine, halved
 
 from signorini_fenicsx import (
     Corners,
@@ -157,11 +157,11 @@ def test_short_forms():
 @pytest.mark.parametrize("seed", [3, 7, 12, 22, 30])
 def test_random_laws(seed: int):
     """Random laws in Ω and on Γ_S, some of them in one half, against a quadratic programme."""
-    result = examine(seed, inside=True)
+    result = examine_laws(seed, inside=True)
     assert result is not None
     assert "sets repeat" in result.ending
     assert result.kkt < KKT
-    assert result.difference < AGREE
+    assert result.difference < AGREE_OF_LAWS
 
 
 LAWS: list[list[Law]] = [

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from makers.bounds import difference
 from meeting_parts import Lines, crossed_square, cut_cube
 from mpi4py import MPI
-from random_bounds import difference
 
 from signorini_fenicsx.base.tuning import Tuning
 from signorini_fenicsx.cases.case import load_case

@@ -1,4 +1,4 @@
-"""A few seeds of `scripts/random_problems.py`, and objects that a launch of many runs might leave behind."""
+"""A few seeds of `scripts/random_runs.py problems`, and objects that a launch of many runs might leave behind."""
 
 import sys
 from dataclasses import replace
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from commands import run
-from random_problems import examine, random_problem
+from makers.scalar import examine, random_problem
 
 from signorini_fenicsx.cases.solving import options_of
 from signorini_fenicsx.solving.solver import solve

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from commands import signorini
 from in_time import ending_after
+from makers.bounds import difference
 from mpi4py import MPI
-from random_bounds import difference
 
 from signorini_fenicsx import Diffusion, Evolution, Neumann, Obstacle, Signorini, Storage, evolve
 from signorini_fenicsx.cases.case import load_case

@@ -5,8 +5,8 @@ from pathlib import Path
 import dolfinx.mesh
 import numpy as np
 import pytest
+from makers.first import ending, problem
 from mpi4py import MPI
-from random_first_problems import ending, problem
 
 from signorini_fenicsx import (
     Contact,
@@ -112,5 +112,5 @@ def test_a_flat_cell():
     "seed", [1, 3, 56, 312, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(5, 56))]
 )
 def test_random_first_problem(seed: int, tmp_path: Path):
-    """A few seeds of `scripts/random_first_problems.py`, by default options: solved, or it is said why not."""
+    """A few seeds of `scripts/random_runs.py first`, by default options: solved, or it is said why not."""
     assert ending(problem(seed, tmp_path)) in (["no solution"] if seed == 56 else ["solved", "no solution"])

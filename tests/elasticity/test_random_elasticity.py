@@ -1,7 +1,7 @@
-"""A few seeds of `scripts/random_elasticity.py`, which mixes all that elastic problems take."""
+"""A few seeds of `scripts/random_runs.py elasticity`, which mixes all that elastic problems take."""
 
 import pytest
-from random_elasticity import examine
+from makers.bodies import examine
 
 
 @pytest.mark.parametrize(

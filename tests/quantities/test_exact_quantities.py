@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from exact_quantities import Line, Text, total
+from makers.quantities import Line, Text, against_exact, total
 from mpi4py import MPI
-from random_quantities import against_exact
 
 from signorini_fenicsx import Contact, Diffusion, Dirichlet, Elasticity, Neumann, Signorini, solve
 from signorini_fenicsx.discrete.cell_shapes import corners
@@ -87,7 +86,7 @@ def test_products():
 
 @pytest.mark.slow
 def test_random_exact():
-    """Random jumps and kinks, also with |u| of 1000, see `scripts/random_quantities.py --exact`."""
+    """Random jumps and kinks, also with |u| of 1000, see `scripts/random_runs.py exact`."""
     rows = [row for seed in range(30) for row in against_exact(seed)]
     assert not [words for words, guaranteed, inside in rows if guaranteed and not inside]
     assert sum(guaranteed for _, guaranteed, _ in rows) > len(rows) / 2

@@ -13,8 +13,8 @@ import ufl
 from agreement import on_one_rank
 from commands import signorini
 from made_cases import case_of
+from makers.quantities import random_row
 from mpi4py import MPI
-from random_quantities import random_row
 
 from signorini_fenicsx import (
     Contact,
@@ -328,7 +328,7 @@ def test_bodies_at_rest_far_from_contact(problem: Diffusion | Elasticity):
 
 @pytest.mark.parametrize("seeds", [(2, 17), pytest.param(range(40), marks=pytest.mark.slow)], ids=["2", "40"])
 def test_random_problems(seeds: Sequence[int]):
-    """Random quantities of random problems are in their intervals, by a finer mesh, see `scripts/random_quantities`."""
+    """Random quantities of random problems are in their intervals, by `scripts/random_runs.py quantities`."""
     rows = [random_row(seed, shapes=("square", "lshape")) for seed in seeds]
     assert not [str(row) for row in rows if not row.holds]
     assert sum(row.found for row in rows) > len(rows) / 2

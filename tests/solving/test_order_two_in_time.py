@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import ufl
 from in_time import run
+from makers.bounds import difference
 from mpi4py import MPI
-from random_bounds import difference
 from test_time import MOVING, START
 
 from signorini_fenicsx.base.errors import InputError

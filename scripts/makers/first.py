@@ -1,6 +1,4 @@
-"""Solves random first problems of engineers and hydrologists, as case files with the default options.
-
-uv run python scripts/random_first_problems.py --seeds 300 --folder /tmp/problems
+"""Random first problems of engineers and hydrologists, as case files with the default options.
 
 Even seeds are elastic: plates, brackets and blocks with holes, in the plane and in space, one body or two, with gaps,
 weights, loads and heat, on supports, held by contact alone, or by friction alone. Odd seeds are water: hillslopes,
@@ -9,16 +7,12 @@ there is none (exit status 2). No run may fail (exit status 1).
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
-
-import argparse
-import sys
-import tempfile
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from makers import Found
 from signorini_fenicsx import InputError, NumericalFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
@@ -26,6 +20,7 @@ from signorini_fenicsx.cases.solving import solve_case
 NO_SOLUTION = ("can move rigidly", "slides away", "no solution", "cannot carry")
 """What is said of problems without a solution."""
 AXES = "xyz"
+FOLDER = Path("results/first")
 
 
 @dataclass
@@ -362,26 +357,9 @@ def ending(path: Path) -> str:
     return "solved"
 
 
-def main() -> None:
-    """Go through the seeds; exit status 1 if something is wrong."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--seeds", type=int, default=300)
-    options.add_argument("--first", type=int, default=0)
-    options.add_argument("--step", type=int, default=1)
-    options.add_argument("--folder", type=Path, default=None)
-    asked = options.parse_args()
-    folder = asked.folder or Path(tempfile.mkdtemp())
-    folder.mkdir(parents=True, exist_ok=True)
-    endings: Counter[str] = Counter()
-    for seed in range(asked.first, asked.first + asked.seeds * asked.step, asked.step):
-        result = ending(problem(seed, folder))
-        good = result in ("solved", "no solution")
-        endings[result if good else result.partition(":")[0]] += 1
-        if not good:
-            print(f"seed {seed}: {result}", flush=True)
-    print(dict(endings))
-    sys.exit(0 if set(endings) <= {"solved", "no solution"} else 1)
-
-
-if __name__ == "__main__":
-    main()
+def first_problem(seed: int) -> list[Found]:
+    """Write a problem and solve it (collective)."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    result = ending(problem(seed, FOLDER))
+    good = result in ("solved", "no solution")
+    return [Found(result, [result if good else result.partition(":")[0]], wrong=not good, shown=False)]

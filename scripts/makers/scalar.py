@@ -1,0 +1,330 @@
+"""Random scalar problems, with one law or several, against independent solvers.
+
+Each seed draws a shape, a mesh (structured, unstructured, or stretched and sheared), boundary parts, smooth or rough
+data, κ with jumps of up to 1e6, an algorithm and a backend. Algorithms 1 and 2 are compared with SNESVI, Algorithms 3
+and 4 with SNES on the block system with the same ε. With several laws each part of Γ_S has Signorini, friction,
+two-sided bounds, a wall, a regulator or a random monotone graph, with data that vary along the part, and some problems
+have no Γ_D; there may be one to three laws in Ω as well, some in one half of it. Then the other solver is a quadratic
+programme; where that fails, as where κ jumps on bad cells, it is the other algorithm with the other backend.
+"""
+
+import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from dolfinx import fem
+from dolfinx.mesh import compute_midpoints
+from mpi4py import MPI
+
+from makers import Found
+from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.tolerances import KKT
+from signorini_fenicsx.cases.case import load_case
+from signorini_fenicsx.cases.domains import mesh_case
+from signorini_fenicsx.cases.solving import options_of
+from signorini_fenicsx.contact.law import EVERYWHERE, Law
+from signorini_fenicsx.contact.laws import Corners, Friction, Obstacle, Reaction, Regulator, Signorini, TwoSided, Wall
+from signorini_fenicsx.meshes.domain import Boundary, Domain
+from signorini_fenicsx.meshes.shapes import SHAPES
+from signorini_fenicsx.physics.diffusion.case import Case
+from signorini_fenicsx.physics.diffusion.problem import Problem
+from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.solving.options import Options
+from signorini_fenicsx.solving.solver import solve
+
+type Array = npt.NDArray[np.float64]
+
+AGREE = 1e-7
+"""Largest relative difference of p and σ by rounding."""
+SIZES = {"square": 0.2, "lshape": 0.4, "half_disk": 0.3, "annulus": 0.4, "cube": 0.6, "lprism": 0.9, "ball": 0.9}
+REFERENCES = {"alg1": "vi", "alg2": "vi", "alg3": "snes1", "alg4": "snes2"}
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a seed.
+
+    Attributes:
+        problem: The problem in words.
+        ending: Why the algorithm ended.
+        kkt: Largest KKT residual.
+        difference: Largest relative difference of p or σ from the reference; NaN if the reference failed.
+    """
+
+    problem: str
+    ending: str
+    kkt: float
+    difference: float
+
+    @property
+    def good(self) -> bool:
+        """Whether it is a solution, and equal to the reference if there is one."""
+        return self.ending.startswith("the facet sets repeat") and self.kkt <= KKT and not self.difference > AGREE
+
+    def found(self, counts: list[str], *, wrong: bool) -> Found:
+        """It in words, which are shown unless it is as it should be."""
+        numbers = {"KKT": self.kkt} | ({} if np.isnan(self.difference) else {"difference": self.difference})
+        words = f"{self.problem}: {self.ending}; KKT {self.kkt:.1e}; {self.difference:.1e}"
+        return Found(words, counts, numbers if np.isfinite(self.kkt) else {}, wrong, shown="failed" in counts)
+
+
+@dataclass(frozen=True)
+class Wave:
+    """sin(k·x + a)."""
+
+    k: Array
+    a: float
+
+    def __call__(self, x: Array) -> Array:
+        """Its values in points of shape (3, n)."""
+        return np.sin(self.k @ x + self.a)
+
+
+def random_problem(seed: int) -> tuple[Case, Domain, Problem, str]:
+    """A case, its mesh, its data and a description."""
+    rng = np.random.default_rng(seed)
+    case = random_case(rng)
+    domain = mesh_case(case, MPI.COMM_SELF)
+    bad = distort(rng, domain)
+    contrast = 10 ** rng.uniform(0, 6) if rng.random() < 0.7 else 1.0
+    rough = rng.random() < 0.5
+    problem = random_data(rng, domain, contrast, rough=rough)
+    boundary, solving = case.boundary, case.solve
+    words = [case.geometry.shape or "", case.geometry.mesh, "bad cells" if bad else ""]
+    words += [f"Γ_S {boundary.signorini}", f"Γ_N {boundary.neumann}", f"κ 1 to {contrast:.0e}"]
+    words += ["rough f" if rough else "smooth f", solving.algorithm, solving.backend]
+    return case, domain, problem, ", ".join(word for word in words if word)
+
+
+def random_case(rng: np.random.Generator) -> Case:
+    """A shape, its mesh, its boundary parts, an algorithm and a backend."""
+    shape = str(rng.choice(list(SIZES)))
+    parts = [str(part) for part in rng.permutation(list(SHAPES[shape].parts))]
+    signorini = parts[: rng.integers(1, len(parts))]
+    others = parts[len(signorini) :]
+    neumann = others[: rng.integers(0, len(others))]
+    structured = SHAPES[shape].grid is not None and rng.random() < 0.5
+    algorithm, backend = (str(rng.choice(names)) for names in (list(REFERENCES), ["hybrid", "mixed"]))
+    return load_case("example1").with_values(
+        {
+            "geometry.shape": shape,
+            "geometry.mesh": "structured" if structured else "unstructured",
+            "boundary.signorini": signorini,
+            "boundary.neumann": neumann,
+            "solve.h": SIZES[shape] * rng.uniform(0.7, 1.2),
+            "solve.algorithm": algorithm,
+            "solve.backend": backend,
+            "solve.eps": 10 ** rng.uniform(-10, 0),
+        }
+    )
+
+
+def distort(rng: np.random.Generator, domain: Domain) -> bool:
+    """Stretch and shear four of ten meshes; return whether this one was."""
+    x = domain.mesh.geometry.x
+    bad = bool(rng.random() < 0.4)
+    if bad:
+        x[:, 1] *= 10 ** rng.uniform(-2, 1)
+        x[:, 0] += rng.uniform(-4, 4) * x[:, 1]
+    return bad
+
+
+def random_data(rng: np.random.Generator, domain: Domain, contrast: float, *, rough: bool) -> Problem:
+    """Data of order 1 on a mesh of any size: κ jumps between 1 and its contrast, f is a wave or noise."""
+    size = float(np.ptp(domain.mesh.geometry.x, axis=0).max())
+
+    def wave() -> Wave:
+        return Wave(rng.uniform(1, 10, 3) / size, rng.uniform(0, 6))
+
+    P0 = fem.functionspace(domain.mesh, ("DG", 0))
+    f, kappa = fem.Function(P0), fem.Function(P0)
+    centroids = P0.tabulate_dof_coordinates().T
+    f.x.array[:] = 40 / size**2 * (rng.standard_normal(len(f.x.array)) if rough else wave()(centroids))
+    kappa.x.array[:] = np.where(wave()(centroids) > 0, contrast, 1.0)
+    general = rng.random() < 0.5
+    u_D, g_N, psi, q_S = (rng.uniform(-1, 1) * general for _ in range(4))
+    u_wave, g_wave, psi_wave, q_wave = (wave() for _ in range(4))
+    return Problem(
+        f=f,
+        kappa=kappa,
+        u_D=lambda x: u_D * u_wave(x),
+        g_N=lambda x: g_N / size * g_wave(x),
+        psi=lambda x: psi * psi_wave(x),
+        q_S=lambda x: q_S / size * q_wave(x),
+    )
+
+
+def examine(seed: int) -> Result:
+    """Solve the problem of a seed with its algorithm and with the reference."""
+    case, domain, problem, words = random_problem(seed)
+    try:
+        solution = solve(
+            domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary), options_of(case)
+        )
+    except NumericalFailure as failure:
+        return Result(words, str(failure), np.inf, np.nan)
+    reference = case.with_values({"solve.algorithm": REFERENCES[case.solve.algorithm]})
+    try:
+        expected = solve(
+            domain, replace(problem, boundary=case.posed(domain.mesh.geometry.dim).boundary), options_of(reference)
+        )
+    except NumericalFailure:
+        difference = np.nan
+    else:
+        difference = max(distance(solution.sigma, expected.sigma), distance(solution.p, expected.p))
+    return Result(words, solution.outcome.reason, max(vars(solution.kkt).values()), difference)
+
+
+def problem(seed: int) -> list[Found]:
+    """Examine a problem with one law."""
+    result = examine(seed)
+    counts = ["reference failed"] * bool(np.isnan(result.difference))
+    counts += ["by single changes"] * ("single facets" in result.ending)
+    return [result.found(counts, wrong=not result.good)]
+
+
+def distance(values: fem.Function, expected: fem.Function) -> float:
+    """Largest difference of degrees of freedom, relative to the largest of them."""
+    a, b = values.x.array, expected.x.array
+    largest = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
+    return float(np.abs(a - b).max(initial=0.0) / largest) if largest > 0 else 0.0
+
+
+AGREE_OF_LAWS = 1e-6
+"""Relative difference of p and σ that is left to the interior-point method where κ jumps."""
+
+
+def random_level(rng: np.random.Generator, size: float, low: float, high: float, power: int = 0) -> str:
+    """A number between two over a power of the size, plus a share of a wave: never negative if no number is."""
+    k, a = rng.uniform(1, 10, 2) / size, rng.uniform(0, 6)
+    wave = f"sin({k[0]}*x + {k[1]}*y + {a})"
+    return f"({rng.uniform(low, high) / size**power}*(1 + {rng.choice([0.0, 0.5, 1.0])}*{wave}))"
+
+
+def random_law(rng: np.random.Generator, part: str, size: float) -> Law:
+    """A law with data of order 1 on a domain of any size."""
+
+    def level(low: float, high: float, power: int = 0) -> str:
+        return random_level(rng, size, low, high, power)
+
+    kind = rng.integers(6)
+    if kind == 0:
+        return Signorini([part], psi=level(-0.5, 0.2), q_S=level(-1, 1, 1))
+    if kind == 1:
+        return Friction([part], g=level(0, 2, 1))
+    if kind == 2:
+        psi = level(-0.2, 0.2)
+        return TwoSided([part], psi=psi, psi_upper=f"{psi} + {level(0, 0.5)}", q_S=level(-1, 1, 1))
+    if kind == 3:
+        return Wall([part], beta=level(0, 10 ** rng.uniform(-2, 4), 1), level=level(-0.5, 0.5))
+    if kind == 4:
+        low = level(-1, 0.5, 1)
+        k = 10 ** rng.uniform(-2, 4) / size
+        return Regulator([part], k=k, g_low=low, g_high=f"{low} + {level(0, 2, 1)}", a=level(-0.2, 0.2))
+    return random_graph(rng, part, size)
+
+
+def random_graph(rng: np.random.Generator, part: str, size: float) -> Law:
+    """One to five corners, some of them on vertical or flat lines."""
+    number = rng.integers(1, 6)
+    steps = rng.exponential(0.2, (number, 2)) * (rng.random((number, 2)) < 0.7)
+    u, flux = rng.uniform(-0.5, 0) + np.cumsum(steps[:, 0]), (rng.uniform(0, 1) - np.cumsum(steps[:, 1])) / size
+    ends = [str(rng.choice(["vertical", "0", "3"])) for _ in range(2)]
+    return Corners([part], list(zip(u.tolist(), flux.tolist(), strict=True)), *ends)
+
+
+def random_laws_inside(rng: np.random.Generator, size: float) -> list[Law]:
+    """One to three laws in Ω: obstacles, reactions, graphs; on bounds of u they do not contradict one another."""
+    laws: list[Law] = []
+    for number in range(rng.integers(1, 4)):
+        region = [EVERYWHERE, "west", ["east"]][rng.integers(3)]
+        kind = rng.integers(4 if number == 0 else 3)
+        corners = rng.integers(1, 4)
+        steps = rng.exponential(0.2, (corners, 2)) * (rng.random((corners, 2)) < 0.7)
+        u, s = np.cumsum(steps, axis=0).T
+        if kind == 0:
+            laws.append(Reaction(region=region, c=random_level(rng, size, 0, 3, 2)))
+        elif kind < 3:
+            s = (s - rng.uniform(0, 1)) / size**2
+            ends = rng.choice(["0", "3"], 2)
+            laws.append(Corners(list(zip((u - 0.3).tolist(), s.tolist(), strict=True)), *ends, region=region))
+        else:
+            psi = random_level(rng, size, -0.3, -0.1)
+            upper = f"{psi} + {random_level(rng, size, 0.3, 0.8)}"
+            laws.append(Obstacle(region=region, **dict([("psi", psi), ("psi_upper", upper)][: rng.integers(1, 3)])))
+    return laws
+
+
+def halved(domain: Domain) -> Domain:
+    """The domain with two regions, west and east."""
+    middle = compute_midpoints(domain.mesh, domain.mesh.topology.dim, owned_cells(domain.mesh))[:, 0]
+    west = middle < np.median(middle)
+    cells = {name: np.flatnonzero(inside).astype(np.int32) for name, inside in (("west", west), ("east", ~west))}
+    return replace(domain, regions=cells)
+
+
+def problem_of_laws(seed: int, *, inside: bool = False) -> tuple[Domain, Boundary, Problem, Options, str]:
+    """All that a solve needs, and a description."""
+    rng = np.random.default_rng([seed, 1])
+    case = random_case(rng)
+    domain = mesh_case(case, MPI.COMM_SELF)
+    bad = distort(rng, domain)
+    contrast = 10 ** rng.uniform(0, 6) if rng.random() < 0.5 else 1.0
+    size = float(np.ptp(domain.mesh.geometry.x, axis=0).max())
+    everything = list(domain.parts)
+    with_law = everything if rng.random() < 0.2 else case.boundary.signorini
+    neumann = [part for part in case.boundary.neumann if part not in with_law]
+    laws = [random_law(rng, part, size) for part in with_law]
+    if inside:
+        domain = halved(domain)
+        laws += random_laws_inside(rng, size)
+    problem = replace(random_data(rng, domain, contrast, rough=rng.random() < 0.5), psi=0.0, q_S=0.0, laws=laws)
+    algorithm = str(rng.choice(["alg1", "alg2"]))
+    words = [case.geometry.shape or "", "bad cells" if bad else "", f"Γ_N {neumann}", f"κ 1 to {contrast:.0e}"]
+    words += [f"{law.name} on {(law.parts or law.region)[0]}" for law in laws] + [algorithm, case.solve.backend]
+    options = Options(algorithm=algorithm, backend=case.solve.backend, max_iterations=200)
+    return domain, Boundary([], neumann), problem, options, ", ".join(word for word in words if word)
+
+
+def examine_laws(seed: int, *, inside: bool = False) -> Result | None:
+    """Solve the problem of a seed, and in another way; None if it has no unique solution."""
+    domain, boundary, problem, options, words = problem_of_laws(seed, inside=inside)
+    try:
+        solution = solve(domain, replace(problem, boundary=boundary), options)
+    except InputError as error:
+        if "no part of the boundary" in str(error) or "u_D on Γ_D" in str(error):
+            return None
+        raise
+    except NumericalFailure as failure:
+        return Result(words, str(failure), np.inf, np.nan)
+    algorithm = "alg2" if options.algorithm_name == "alg1" else "alg1"
+    backend = "mixed" if options.backend_name == "hybrid" else "hybrid"
+    ways = [replace(options, algorithm="qp"), replace(options, algorithm=algorithm, backend=backend)]
+    differences = (apart(solution, domain, boundary, problem, way) for way in ways)
+    difference = next((number for number in differences if number is not None), np.nan)
+    return Result(words, solution.outcome.reason, max(vars(solution.kkt).values()), difference)
+
+
+def apart(solution: Solution, domain: Domain, boundary: Boundary, problem: Problem, way: Options) -> float | None:
+    """The relative difference of σ and p from those of another way to solve; None if that way fails."""
+    try:
+        expected = solve(domain, replace(problem, boundary=boundary), way)
+    except (NumericalFailure, InputError):
+        return None
+    size = max(float(np.abs(values.x.array).max(initial=0.0)) for values in (solution.p, solution.u))
+    of_trace = float(np.abs(solution.p.x.array - expected.p.x.array).max(initial=0.0))
+    return max(distance(solution.sigma, expected.sigma), of_trace / size if size > 0 else 0.0)
+
+
+def laws(seed: int, inside: bool = False) -> list[Found]:
+    """Examine a problem with several laws; it may fail, but not be wrong."""
+    result = examine_laws(seed, inside=inside)
+    if result is None:
+        return [Found("", ["without a unique solution"], shown=False)]
+    solved = "sets repeat" in result.ending
+    counts = ["good" if solved else "failed", *["no reference"] * bool(np.isnan(result.difference))]
+    counts += ["by single changes"] * ("by changing single" in result.ending)
+    wrong = solved and (result.kkt > KKT or result.difference > AGREE_OF_LAWS)
+    return [result.found(counts, wrong=wrong)]
