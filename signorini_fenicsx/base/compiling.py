@@ -25,7 +25,6 @@ QUIET = 30.0
 """Seconds without a change after which a file counts as left behind, if nobody holds the lock."""
 PATIENCE = 600.0
 """Seconds to wait for the compiler of another process."""
-PAUSE = 0.1
 
 
 def clear_if_left(form: Path) -> bool:
@@ -35,14 +34,14 @@ def clear_if_left(form: Path) -> bool:
         OSError: If it cannot be removed.
     """
     with _lock(form.parent, fcntl.LOCK_EX | fcntl.LOCK_NB) as (alone, now):
-        if not alone or _ready(form) or now - _last_change(form) < QUIET:
+        if not alone or form.with_suffix(".c.cached").exists() or now - _last_change(form) < QUIET:
             return False
         form.unlink(missing_ok=True)
         return True
 
 
 def patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
-    """Load a form, or compile it if this process may; wait while another process compiles it.
+    """Load a form, or compile it if this process may; wait while another process compiles it, a second at a time.
 
     Args:
         work: Loads it, or compiles it.
@@ -61,7 +60,7 @@ def patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
             if time.monotonic() > until:
                 raise
             for form in cache.glob("*.c") if compiling else ():  # DOLFINx tells the one that it waits for in words only
-                _await(form, until)
+                clear_if_left(form)
         except OSError as error:
             advice = "set XDG_CACHE_HOME to a folder in which compiled forms can be kept"
             raise OSError(error.errno, f"{error.strerror or error}; {advice}", error.filename) from None
@@ -72,16 +71,6 @@ def patiently(work: Callable[[], Any], cache: Path, *, compiling: bool) -> Any:
         except ImportError as error:
             advice = "delete the folder, which will be filled again"
             raise OSError(errno.EIO, f"a compiled form cannot be loaded ({error}); {advice}", str(cache)) from None
-
-
-def _await(form: Path, until: float) -> None:
-    """Wait until a form that another process compiles is ready, given up or left behind, at most until a time."""
-    while form.exists() and not _ready(form) and time.monotonic() < until and not clear_if_left(form):
-        time.sleep(PAUSE)
-
-
-def _ready(form: Path) -> bool:
-    return form.with_suffix(".c.cached").exists()
 
 
 def _last_change(form: Path) -> float:

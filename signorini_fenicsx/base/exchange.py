@@ -29,18 +29,16 @@ from signorini_fenicsx.base.reading import text_of
 
 MANIFEST = "files.json"
 """Lists the files in a results folder that the program wrote."""
-MARK = "summary.json"
-"""Identifies a results folder of an old version that wrote no list."""
 
 OWN = (
     *("checkpoint/about.json", "facets/00000.parquet"),
-    *(MARK, "checkpoint.npz", "history.csv", "facets.csv", "solution.xdmf", "solution.h5"),
+    *("summary.json", "history.csv", "facets.csv", "solution.xdmf", "solution.h5"),
     *(f"{name}.bp/{part}" for name in ("solution", "multiplier") for part in ("data.0", "md.0", "md.idx", "mmd.0")),
     *(f"{name}.bp/profiling.json" for name in ("solution", "multiplier")),
     *("u.png", "sigma.png", "signorini.png", "iterations.png", "certificate.png"),
     *("convergence.csv", "convergence.png", "adapt.csv", "adapt.png", "mesh.png"),
 )
-"""Names of files that the program writes; in a folder without a list, files with these names are the program's."""
+"""Names of files that the program writes: files of the user with these names are told of before anything is solved."""
 
 PARTIAL, LOCK, DONE, FAILED, STEPS = ".partial", "lock", "done", "failed", ".steps"
 PATIENCE = 1.0
@@ -212,11 +210,13 @@ class Area:
             if is_complete(self._at, end):
                 if end == DONE:
                     self._clear(failed_place(self.target))  # it is out of date
-                if kind_of(self._parent, place.name):
+                try:  # in the place of nothing or of an empty folder
+                    os.rename(end, place.name, src_dir_fd=self._at, dst_dir_fd=self._parent)
+                except OSError as error:
+                    if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                        raise
                     with folder_below(self._at, end) as ready, folder_below(self._parent, place.name) as folder:
                         _exchange(ready, folder, place)
-                else:
-                    os.rename(end, place.name, src_dir_fd=self._at, dst_dir_fd=self._parent)
             if kind_of(self._at, end):
                 _delete(self._at, end)
 
@@ -237,8 +237,8 @@ class Area:
         moved = self._listed(self.path / end) if is_complete(self._at, end) else set()
         with folder_below(self._parent, place.name) as folder:
             ours = listed(folder, place)
-            if os.listdir(folder) and not ours and not is_file(folder, MANIFEST):
-                raise InputError(f"output {place}: is not empty and holds no {MARK}; choose another folder")
+            if os.listdir(folder) and not is_file(folder, MANIFEST):
+                raise InputError(f"output {place}: is not empty and holds no {MANIFEST}; choose another folder")
             ours |= moved
             for name in sorted({*OWN, *ours, MANIFEST}):
                 for above in PurePosixPath(name).parents[:-1]:
@@ -355,7 +355,7 @@ def listed(folder: int, place: Path) -> set[str]:
         InputError: If their list is damaged.
     """
     if not kind_of(folder, MANIFEST):
-        return {name for name in OWN if is_file(folder, name)} if is_file(folder, MARK) else set()
+        return set()
     try:
         table = json.loads(text_of(MANIFEST, at=folder))
         names = table.get("files") if isinstance(table, dict) and table.get("written_by") == __package__ else None

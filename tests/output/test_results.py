@@ -65,13 +65,12 @@ def test_only_what_the_program_wrote_is_replaced(tmp_path: Path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x", "x.failed", "y"]
 
 
-def test_a_folder_of_an_earlier_version_has_no_list(tmp_path: Path):
-    mine = {"photo.png": "mine", "run.json": "mine", "my.csv": "mine", "raw.bp/data.0": "mine"}
-    put(
-        tmp_path / "x", mine | {"summary.json": "1", "u.png": "1", "solution.bp/data.0": "1", "solution.bp/md.idx": "1"}
-    )
-    publish(tmp_path / "x", SECOND)
-    assert found(tmp_path / "x") == mine | SECOND
+def test_a_folder_without_a_list_is_no_results_folder(tmp_path: Path):
+    mine = {"photo.png": "mine", "summary.json": "mine"}
+    put(tmp_path / "x", mine)
+    with pytest.raises(InputError, match=r"is not empty and holds no files\.json"):
+        publish(tmp_path / "x", SECOND)
+    assert found(tmp_path / "x") == mine
 
 
 def begun(action: Callable[[], None]) -> int:
@@ -109,8 +108,8 @@ def killed_at(step: int, action: Callable[[], None]) -> bool:
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")
-@pytest.mark.parametrize(("there", "failed"), [(True, False), (True, True), (False, False)])
-def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool, failed: bool):
+@pytest.mark.parametrize(("there", "failed"), [(True, False), (True, True), (False, False), (None, False)])
+def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool | None, failed: bool):
     """After a kill the next call finds the old or the new result complete, all files of the user, and nothing else."""
     mine = dict.fromkeys(MINE, "mine") if there else {}
     ends = set()
@@ -120,9 +119,11 @@ def test_killed_at_any_step_of_a_publish(tmp_path: Path, there: bool, failed: bo
         if there:
             publish(target, FIRST, failed=failed)
             put(place, mine)
+        elif there is None:  # an empty folder
+            place.mkdir()
         if not killed_at(step, lambda target=target: publish(target, SECOND, failed=failed)):
             break
-        assert there is False or mine.items() <= found(place).items()
+        assert not there or mine.items() <= found(place).items()
         killed_at(step % 9, lambda target=target: complete(target))  # the repair as well
         complete(target)
         left = found(place) if place.exists() else {}
