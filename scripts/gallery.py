@@ -29,8 +29,8 @@ GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
 """The diameter of a shape divided by h."""
 WIDTH, HIGHEST = 900, 1400
-FIRST = {"elasticity": "deformed", "stokes": "flow"}
-"""Which picture is kept of a physics, if not u."""
+FIRST = ("water", "deformed", "flow", "u")
+"""Which picture is kept: the first one that there is."""
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
 STRIP = {
     "example2": (0.0825, 0.055, 0.452, 0.82),
@@ -50,20 +50,20 @@ def draw(name: str) -> None:
         if shape.dim == 2 or not case.is_vector:  # a vector in space takes too long
             case = case.with_values({"solve.h": shape.diameter / CELLS_ACROSS[shape.dim]})
     with TemporaryDirectory() as folder:
-        picture = Path(folder) / f"{FIRST.get(case.PHYSICS, 'u')}.png"
         if case.time is not None:
             kept = {"restart": False, "certify_steps": False}
             solve_in_time(case, MPI.COMM_WORLD, EvolutionReport(quiet=True), Path(folder, "x"), **kept, plot=True)
-            picture = Path(folder) / "x" / "contact.png"
-            if getattr(case, "soil", None) or not picture.exists():  # or in space
-                write_solution(load_solution(picture.parent), folder, plot=True, fields=False)
-                picture = Path(folder) / ("u.png" if case.PHYSICS == "diffusion" else "deformed.png")
+            over_time = [Path(folder) / "x" / f"{name}.png" for name in ("contact", "steps")]
+            if getattr(case, "soil", None) or not any(each.exists() for each in over_time):  # or in space
+                write_solution(load_solution(Path(folder) / "x"), folder, plot=True, fields=False)
+                over_time = []
         else:
-            solution = solve_case(case)
+            over_time, solution = [], solve_case(case)
             sys.stdout.write(f"{name}: {solution.contact.facets} in contact\n")
             certificate = certify(solution) if name in WITH_OVERVIEW else None
             write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
-        drawn = Image.open(picture)
+        pictures = [*over_time, *(Path(folder) / f"{name}.png" for name in FIRST)]
+        drawn = Image.open(next(each for each in pictures if each.exists()))
         save(drawn, GALLERY / f"{name}.png", min(WIDTH, round(HIGHEST * drawn.width / drawn.height)))
         if name in WITH_OVERVIEW:
             save(Image.open(Path(folder) / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
@@ -75,7 +75,7 @@ def save(picture: Image.Image, path: Path, width: int) -> None:
     small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
     sets = "".join(colour[1:] for colour in (style.CONTACT, style.FREE, *style.SEGMENTS, "#ffffff"))
     most = 256 - len(sets) // 6
-    palette = small.quantize(most, Image.Quantize.MEDIANCUT).getpalette() or []
+    palette = small.quantize(most, Image.Quantize.MEDIANCUT, kmeans=2).getpalette() or []
     of_sets = Image.new("P", (1, 1))
     of_sets.putpalette([*palette[: 3 * most], *bytes.fromhex(sets)])
     few = small.quantize(palette=of_sets, dither=Image.Dither.NONE)

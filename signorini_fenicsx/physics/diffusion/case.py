@@ -130,6 +130,10 @@ class Time(Times):
         """Whether the capacity is the graph of a storage."""
         return isinstance(self.capacity, dict) and "corners" in self.capacity
 
+    def texts(self) -> list[tuple[str, str]]:
+        """Each expression with the name of its key; names of segments are none."""
+        return [(key, text) for key, text in super().texts() if key != "capacity.names"]
+
 
 class Exact(DataSection):
     """`[exact]`: the exact solution u, if it is known, as text in x, y, z, or one per region."""

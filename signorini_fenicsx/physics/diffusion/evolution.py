@@ -406,7 +406,9 @@ def _scaled(law: Storage, a: float) -> Corners:
 
     corners = tuple((u, times(theta)) for u, theta in law.corners)
     before, beyond = (times(end) for end in (law.before, law.beyond))
-    scaled: Corners = Corners(region=law.region, corners=corners, before=before, beyond=beyond)  # type: ignore[call-arg]
+    scaled: Corners = Corners(  # type: ignore[call-arg]
+        region=law.region, corners=corners, before=before, beyond=beyond, names=law.names
+    )
     return scaled
 
 
