@@ -98,7 +98,8 @@ def joints(domain: Domain, pairs: Sequence[PairedParts], *, cut: bool) -> tuple[
         cut: Whether the mesh is cut inside the domain, see `node_ranks`.
 
     Raises:
-        InputError: If a direction has not as many components as the mesh, or no facet of a pair is covered.
+        InputError: If a part is unknown, a direction has not as many components as the mesh, or no facet of a pair is
+            covered.
     """
     if not pairs:
         return ()
@@ -128,6 +129,8 @@ class _Extents:
 
 def _joint(domain: Domain, pair: PairedParts, ranks: Indices, extents: _Extents) -> Joint:
     mesh, comm = domain.mesh, domain.mesh.comm
+    if unknown := [part for part in (*pair.slave, *pair.master) if part not in domain.facets]:
+        raise InputError(f"pair {pair.words}: unknown part '{unknown[0]}'; there are {', '.join(domain.facets)}")
     slaves, masters = (
         np.unique(np.concatenate([domain.facets[part] for part in parts])) for parts in (pair.slave, pair.master)
     )

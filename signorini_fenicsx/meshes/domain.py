@@ -163,7 +163,7 @@ class Boundary:
         for key in ("signorini", "neumann", "inner"):
             check_names(key, getattr(self, key))
             object.__setattr__(self, key, list(getattr(self, key)))  # as they are read from files
-        object.__setattr__(self, "pairs", paired_parts(self.pairs))
+        object.__setattr__(self, "pairs", paired_parts(self.pairs, self.signorini))
 
     @property
     def named(self) -> dict[str, Sequence[str]]:

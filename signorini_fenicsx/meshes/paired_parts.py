@@ -1,7 +1,8 @@
 """Pairs of surfaces that share no nodes, by the names of their parts, as a boundary has them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -37,16 +38,20 @@ class PairedParts:
         """
         for key in ("slave", "master"):
             check_names(key, getattr(self, key))
-            object.__setattr__(self, key, list(getattr(self, key)))
+            object.__setattr__(self, key, [str(part) for part in getattr(self, key)])
+            if not getattr(self, key):
+                raise InputError(f"pair: {key} must not be empty")
         if both := sorted({*self.slave} & {*self.master}):
             raise InputError(f"pair: part '{both[0]}' is slave and master")
-        if self.direction != "normal":
+        if not isinstance(self.direction, str) or self.direction != "normal":
             vector = np.asarray(self.direction)
             if vector.ndim != 1 or vector.dtype.kind not in "if" or not np.isfinite(vector).all() or not vector.any():
                 raise InputError(f"pair: direction is {self.direction!r}; use normal or a vector such as [0, -1]")
-            object.__setattr__(self, "direction", [float(each) for each in vector])
-        if self.within is not None and not (isinstance(self.within, int | float) and 0 < self.within < np.inf):
-            raise InputError(f"pair: within is {self.within!r}; it must be a length above 0")
+            object.__setattr__(self, "direction", (vector / np.abs(vector).max()).tolist())
+        if self.within is not None:
+            if not (isinstance(self.within, Real) and 0 < self.within < np.inf):
+                raise InputError(f"pair: within is {self.within!r}; it must be a length above 0")
+            object.__setattr__(self, "within", float(self.within))
 
     @property
     def words(self) -> str:
@@ -70,6 +75,24 @@ def named_laws(laws: Sequence[Any], pairs: Sequence[PairedParts]) -> list[tuple[
     return [(of_slaves.get(next(iter(law.parts), ""), f"law.{i}"), law) for i, law in enumerate(laws)]
 
 
-def paired_parts(given: Sequence[PairedParts | Mapping[str, Any]]) -> list[PairedParts]:
-    """Pairs, some of which are as a file has them."""
-    return [PairedParts(**each) if isinstance(each, Mapping) else each for each in given]
+def paired_parts(given: Sequence[PairedParts | Mapping[str, Any]], with_law: Sequence[str]) -> list[PairedParts]:
+    """Pairs, some of which are as a file has them.
+
+    Args:
+        given: The pairs.
+        with_law: The parts with laws; masters and tied slaves are not among them.
+
+    Raises:
+        InputError: If they are, or what is given is something else.
+    """
+    known, pairs = {each.name for each in fields(PairedParts)}, list[PairedParts]()
+    for each in given if isinstance(given, list | tuple) else [given]:
+        if isinstance(each, Mapping) and {"slave", "master"} <= {*each} <= known:
+            pairs.append(PairedParts(**each))
+        elif isinstance(each, PairedParts):
+            pairs.append(each)
+        else:
+            raise InputError(f"pairs: {each!r} is no pair of surfaces")
+        if both := [part for part in without_law(pairs[-1:]) if part in with_law]:
+            raise InputError(f"pair {pairs[-1].words}: '{both[0]}' is in a law, too")
+    return pairs

@@ -18,6 +18,7 @@ from signorini_fenicsx.api import (
     Neumann,
     Options,
     Pair,
+    Reaction,
     Regulator,
     Signorini,
     Solution,
@@ -212,6 +213,8 @@ def test_what_pairs_have_not() -> None:
     for law in (None, Dirichlet(()), "tied"):
         with pytest.raises(InputError, match="law must be"):
             Diffusion(f=1, conditions=[Pair("u10", "l11", law)])
+    with pytest.raises(InputError, match=r"pair.0 .reaction.: this law is one of regions"):
+        solve(domain, Diffusion(f=1, conditions=[free, Pair("u10", "l11", Reaction((), c=1))]))
     with pytest.raises(InputError, match="gap is of bodies"):
         Diffusion(f=1, conditions=[Pair("u10", "l11", Tied(), gap=0.1)])
 

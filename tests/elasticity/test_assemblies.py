@@ -196,6 +196,11 @@ WRONG = [
     (PAIR + "direction = [0]", "direction"),
     (PAIR + 'direction = "up"', 'must be "normal"'),
     (PAIR + "within = 0", "within"),
+    (
+        PAIR + '[[law]]\nkind = "friction"\nmu = 0.1\nparts = ["up.bottom"]',
+        "listed twice: in law.0.parts and in pair.0.slave",
+    ),
+    (PAIR + "[problem.support]\n'low.top' = 1", "a support is on a part in neumann, which is in no pair"),
     (PAIR + 'gap = "distance - w"', "pair.0.gap"),
     (PAIR.replace("low.top", "low.tip"), "pair.0.master: unknown part 'low.tip'"),
     (PAIR.replace("low.top", "up.bottom"), "up.bottom"),

@@ -89,6 +89,27 @@ def test_no_pair_of_parts_without_a_facet_opposite() -> None:
         Pair("u10", "l11", gap="2*distance")
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"slave": []}, "slave must not be empty"),
+        ({"master": [1]}, "unknown part '1'"),
+        ({"within": float("nan")}, "within is nan"),
+        ({"direction": [0, -1j]}, "use normal or a vector"),
+        ({"law": Coulomb}, "law: must be a Tresca"),
+        ({"law": Coulomb("x - 5")}, "pair.0.mu: must be finite and not negative"),
+    ],
+)
+def test_wrong_pairs_of_python(given: dict[str, Any], words: str) -> None:
+    """One sentence each; numbers of NumPy are numbers, and the length of a direction does not matter."""
+    domain = two(MPI.COMM_SELF, (3, 2), (2, 3))
+    with pytest.raises(InputError, match=words):
+        pressed(domain, 2, Pair(**({"slave": "u10", "master": "l11"} | given)))
+    pair = Pair("u10", "l11", within=np.float32(1), direction=np.array([0.0, -1e-300]))
+    assert pair.on_boundary.within == 1.0
+    assert pair.on_boundary.direction == [0.0, -1.0]
+
+
 @pytest.mark.parallel([1, 3])
 @pytest.mark.parametrize("law", [None, Coulomb(0.3), Tied()])
 @pytest.mark.parametrize(("upper", "lower"), [((6, 4), (9, 5)), ((3, 2, 2), (4, 3, 2))])

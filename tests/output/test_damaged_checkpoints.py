@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bodies_apart import two
 from mpi4py import MPI
 
+from signorini_fenicsx.api import Diffusion, Dirichlet, Neumann, Pair, Wall, solve
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import solve_case
@@ -123,6 +125,29 @@ def test_damage_is_told(good: Path, tmp_path: Path, kind: str):
     with pytest.raises(InputError, match=message) as caught:
         load_solution(tmp_path, COMM)
     assert str(tmp_path) in str(caught.value)
+
+
+FORGED = [
+    (None, "None is no pair of surfaces"),
+    ("pair", "is no pair of surfaces"),
+    ([{}], "is no pair of surfaces"),
+    ([{"slave": ["u10"], "master": ["l11"], "more": 1}], "is no pair of surfaces"),
+    ([{"slave": [7], "master": ["l11"]}], "unknown part '7'"),
+    ([{"slave": ["u10"], "master": ["l11"], "tied": True}], "'u10' is in a law, too"),
+    ([{"slave": ["u10"], "master": ["l11"], "direction": None}], "direction is None"),
+]
+
+
+def test_forged_pairs_are_told(tmp_path: Path):
+    sides = Neumann([f"{body}0{end}" for body in "ul" for end in (0, 1)])
+    given = [sides, Dirichlet("l10", 0), Dirichlet("u11", 1), Pair("u10", "l11", Wall((), beta=3))]
+    solve(two(COMM, (2, 1), (3, 1)), Diffusion(f=0, conditions=given)).write(tmp_path / "out")
+    good = arrays_of(tmp_path / "out")
+    for pairs, message in FORGED:
+        text = json.loads(good["about"])
+        put(tmp_path / "out", {"about": json.dumps(text | {"given": text["given"] | {"pairs": pairs}})})
+        with pytest.raises(InputError, match=message):
+            load_solution(tmp_path / "out", COMM)
 
 
 @pytest.mark.parametrize("missing", ["u", "cells", "facet_condition", "part_3"])

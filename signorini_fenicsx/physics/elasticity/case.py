@@ -282,7 +282,8 @@ class ElasticCase(WithPairs):
         alone = {key: [part for part in parts if part not in fixed] for key, parts in super().lists.items()}
         friction = [f"law.{i}.parts" for i, law in enumerate(self.law) if law.kind == "friction"]
         for key in friction:  # beside a law in the normal direction
-            others = [part for other, parts in alone.items() if other not in friction for part in parts]
+            in_normal = [other for other in alone if other not in (*friction, *self.in_pairs)]
+            others = [part for other in in_normal for part in alone[other]]
             alone |= {key: [part for part in alone.get(key, []) if part not in others]}
         return alone | self.in_pairs | {"contact": [part for part in self.boundary.contact if part not in in_laws]}
 

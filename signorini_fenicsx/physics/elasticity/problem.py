@@ -263,7 +263,7 @@ class ElasticBoundary:
         for key in ("contact", "neumann", "inner", "turned"):
             check_names(key, getattr(self, key))
             object.__setattr__(self, key, list(getattr(self, key)))  # as they are read from files
-        object.__setattr__(self, "pairs", paired_parts(self.pairs))
+        object.__setattr__(self, "pairs", paired_parts(self.pairs, self.contact))
         check_kind("fixed", self.fixed, Mapping, hint='; an example is {"left": "x"}')
         for part, components in self.fixed.items():
             check_kind(f"fixed: part '{part}'", components, str)

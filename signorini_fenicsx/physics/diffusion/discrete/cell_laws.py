@@ -27,6 +27,7 @@ from signorini_fenicsx.discrete.points import facet_type, in_facets, quadratic_n
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance, vertex_graphs
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import Given, combined, parsed
+from signorini_fenicsx.meshes.paired_parts import named_laws
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -133,9 +134,11 @@ def cells_of(spaces: Spaces, law: Law, name: str) -> Indices:
     """The owned cells of a law in regions, ascending.
 
     Raises:
-        InputError: If the mesh has no such region.
+        InputError: If the mesh has no such region, or the law has none.
     """
     regions = spaces.domain.regions
+    if not law.region:
+        raise InputError(f"{name} ({law.name}): this law is one of regions, not parts: give region")
     if EVERYWHERE in law.region:
         return owned_cells(spaces.mesh).astype(np.int64)
     for region in law.region:
@@ -258,17 +261,17 @@ def with_reactions(spaces: Spaces, problem: Problem) -> Problem:
         InputError: If a region is unknown, or c or a reaction is a function of points.
     """
     names = "xyz"[: spaces.mesh.geometry.dim]
-    for i, law in enumerate(problem.laws):
+    for of_law, law in named_laws(problem.laws, problem.boundary.pairs):
         if isinstance(law, Reaction):
-            cells_of(spaces, law, f"law.{i}")
-            c = parsed(law.c, names, f"law.{i}.c")
+            cells_of(spaces, law, of_law)
+            c = parsed(law.c, names, f"{of_law}.c")
             regions = [EVERYWHERE] if EVERYWHERE in law.region else law.region
             more = (
                 c
                 if EVERYWHERE in regions
                 else dict.fromkeys(spaces.domain.regions, exactly(0.0)) | dict.fromkeys(regions, c)
             )
-            problem = replace(problem, c=plus(problem.c, more, 1.0, f"law.{i}: c of the problem and of this law"))
+            problem = replace(problem, c=plus(problem.c, more, 1.0, f"{of_law}: c of the problem and of this law"))
     return problem
 
 

@@ -26,6 +26,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.tolerances import ROUNDING
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means, linear_values
 from signorini_fenicsx.expressions.given import number_of, parsed
+from signorini_fenicsx.meshes.paired_parts import without_law
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.problem import GivenStiffness
 
@@ -107,8 +108,8 @@ def supports_of(spaces: ElasticSpaces, given: Mapping[str, GivenStiffness]) -> S
     for part, value in given.items():
         walls = part in boundary.turned and part not in boundary.neumann
         name = f"slip on '{part}', beta" if walls else f"[problem] support.{part}"
-        if not walls and part not in boundary.neumann:
-            raise InputError(f"{name}: a support is on a part in neumann")
+        if not walls and (part not in boundary.neumann or part in without_law(boundary.pairs)):
+            raise InputError(f"{name}: a support is on a part in neumann, which is in no pair")
         facets = spaces.part(part)
         numbers.append(facets.facets)
         supports.append(_stiffness(name, parsed(value, "xyz"[:dim], name), facets.normals))
