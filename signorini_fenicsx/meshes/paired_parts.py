@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,7 @@ class PairedParts:
                 raise InputError(f"pair: direction is {self.direction!r}; use normal or a vector such as [0, -1]")
             object.__setattr__(self, "direction", (vector / np.abs(vector).max()).tolist())
         if self.within is not None:
-            if not (isinstance(self.within, Real) and 0 < self.within < np.inf):
+            if not (isinstance(self.within, int | float | np.number) and 0 < self.within < np.inf):
                 raise InputError(f"pair: within is {self.within!r}; it must be a length above 0")
             object.__setattr__(self, "within", float(self.within))
 
