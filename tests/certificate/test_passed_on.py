@@ -8,9 +8,10 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.certificate.passed_on import Passed, hats_on_facet, kuhn_lattice, oscillation
 from signorini_fenicsx.meshes.domain import distribute
 from signorini_fenicsx.physics.elasticity.bound.korn import trace_constants
-from signorini_fenicsx.physics.elasticity.bound.passed_on import Passed, hats_on_facet, kuhn_lattice, oscillation
+from signorini_fenicsx.physics.elasticity.bound.passed_on import response
 
 COMM = MPI.COMM_SELF
 CELLS = {
@@ -62,7 +63,7 @@ def test_between_displacements_and_constants(name: str) -> None:
     passed = Passed(np.zeros(len(corners), dtype=int), corners, np.tile(PULL[:dim], (len(corners), dim, 1)))
     moments, squares = passed.moments(1)[0], passed.squares(1)[0]
     fitted = dim * ((dim + 1) * np.eye(dim) - 1) @ moments
-    bound = oscillation(COMM, passed, edges[None], np.eye(dim * (dim + 1) // 2)[None])[0]
+    bound = oscillation(COMM, passed, edges[None], np.eye(dim * (dim + 1) // 2)[None], response(dim))[0]
     size = np.sqrt(np.linalg.det(edges[:, :-1].T @ edges[:, :-1])) / (dim - 1)
     constant = trace_constants(edges.cumsum(axis=1)[None], np.array([size]))[0]
     least = work(edges, fitted)
@@ -75,7 +76,7 @@ def test_what_stresses_balance() -> None:
     edges = np.array(CELLS["of a box"])[None]
     values = np.random.default_rng(1).uniform(-1, 1, (3, 3))
     whole = Passed(np.zeros(2, dtype=int), np.tile(np.eye(3), (2, 1, 1)), np.stack([values, -0.3 * values]))
-    assert oscillation(COMM, whole, edges, np.eye(6)[None])[0] < 1e-6
+    assert oscillation(COMM, whole, edges, np.eye(6)[None], response(3))[0] < 1e-6
     assert whole.squares(1)[0] == pytest.approx(
         0.49 * Passed(*(each[:1] for each in (whole.place, whole.corners, whole.values))).squares(1)[0]
     )

@@ -13,8 +13,8 @@ import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.facet_coefficients import HALVINGS
 from signorini_fenicsx.expressions.intervals import Interval, absolute, enclosing, stacked
-from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import HALVINGS
 from signorini_fenicsx.rigorous.simplices import EDGES, root, squared, total
 
 SHORTER = 1 - 1e-14

@@ -50,6 +50,9 @@ class Trace:
         hindrance: Why no continuous function is admissible, in words; empty if one is. The same on all ranks.
         degree: Degree of a quadrature in `cells`.
         parts: What it is made of.
+        lacking: ‖κ^½∇d‖ on the owned cells, at most, for the d that slaves of pairs need besides, see
+            `certificate.opposite`.
+        lacked: ‖d‖ there.
     """
 
     v: fem.Function
@@ -62,6 +65,8 @@ class Trace:
     hindrance: str
     degree: int
     parts: "LawTrace"
+    lacking: Array
+    lacked: Array
 
     def jet(self, points: Points, *, near: bool, gradient: bool = False) -> Array:
         """The jet of the admissible function in points of `cells` (near) or of others (collective)."""

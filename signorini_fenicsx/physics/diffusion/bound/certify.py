@@ -47,6 +47,7 @@ from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.certify import no_bound
 from signorini_fenicsx.certificate.laws import Area, gap
+from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.points import facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
@@ -61,9 +62,11 @@ from signorini_fenicsx.physics.diffusion.bound.mean_loads import load_left
 from signorini_fenicsx.physics.diffusion.bound.mismatch import Energies, enclosed
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory, load_oscillation, on_facets
+from signorini_fenicsx.physics.diffusion.bound.passed_on import passed_on
 from signorini_fenicsx.physics.diffusion.bound.reaction import reaction_terms
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
 LITTLE = 0.01
@@ -72,7 +75,6 @@ ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
 LAST_KAPPA = "the exact solution of the problem with the last κ"
 OF_PENALTY = "the exact solution of the penalty problem"
-OF_PAIRS = "none is there for a scalar u where surfaces that share no nodes are paired"
 
 
 def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certificate:
@@ -86,8 +88,8 @@ def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certif
         for_signorini: Whether u is the solution of the Signorini problem, not that of a penalty, also if a penalty
             method was used.
     """
-    if solution.spaces.joints:
-        return no_bound(solution, OF_PAIRS)
+    if why := pairs_without_bound(solution.spaces):
+        return no_bound(solution, why)
     if (of_w := linear_solution(solution)) is not None:
         return bound_by(solution, of_w, certificate_of(of_w))
     with np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
@@ -236,13 +238,17 @@ def gap_parts(
     contact = contact + gap_inside
     terms = () if memory is None else memory.terms
     reaction = reaction_terms(spaces, data, metric, trace, of_y.level, resolution, terms)
+    if reaction is not None:
+        reaction = reaction.beside(trace.lacked)
     mismatch = of_y.energies.squares(of_y.driving, trace).most
-    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + of_y.off_b) ** 2
+    mismatch = (np.sqrt(np.maximum(mismatch, 0.0)) + of_y.off_b + trace.lacking) ** 2
     total, number = comm.allreduce(np.array([mismatch.sum(), len(mismatch)])).tolist()
     enough = LITTLE * math.sqrt(max(total, 0.0) / number) if spaces.degree else 0.0
     oscillation = load_oscillation(
         spaces, data, metric, flux, load, reaction, memory, resolution, of_laws, inside.takes_f, enough
     )
+    if isinstance(spaces, LinearSpaces) and spaces.joints:
+        oscillation = oscillation + passed_on(spaces, metric, of_y.y)
     of_reaction = np.zeros(len(metric.volume)) if reaction is None else reaction.gap
     if reaction is not None:
         contact = contact + reaction.gap

@@ -18,6 +18,7 @@ than it is. In Ω it is the same, see `cell_springs`.
 On parts inside the domain all this is about the jump of v: while v_2 is relaxed, its nodes of the named side have the
 jump, see `discrete.nodes`. The only bound b of a jump enters by χ_b(b − I_hb) too, with χ_b = 1 in all these nodes.
 u_D is taken from each side there, and v_1 moves the named side where χ_D(u_D − I_hu_D) puts the jump beyond a bound.
+On slaves of pairs it is about the jump of v + d, with the d of `certificate.opposite` that v leaves out.
 """
 
 from collections.abc import Sequence
@@ -64,7 +65,13 @@ from signorini_fenicsx.physics.diffusion.bound.rays import Ray
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, Weight, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
-from signorini_fenicsx.physics.diffusion.discrete.nodes import Jumps, largest_around, quadratic_on_sides, set_means
+from signorini_fenicsx.physics.diffusion.discrete.nodes import (
+    Jumps,
+    largest_around,
+    opposites,
+    quadratic_on_sides,
+    set_means,
+)
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -75,6 +82,7 @@ HINDRANCES = (
     BEYOND,
     "a part inside the domain forbids the jump 0 where it ends",
 )
+OF_LAWS = "a law in Ω holds in cells at the slave of a pair"
 OF_JUMPS = "a jump of u_D, or of u where parts inside the domain end or meet others, is beyond a bound"
 
 
@@ -104,27 +112,26 @@ def law_trace(
     on_dirichlet, at_nodes = _given(space, spaces, data.u_D), on.goal.at(spaces, lattice(facet, degree_of(space)))
     u_D, jumps = quadratic_on_sides(data.u_D, space, spaces), Jumps.of(space, spaces)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
-    fixed, on_cuts = np.union1d(on_dirichlet, jumps.tips), np.isin(np.arange(len(nodes)), spaces.inner.rows)
-    at_meeting = on_cuts[:, None] & np.isin(nodes, jumps.meets)  # no jumps there that could be held or bounded
-    jumps.taken(v)
-    held = on.held(at_nodes)
+    on_cuts, known = ~np.isin(np.arange(len(nodes)), spaces.outer_rows), np.union1d(on_dirichlet, jumps.tied)
+    # at meetings there are no jumps that could be held or bounded
+    fixed, at_meeting = np.union1d(known, jumps.tips), on_cuts[:, None] & np.isin(nodes, jumps.meets)
+    jumps.taken(v, of_values=True)
+    held, ends = on.held(at_nodes), on.ends(at_nodes)
     pieces = Pieces.of(inside, metric, mesh.comm) if field is None and inside.parts else None
     still = largest_around(space, nodes, np.where(held[1], 1.0, 0.0)) > 0
     if pieces is not None:
         still |= pieces.hold(v, fixed)
     if field is None:
         _hold(v, nodes, held, (on_cuts, np.union1d(fixed, jumps.meets)), (~on_cuts, fixed))
-    ends = on.ends(at_nodes)
-    if field is not None:  # it need not be near a piece of the law
+    else:  # it need not be near a piece of the law
         ends[2:] = ends[:2]
-    limits = [end[spaces.inner.rows] for end in ends[:2]]
-    bounds = _without(_asked(on, v, nodes, [coefficients_of(end, facet) for end in ends]), at_meeting)
-    ends = _without(ends, at_meeting)
+    limits, bounds = ends[:2], _asked(on, v, nodes, [coefficients_of(end, facet) for end in ends])
+    bounds, ends = _without(bounds, at_meeting), _without(ends, at_meeting)
     hindrance = _hindrance(v, nodes, ends[:2], (np.setdiff1d(on_dirichlet, jumps.tips), jumps.tips))
     low, high, soft_low, soft_high = (
         extreme_around(space, nodes, end, largest=number % 2 == 0) for number, end in enumerate(bounds)
     )
-    jumps.undone(v)
+    jumps.undone(v, of_values=True)
     for function in (v, u_D) if field is None else (v, u_D, near):
         to_bernstein(function)
     limits_of_rays = [ray.limits(v, spaces.frame) for ray in rays]
@@ -137,8 +144,8 @@ def law_trace(
     box = Box.of(hard, soft, fixed, v.x.array, still)
     box.project(v.x.array, TIE * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX))
     if jumps.basis is not None:
-        _join_at_meetings(v, jumps, at_meeting[spaces.inner.rows], limits, on_dirichlet)
-    given, load, robin = np.union1d(on_dirichlet, jumps.meets), np.zeros(len(v.x.array)), None
+        _join_at_meetings(v, jumps, spaces.inner.rows, at_meeting, limits, on_dirichlet)
+    given, load, robin = np.union1d(known, jumps.meets), np.zeros(len(v.x.array)), None
     if field is None:
         load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside)
     weight = _weight(solution)
@@ -146,9 +153,10 @@ def law_trace(
     pull = None if pieces is None else pieces.springs(space)
     relax(v, spaces, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
     jumps.undone(v)
+    v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]  # where a slave is tied to what is given otherwise
     for ray, limits_of_ray in zip(rays, limits_of_rays, strict=True):
         ray.move_inside(v, limits_of_ray, on_dirichlet)
-    return _with_exact_data(on, data, _with_levels(on, data, v, u_D, pieces), inside, hindrance=hindrance)
+    return _with_exact_data(on, data, _with_levels(on, data, v, u_D, pieces), inside, metric, hindrance=hindrance)
 
 
 def _driving(data: Data, y: fem.Function) -> Expr:
@@ -220,13 +228,19 @@ def _ends_inside(rays: Sequence[Ray], limits: Sequence[Array], jumps: Jumps, num
 
 
 def _join_at_meetings(
-    v: fem.Function, jumps: Jumps, at_meeting: Mask, limits: Sequence[Array], on_dirichlet: npt.NDArray[Any]
+    v: fem.Function,
+    jumps: Jumps,
+    rows: npt.NDArray[Any],
+    at_meeting: Mask,
+    limits: Sequence[Array],
+    on_dirichlet: npt.NDArray[Any],
 ) -> None:
     """Let v have no jump in nodes where parts inside the domain meet, if it is beyond its bounds (collective)."""
     named, across = jumps.pairs
     jump, beyond = v.x.array[named] - v.x.array[across], np.zeros(len(v.x.array), dtype=bool)
     slack = ROUNDING * v.function_space.mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX)
-    beyond[named[at_meeting & ((jump < limits[0] - slack) | (jump > limits[1] + slack))]] = True
+    low, high = (limit[rows] for limit in limits)
+    beyond[named[at_meeting[rows] & ((jump < low - slack) | (jump > high + slack))]] = True
     jumps.join(v, beyond, on_dirichlet)
 
 
@@ -267,15 +281,17 @@ def _on_gamma_s(
     """
     spaces, comm, apart = on.spaces, on.spaces.mesh.comm, ~at_meeting.any(axis=1)
     at_points = on.goal.at(spaces, *basix.make_quadrature(facet_type(spaces.mesh.topology.dim), on.goal.degree()))
-    load = sums_at(v.function_space.dofmap.index_map, nodes[apart], on.loads(at_points)[apart])
+    numbers, of_facets = v.function_space.dofmap.index_map, on.loads(at_points)
+    outer = np.isin(np.arange(len(apart)), spaces.outer_rows)
+    load = sums_at(numbers, nodes[apart & ~outer], of_facets[apart & ~outer])
     load[jumps.tips] = 0.0
+    on_v = sums_at(numbers, nodes[outer], of_facets[outer])[: numbers.size_local]
     if inside.rays:
         in_cells = fem.Function(v.function_space)
         add_load(in_cells, inside.spaces, inside.forces)
         in_cells.x.scatter_reverse(la.InsertMode.add)
-        size = v.function_space.dofmap.index_map.size_local
-        own = np.asarray(in_cells.x.array[:size], dtype=np.float64)
-        load[:size] += jumps.transposed(own)
+        on_v += in_cells.x.array[: numbers.size_local]
+    load[: numbers.size_local] += jumps.transposed(on_v)
     slope = spaces.multiplier(np.where(apart, on.slope(at_points).mean(axis=1), 0.0), "beta")
     rubs = comm.allreduce(bool(slope.x.array.any()), MPI.LOR)
     return load, (spaces, slope) if rubs else None
@@ -303,10 +319,13 @@ def _with_levels(on: OnGammaS, data: Data, v: fem.Function, u_D: fem.Function, p
     near_dirichlet, moved = fem.Function(linear), fem.Function(linear)
     facets = on.spaces.dirichlet_facets
     near_dirichlet.x.array[fem.locate_dofs_topological(linear, mesh.topology.dim - 1, facets)] = 1.0
-    return LawTrace((data.u_D, u_D), v, near_dirichlet, moved, levels(on, pieces, v, linear), [])
+    of_pairs = opposites(v.function_space, on.spaces)
+    return LawTrace((data.u_D, u_D), v, near_dirichlet, moved, levels(on, pieces, v, linear), [], of_pairs)
 
 
-def _with_exact_data(on: OnGammaS, data: Data, trace: LawTrace, inside: Inside, *, hindrance: str) -> Trace:
+def _with_exact_data(
+    on: OnGammaS, data: Data, trace: LawTrace, inside: Inside, metric: CellMetric, *, hindrance: str
+) -> Trace:
     """The trace with bounds themselves instead of their interpolants (collective)."""
     spaces, mesh, near_dirichlet = on.spaces, on.spaces.mesh, trace.near_dirichlet
     linear, facet_dim = near_dirichlet.function_space, mesh.topology.dim - 1
@@ -342,10 +361,9 @@ def _with_exact_data(on: OnGammaS, data: Data, trace: LawTrace, inside: Inside, 
         if not ray.is_quadratic or not ray.everywhere:
             changed.append(bound.near)
             used.append(ray.datum)
-    if spaces.inner.present:
-        if changed:
-            _move_jumps(trace, on)
-        hindrance = hindrance or ("" if jumps_obey(trace, on.goal.parts, spaces) else OF_JUMPS)
+    if spaces.several and changed:
+        _move_jumps(trace, on)
+    lacking, hindrance = _jumps_judged(trace, on, inside, hindrance)
     return Trace(
         v=trace.v,
         exact=trace.jet if trace.bounds or changed else None,
@@ -359,7 +377,21 @@ def _with_exact_data(on: OnGammaS, data: Data, trace: LawTrace, inside: Inside, 
             quadrature_degree(*used, data.kappa), *(2 * min(datum.polynomial or 0, EXACT) + 2 for datum in used)
         ),
         parts=trace,
+        lacking=np.sqrt(metric.high / np.linalg.eigvalsh(metric.inverse)[:, 0] * lacking[:, 0]),
+        lacked=np.sqrt(lacking[:, 1]),
     )
+
+
+def _jumps_judged(trace: LawTrace, on: OnGammaS, inside: Inside, hindrance: str) -> tuple[Array, str]:
+    """What v lacks at pairs, see `LawTrace.lacking`, and why the jumps are not admissible, in words (collective)."""
+    spaces, lacking = on.spaces, np.zeros((len(on.spaces.cell_measures), 2))
+    if spaces.joints:
+        lacking, of_pairs = trace.lacking(spaces)
+        of_laws = OF_LAWS if inside.meets(lacking[:, 0] > 0) else ""
+        hindrance = hindrance or of_pairs or of_laws or on.beyond()
+    if spaces.several:
+        hindrance = hindrance or ("" if jumps_obey(trace, on.goal.parts, spaces) else OF_JUMPS)
+    return lacking, hindrance
 
 
 def _move_jumps(trace: LawTrace, on: OnGammaS) -> None:

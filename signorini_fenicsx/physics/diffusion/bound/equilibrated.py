@@ -27,15 +27,17 @@ from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, LinearFlux, cell_values, means_in_cells
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
+from signorini_fenicsx.physics.diffusion.solve.linear_residuals import passed
 
 ROUNDING = 1e-9
 """If L‖c‖/√κ is below this share of ‖σ_h‖, c is rounding. The bound contains the share instead of L‖c‖/√κ or of a
 smaller ‖y − σ_h‖, which depend on the order of sums: the bound is the same on any number of ranks."""
 FAILED = "a linear solve failed, by which the flux would be balanced"
+OF_PAIRS = "the linear solver leaves too much of what masters have to take from their slaves"
 LEFT = "the linear solver leaves too much of the balance of the flux"
 OF_SUMS = 1e-14
 """Share of the loads that is rounding: where f − cu is 0, so are c and σ_h but for the rounding of this difference."""
@@ -64,6 +66,8 @@ def admissible_flux(
     spaces = solution.spaces
     sigma, u = _without_penalty(solution) if goal.plain else (solution.sigma, solution.u)
     flux = solution.cell_flux if sigma is solution.sigma else CellFlux.of(spaces, sigma)
+    if isinstance(spaces, LinearSpaces) and not _passes(spaces, sigma):
+        return sigma, flux, u, np.inf, OF_PAIRS
     if not isinstance(flux, LinearFlux):
         y, flux, u, rounding, why = _balanced(solution, metric, goal, sigma, flux, u)
     else:
@@ -77,6 +81,15 @@ def admissible_flux(
             y.x.array[:] += added.x.array
             flux = CellFlux.of(spaces, y)
     return y, flux, u, rounding + max(rounding, distance(spaces, metric, y, solution.sigma)), why
+
+
+def _passes(spaces: LinearSpaces, sigma: fem.Function) -> bool:
+    """Whether masters take what goes through slaves, but for rounding (collective)."""
+    values = spaces.flux_values(sigma)
+    left = max([np.abs(each).max(initial=0.0) for _, each in passed(spaces, values)]) if spaces.joints else 0.0
+    sizes = float(left), float(np.abs(values).max(initial=0.0))
+    most, size = (spaces.mesh.comm.allreduce(each, MPI.MAX) for each in sizes)
+    return bool(most <= ROUNDING * size)
 
 
 def _level(solution: Solution, flux: LinearFlux, u: fem.Function) -> Array:

@@ -37,6 +37,7 @@ from functools import cached_property, reduce
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import cell_dofs, owned_values
@@ -282,6 +283,11 @@ class Inside:
             numbers = [number for number in range(len(parts)) if each & 2**number]
             inert = all(type(parts[number].law) is Obstacle for number in numbers) & (self.largest == 0)
             yield numbers, np.flatnonzero((code == each) & ~inert)
+
+    def meets(self, cells: Mask) -> bool:
+        """Whether some of these owned cells have a law (collective)."""
+        here = any(bool(cells[part.rows].any()) for part in self.parts)
+        return bool(self.spaces.mesh.comm.allreduce(here, MPI.LOR))
 
     def law_at(self, parts: list[int], at: CellPoints) -> Chains:
         """The sum of some laws in points of cells, cell after cell."""

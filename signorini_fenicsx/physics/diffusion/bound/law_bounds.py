@@ -11,19 +11,32 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Mask
 from signorini_fenicsx.base.owned import cell_dofs
+from signorini_fenicsx.certificate import opposite
+from signorini_fenicsx.certificate.opposite import Opposite
 from signorini_fenicsx.contact.law import Values
 from signorini_fenicsx.contact.laws import Corners
-from signorini_fenicsx.discrete.bernstein import nodes_of
+from signorini_fenicsx.discrete.bernstein import basis, degree_of, nodes_of
 from signorini_fenicsx.discrete.cell_shapes import Entities
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.pairing import Joint
 from signorini_fenicsx.discrete.part_laws import COMPLEX_STEP, PartLaw
-from signorini_fenicsx.discrete.points import FacetPoints, Points, facet_lattice, from_inside
+from signorini_fenicsx.discrete.points import (
+    FacetPoints,
+    PartPoints,
+    Points,
+    facet_lattice,
+    facet_type,
+    from_inside,
+    in_facets,
+)
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import SAMPLES
-from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
+from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 
 ROUNDING = 1e-12
 """Relative size of what is rounding in jumps."""
+OF_PAIRS = "a slave cannot follow its masters: facets turn, these are several bodies, or an edge of it has a law too"
+OF_UFL = "data in UFL are not known on masters beside Γ_D or laws; give them as texts"
 SAFE = 2.0
 """Factor of what ℓ needs in sampled points."""
 
@@ -115,6 +128,7 @@ class LawTrace:
         moved: v_1.
         levels: Data b that hold u, with I_hb and χ_b.
         bounds: Those of all parts.
+        opposites: Pairs of surfaces by the nodes of v_2.
     """
 
     u_D: tuple[Datum, fem.Function]
@@ -123,6 +137,7 @@ class LawTrace:
     moved: fem.Function
     levels: list[tuple[Datum, fem.Function, fem.Function]]
     bounds: list[Bound]
+    opposites: list[tuple[Joint, Opposite]]
 
     def jet(self, points: Points, *, gradient: bool = False) -> Array:
         """The jet of the bound (collective)."""
@@ -138,12 +153,69 @@ class LawTrace:
         return values
 
     def on_gamma_s(self, spaces: Spaces, points: FacetPoints) -> Array:
-        """Values of the bound in points of all facets of Γ_S; inside the domain its jump (collective)."""
+        """Values of the bound in points of all facets of Γ_S; where there are two sides its jump (collective)."""
         values = self._on_facets(points)
         if spaces.inner.present:
             across, order = points.across(spaces.inner.rows, spaces.inner.facets)
             values[spaces.inner.rows] -= np.take_along_axis(self._on_facets(across), order, axis=1)
+        for joint, pair in self.opposites:
+            if not joint.pair.tied:
+                on_slaves = in_facets(spaces.mesh, joint.slaves, points.points)
+                values[spaces.rows_of(joint)] -= self._opposite(pair, on_slaves)
         return values
+
+    def jumps_of_tied(self, parts: int) -> float:
+        """The largest jump of v + d where pairs are tied in points of facets whose edges are cut (collective)."""
+        mesh, largest = self.v.function_space.mesh, 0.0
+        for joint, pair in self.opposites:
+            if joint.pair.tied:
+                points = facet_lattice(mesh, joint.slaves, parts)
+                largest = max(largest, np.abs(self._on_facets(points) - self._opposite(pair, points)).max(initial=0.0))
+        return float(mesh.comm.allreduce(largest, MPI.MAX))
+
+    def lacking(self, spaces: Spaces) -> tuple[Array, str]:
+        """‖∇d‖² and ‖d‖² on owned cells, see `certificate.opposite`, and why there is no d, in words (collective)."""
+        assert isinstance(spaces, LinearSpaces)
+        contact, coefficients = spaces.contact, self.v.x.array[:, None]
+        beside = [contact.take(spaces.outer_rows), contact.take(spaces.inner.rows), spaces.across, spaces.dirichlet]
+        beside += [pair.masters.facets for _, pair in self.opposites]
+        given = [(facets, np.ones((len(facets.cells), 1))) for facets in beside]
+        pairs = [(pair, pair.following(coefficients)) for _, pair in self.opposites]
+        squares, past = opposite.lacking(pairs, spaces, given)
+        beside_data = any(self._differs(pair.masters.facets.cells).any() for _, pair in self.opposites) and self.of_ufl
+        if spaces.mesh.comm.allreduce(beside_data, MPI.LOR):
+            return squares, OF_UFL
+        sizes = past, float(np.abs(coefficients).max(initial=0.0))
+        past, size = (spaces.mesh.comm.allreduce(each, MPI.MAX) for each in sizes)
+        return squares, OF_PAIRS if past > ROUNDING * size else ""
+
+    def _opposite(self, pair: Opposite, points: FacetPoints) -> Array:
+        """What a slave follows, with what the bound differs from v_2 by opposite to it, in points (collective)."""
+        space = self.v.function_space
+        followed = pair.following(self.v.x.array[:, None])[:, 0][facet_nodes(space, points.facets)]
+        cell = facet_type(points.mesh.topology.dim)
+        values = followed @ basis(cell, degree_of(space), points.points).T
+        hats = np.column_stack([1 - points.points.sum(axis=1), points.points])
+        piece, on_master = pair.across(hats[:, pair.slaves.facets.ranking].swapaxes(0, 1))
+        masters, rows = pair.masters.facets, pair.pieces.master[piece]
+        x = np.einsum("fqa,fqai->fqi", on_master, masters.vertices[rows])
+        some = np.nonzero(self._differs(masters.cells)[rows] & (not self.of_ufl))
+        ends = np.repeat(x[some][:, None], x.shape[2], axis=1)
+        at = PartPoints(points.mesh, masters.cells[rows][some], points.points[:1], np.empty(0), ends)
+        values[some] += (self.jet(at) - at.bernstein(self.v))[:, 0, 0]
+        return values
+
+    @property
+    def of_ufl(self) -> bool:
+        """Whether some of the data are known in cells alone."""
+        data = [self.u_D[0], *(datum for datum, *_ in self.levels), *(bound.datum for bound in self.bounds)]
+        return any(datum.pieces is None and datum.number is None for datum in data)
+
+    def _differs(self, cells: Entities) -> Mask:
+        """In which of these cells the bound may differ from v_2."""
+        near = [self.moved, *(near for *_, near in self.levels), *(bound.near for bound in self.bounds)]
+        near += [] if self.u_D[0].number is not None and not self.levels else [self.near_dirichlet]
+        return np.any([each.x.array[each.function_space.dofmap.list[cells]].any(axis=1) for each in near], axis=0)
 
     def is_on(self, datum: Datum, facets: Entities) -> Mask:
         """The boundary facets of some where the bound is this level itself, but for rounding (collective)."""
@@ -202,7 +274,7 @@ def depth(trace: LawTrace, datum: Datum, sign: float, near: fem.Function, spaces
 def bounds_of_jumps(parts: Sequence[PartLaw], spaces: Spaces) -> Iterator[tuple[npt.NDArray[np.intp], float, Array]]:
     """Each bound of a jump: the rows of its facets, 1 for lower and −1 for upper, its values in sampled points."""
     for part in parts:
-        rows = np.intersect1d(part.rows, spaces.inner.rows)
+        rows = np.setdiff1d(part.rows, spaces.outer_rows)
         for sign, bound in zip((1.0, -1.0), part.bounds, strict=True):
             if bound is not None:
                 lattice = facet_lattice(spaces.mesh, spaces.facets[rows], SAMPLES)
@@ -217,7 +289,7 @@ def jumps_obey(trace: LawTrace, parts: Sequence[PartLaw], spaces: Spaces) -> boo
     """
     mesh = spaces.mesh
     jumps = trace.on_gamma_s(spaces, facet_lattice(mesh, spaces.facets, SAMPLES))
-    short, size = 0.0, np.abs(trace.v.x.array).max(initial=0.0)
+    short, size = trace.jumps_of_tied(SAMPLES), np.abs(trace.v.x.array).max(initial=0.0)
     for rows, sign, bound in bounds_of_jumps(parts, spaces):
         short = max(short, float((sign * (bound - jumps[rows])).max(initial=0.0)))
         size = max(size, np.abs(bound).max(initial=0.0))

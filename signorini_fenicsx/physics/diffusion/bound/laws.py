@@ -13,6 +13,7 @@ the length of the next segment. θ = 1/(1 + βC_e²) with C_e of `local_fields` 
 
 *Water-filling.* Under the Signorini law, s_lo = q_S and s_hi = ∞, of a flux with y·n ≥ the mean of q_S, r is 0 in
 contact where y·n is larger than q_S, however much q_S varies; on a facet without contact r is q_S minus its mean.
+On slaves of pairs η is y·n, as on masters r would have other means.
 """
 
 from __future__ import annotations
@@ -161,11 +162,12 @@ class Goal:
     def enclosed(self, spaces: Spaces) -> PartLaw | None:
         """The part whose data can be enclosed: with Signorini's law, if the data of all others are polynomials.
 
-        None if there are more, or facets inside the domain, where v would have to be a jump.
+        None if there are more, or facets inside the domain or opposite to others, where v would have to be a jump.
         """
         rough = [part for part in self.parts if any(map(_is_rough, part.data.values()))]
         alone = len(rough) == 1 and type(rough[0].law) is Signorini and not spaces.inner.present
-        return rough[0] if alone else None
+        slaves = {name for joint in spaces.joints for name in joint.pair.slave}
+        return rough[0] if alone and slaves.isdisjoint(rough[0].law.parts) else None
 
 
 def pieces_beside(law: Chains, segment: Indices, flux: Array, rigid: Mask) -> Indices:
@@ -234,7 +236,9 @@ class LawGap:
         kept = np.where(slope > 0, 1 - theta[:, None], 1.0) * tilt
         eta = with_mean(theta[:, None] * wanted + kept, *ends, flux, points.weights)
         density = area(at.law, v.ravel(), eta.ravel()).reshape(points.shape)
-        return cls(points, density, FacetLoad(points, eta - flux[:, None] - tilt, missed))
+        rest = eta - flux[:, None] - tilt
+        rest[spaces.slave_rows] = 0.0  # but for rounding, see `OnGammaS.beyond`
+        return cls(points, density, FacetLoad(points, rest, missed))
 
     def loads(self, spaces: Spaces) -> list[FacetLoad]:
         """The load, and the opposite one on the other sides of facets inside the domain (collective)."""

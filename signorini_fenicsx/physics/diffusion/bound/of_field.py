@@ -1,4 +1,4 @@
-"""How wrong a function is: a bound of its distance to an admissible one, and of what that leaves; see `certify`."""
+"""How wrong a function is: a bound of its distance to an admissible one, and of what that leaves; see `of_field`."""
 
 import math
 from dataclasses import replace
@@ -9,9 +9,10 @@ from dolfinx import fem
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.owned import cell_dofs
 from signorini_fenicsx.certificate.certify import FieldBound, joined
+from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.discrete.bernstein import make_linear, to_bernstein
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import bernstein
-from signorini_fenicsx.physics.diffusion.bound.certify import OF_PAIRS, Admissible, gap_parts, summed
+from signorini_fenicsx.physics.diffusion.bound.certify import Admissible, gap_parts, summed
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal
 from signorini_fenicsx.physics.diffusion.solution import Solution
 
@@ -20,10 +21,10 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
     """The bounds of a scalar v (collective).
 
     Raises:
-        InputError: If surfaces are paired.
+        InputError: If both sides of a pair of surfaces are not on one process.
     """
-    if solution.spaces.joints:
-        raise InputError(f"v: there is no bound, {OF_PAIRS}")
+    if why := pairs_without_bound(solution.spaces):
+        raise InputError(f"v: {why}")
     goal = Goal.of(solution, for_signorini=True)
     comm = solution.spaces.mesh.comm
     with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
@@ -41,7 +42,7 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         squares = own.energies.squares(flux, of_field)
         most = (np.sqrt(squares.most) + own.off_b) ** 2
         least = np.maximum(np.sqrt(squares.least) - own.off_b, 0.0) ** 2
-        moved = np.sqrt(own.energies.squares(None, repaired.trace, field).most) + parts.hidden
+        moved = np.sqrt(own.energies.squares(None, repaired.trace, field).most) + parts.hidden + repaired.trace.lacking
     repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
     return joined(solution, certificate, (most, least), own.size, repair, of_repaired)
 

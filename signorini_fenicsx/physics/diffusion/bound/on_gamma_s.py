@@ -3,8 +3,10 @@
 import math
 from dataclasses import dataclass
 
+import basix
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.discrete.bernstein import basis
@@ -18,6 +20,9 @@ from signorini_fenicsx.physics.diffusion.solution import Solution
 
 RIGID = 1e4
 """A sloped segment with βh/κ above this is rigid: what v = a costs there is far below the error."""
+BEYOND = "what a law of a pair lets through varies within facets, so that fluxes that are linear there pass it"
+ROUNDING = 1e-9
+"""Share of the largest y·n that is rounding."""
 STIFF = 1.0
 """A sloped segment with βh/κ above this is stiff: it holds v, as a vertical one does."""
 
@@ -92,6 +97,7 @@ class OnGammaS:
     def flux_of_piece(self, at: LawPoints, v: Array) -> tuple[Array, Array]:
         """β and σ·n on the piece at u = v, in points; 0 for both where the facet's own segment is rigid."""
         rigid = self.rigid[np.arange(len(self.segment)), self.segment][:, None]
+        rigid[self.spaces.slave_rows] = True  # there y·n stays as it is, see `LawGap`
         slope = np.where(rigid, 0.0, self.slope(at))
         return slope, np.where(rigid, 0.0, at.on(self.piece)[1] - slope * v)
 
@@ -106,6 +112,18 @@ class OnGammaS:
         between = (least @ weights <= self.flux) & (self.flux <= largest @ weights)
         own = (self.rigid[np.arange(len(segment)), segment] & between)[:, None]
         return np.where(own, least, low), np.where(own, largest, high)
+
+    def beyond(self) -> str:
+        """Why laws of pairs of surfaces do not allow y·n in all points; empty if they do (collective)."""
+        facet, comm = facet_type(self.spaces.mesh.topology.dim), self.spaces.mesh.comm
+        at, slaves = (
+            self.goal.at(self.spaces, *basix.make_quadrature(facet, self.goal.degree())),
+            self.spaces.slave_rows,
+        )
+        flux, (low, high) = self.flux_at(at.points), at.extent()[2:]
+        past, size = np.maximum(low - flux, flux - high)[slaves], np.abs(flux)
+        past, size = (comm.allreduce(float(each.max(initial=0.0)), MPI.MAX) for each in (past, size))
+        return BEYOND if past > ROUNDING * size else ""
 
     def held(self, nodes: LawPoints) -> tuple[Array, Mask, Mask]:
         """The values at which v is held in the nodes of facets, and the facets that hold it: fully, and nearly."""

@@ -28,7 +28,7 @@ its norm, in L² and by Q.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import fem
@@ -195,6 +195,11 @@ class ReactionTerms:
     least: Array
     most: Array
     takes: Mask
+
+    def beside(self, d: Array) -> "ReactionTerms":
+        """The same for v + d, with ‖d‖ on the owned cells: ‖c^½d‖ is in the gap."""
+        most = np.where(d > 0, self.most, 0.0)
+        return replace(self, gap=(np.sqrt(self.gap) + np.sqrt(most) * d) ** 2)
 
     def hidden(self, value: Array, metric: CellMetric, resolution: Resolution) -> Array:
         """What osc_T grows by, as quadrature may miss `value` of the root mean square of v: the load c·v has that too.

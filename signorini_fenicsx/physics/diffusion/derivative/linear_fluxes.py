@@ -216,13 +216,11 @@ def linearised(solution: LinearSolution, tolerance: float) -> LinearisedFluxes:
     """A problem linearised at its solution, with the factors of the solver that has just solved it (collective).
 
     Raises:
-        InputError: If κ depends on u, or surfaces are paired.
+        InputError: If κ depends on u.
     """
     check_differentiable(solution)
     if solution.data.quasilinear is not None:
         raise InputError("derivatives: with RT1 there are none where κ depends on u; take RT0")
-    if solution.spaces.joints:
-        raise InputError("derivatives are not there where surfaces that share no nodes are paired")
     backend = solution.kept_backend(LinearBackend)
     backend = backend or LinearBackend(solution.spaces, solution.data, solution.options.tuning)
     return LinearisedFluxes(solution, backend, solution.law, tolerance)

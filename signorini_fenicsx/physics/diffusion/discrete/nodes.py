@@ -2,7 +2,8 @@
 
 On facets inside the domain, where the mesh is cut, a function v has two nodes in one place: one of the named side and
 one of the other. With the jump of v in the node of the named side, and all else as it is, a condition on the jump is
-one on a node. At the edge of the cut both sides share a node, and there is no jump.
+one on a node. At the edge of the cut both sides share a node, and there is no jump. On slaves of pairs the jump is that
+to the function that interpolates what is opposite, see `certificate.opposite`.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from signorini_fenicsx.base.arrays import Array, Mask
+from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.owned import sums_at
+from signorini_fenicsx.certificate.opposite import Opposite
 from signorini_fenicsx.discrete.bernstein import degree_of, nodes, nodes_of
 from signorini_fenicsx.discrete.continuity import facet_nodes
 from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.facet_coefficients import FacetCoefficients, in_order
+from signorini_fenicsx.discrete.linear_traces import LinearTraces
 from signorini_fenicsx.discrete.matrices import identity_with
 from signorini_fenicsx.discrete.mesh_spaces import extreme_around
+from signorini_fenicsx.discrete.pairing import Joint
 from signorini_fenicsx.discrete.points import (
     Entities,
     facet_type,
@@ -58,28 +63,32 @@ def quadratic_on_sides(datum: Datum, space: fem.FunctionSpace, spaces: Spaces) -
 
 @dataclass(frozen=True)
 class Jumps:
-    """The change of unknowns of a continuous function to jumps at facets inside the domain.
+    """The change of unknowns of a continuous function to jumps at facets inside the domain and on slaves of pairs.
 
     Attributes:
-        jump: Mask of the nodes of this rank that have the jump; no other part of Γ_S has these nodes.
+        jump: Mask of the nodes of this rank that have the jump; no other part inside the domain has these nodes.
         tips: Nodes of this rank at the edge of the cut.
         meets: Nodes of this rank in places where inner parts meet each other or other parts of Γ_S, or Γ_D on one side
-            only. They keep the values of the function.
+            only, and those of slaves on Γ_D alone, or of masters. They keep the values of the function.
         pairs: Nodes of the inner facets, and those in the same places of the other side, shape (facets, nodes) each.
+        tied: Nodes of slaves that are tied, where the jump is to be 0.
         basis: The matrix from the jumps, and the values in all other nodes, to the values in all nodes, and its
-            inverse; None without facets inside the domain.
+            inverse; None without jumps. At pairs it is for coefficients.
+        of_values: The same for values in the nodes.
     """
 
     jump: Mask
     tips: npt.NDArray[np.intp]
     meets: npt.NDArray[np.intp]
     pairs: tuple[Entities, Entities]
+    tied: npt.NDArray[np.intp]
     basis: tuple[PETSc.Mat, PETSc.Mat] | None = None
+    of_values: tuple[PETSc.Mat, PETSc.Mat] | None = None
 
     @classmethod
     def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps:
-        """The jumps of a space of linear or quadratic functions (collective)."""
-        if not spaces.inner.present:
+        """The jumps of a space of linear functions, or those of a higher degree (collective)."""
+        if not spaces.several:
             return cls.nowhere(space)
         numbers, inner = space.dofmap.index_map, spaces.inner
         pairs = named, across = _in_pairs(space, spaces.facets[inner.rows], inner.facets)
@@ -98,17 +107,22 @@ class Jumps:
         meets = _over_places(space, pairs, meets.astype(np.float64)) > 0
         jump = (other > 0) & ~meets
         own = np.flatnonzero(jump[: numbers.size_local])
-        more = numbers.local_range[0] + own, other[own].astype(np.int64) - 1
-        basis, inverse = (
-            identity_with(space.mesh.comm, numbers.size_local, *more, np.full(len(own), sign)) for sign in (1.0, -1.0)
-        )
-        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), pairs, (basis, inverse))
+        copied = numbers.local_range[0] + own, other[own].astype(np.int64) - 1, np.ones(len(own))
+        of_pairs = _Following.of(space, spaces, wall, (other > 0) | below | at_edge)
+        bases = [
+            (_identity_with(space, copied, more), _identity_with(space, copied, more, sign=-1.0))
+            for more in (of_pairs.of_coefficients, of_pairs.of_values)
+        ]
+        meets |= of_pairs.kept
+        jump |= of_pairs.jump
+        tied = np.flatnonzero(of_pairs.tied)
+        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), pairs, tied, *bases)
 
     @classmethod
     def nowhere(cls, space: fem.FunctionSpace) -> Jumps:
         """The change of unknowns on a mesh that is not cut, which is none."""
         numbers, none, pairs = space.dofmap.index_map, np.empty(0, dtype=np.intp), np.empty((0, 1), dtype=np.int32)
-        return cls(np.zeros(numbers.size_local + numbers.num_ghosts, dtype=bool), none, none, (pairs, pairs))
+        return cls(np.zeros(numbers.size_local + numbers.num_ghosts, dtype=bool), none, none, (pairs, pairs), none)
 
     def join(self, v: fem.Function, at: Mask, given: Entities) -> None:
         """Let v be continuous in the places of some nodes, in place: of `given` values, else the largest (collective).
@@ -125,15 +139,16 @@ class Jumps:
         is_joined = _over_places(space, self.pairs, at.astype(np.float64)) > 0
         v.x.array[is_joined] = _over_places(space, self.pairs, value)[is_joined]
 
-    def taken(self, v: fem.Function) -> None:
-        """Put the jumps of a function in the place of its values, ghosts updated (collective)."""
-        if self.basis is not None:
-            _apply(self.basis[1], v)
+    def taken(self, v: fem.Function, *, of_values: bool = False) -> None:
+        """Put the jumps of a function in the place of its coefficients, or values, ghosts updated (collective)."""
+        if (basis := self.of_values if of_values else self.basis) is not None:
+            _apply(basis[1], v)
+            v.x.array[self.tied] = 0.0
 
-    def undone(self, v: fem.Function) -> None:
-        """Put the values of a function in the place of its jumps, ghosts updated (collective)."""
-        if self.basis is not None:
-            _apply(self.basis[0], v)
+    def undone(self, v: fem.Function, *, of_values: bool = False) -> None:
+        """Put the coefficients of a function, or values, in the place of its jumps, ghosts updated (collective)."""
+        if (basis := self.of_values if of_values else self.basis) is not None:
+            _apply(basis[0], v)
 
     def transposed(self, values: Array) -> Array:
         """The transpose of `basis` times values of the owned nodes (collective)."""
@@ -143,6 +158,91 @@ class Jumps:
         left.array_w[:] = values
         self.basis[0].multTranspose(left, right)
         return right.array_r.copy()
+
+
+type _Entries = tuple[Indices, Indices, Array]
+"""Rows and columns over all ranks, and values."""
+
+
+def _identity_with(space: fem.FunctionSpace, copied: _Entries, more: _Entries, sign: float = 1.0) -> PETSc.Mat:
+    rows, columns, values = (np.append(*each) for each in zip(copied, more, strict=True))
+    return identity_with(space.mesh.comm, space.dofmap.index_map.size_local, rows, columns, sign * values)
+
+
+@dataclass(frozen=True)
+class _Following:
+    """Nodes of slaves whose unknown is the jump to what is opposite.
+
+    Attributes:
+        jump: Mask of these nodes of this rank.
+        tied: Mask of those where it is to be 0.
+        kept: Mask of nodes of slaves that keep their values.
+        of_coefficients: The entries of P, see `hybrid_system.Sides`.
+        of_values: Those for values in the nodes.
+    """
+
+    jump: Mask
+    tied: Mask
+    kept: Mask
+    of_coefficients: _Entries
+    of_values: _Entries
+
+    @classmethod
+    def of(cls, space: fem.FunctionSpace, spaces: Spaces, wall: Mask, others: Mask) -> _Following:
+        """Those of a space, given the nodes on Γ_D and those of facets inside the domain (collective).
+
+        A node of several slaves follows what is opposite to the first of these, a tied one before all others. Where v
+        is given on the slave alone, or the node is one of a master, it keeps its value.
+        """
+        jump, tied, kept = (np.zeros(len(wall), dtype=bool) for _ in range(3))
+        none = np.empty(0, dtype=np.int64)
+        entries = [(none, none, np.empty(0))], [(none, none, np.empty(0))]
+        pairs = sorted(opposites(space, spaces), key=lambda each: not each[0].pair.tied)
+        for _, pair in pairs:
+            others = others | _somewhere(space, pair.masters.nodes.ravel())
+        for joint, pair in pairs:
+            nodes, weights = pair.conditions()
+            named, rank = nodes[:, 0], float(space.mesh.comm.rank)
+            free = wall[named] & ((weights[:, 1:] != 0) & ~wall[nodes[:, 1:]]).any(axis=1)
+            first = extreme_around(space, named, np.full(len(named), rank), largest=False)[named] == rank
+            left_out = others[named] | free
+            chosen = first & ~left_out & ~jump[named]
+            for found, of_values in zip(entries, (False, True), strict=True):
+                found.append(_entries(space, *(each[chosen] for each in pair.conditions(of_values=of_values))))
+            kept |= _somewhere(space, named[left_out])
+            following = _somewhere(space, named[chosen])
+            tied |= following & joint.pair.tied
+            jump |= following
+        both = ([np.concatenate(each) for each in zip(*found, strict=True)] for found in entries)
+        return cls(jump, tied, kept & ~jump, *((rows, columns, values) for rows, columns, values in both))
+
+
+def _entries(space: fem.FunctionSpace, nodes: Indices, weights: Array) -> _Entries:
+    """The entries of P for conditions, see `Opposite.conditions`."""
+    used = weights[:, 1:] != 0
+    own, columns = np.broadcast_to(nodes[:, :1], used.shape)[used], nodes[:, 1:][used]
+    rows, columns = (space.dofmap.index_map.local_to_global(each.astype(np.int32)) for each in (own, columns))
+    return rows.astype(np.int64), columns.astype(np.int64), -weights[:, 1:][used]
+
+
+def opposites(space: fem.FunctionSpace, spaces: Spaces) -> list[tuple[Joint, Opposite]]:
+    """The pairs of surfaces by the nodes of a space; none for RT0, which has none."""
+    if not isinstance(spaces, LinearTraces):
+        return []
+
+    def nodes_on(facets: Entities) -> FacetCoefficients:
+        on, degree = spaces.boundary_facets(facets), degree_of(space)
+        of_facets = np.take_along_axis(facet_nodes(space, facets), in_order(on.ranking, degree), axis=1)
+        return FacetCoefficients(on, np.arange(len(facets)), on.cells.astype(np.int64), of_facets, degree)
+
+    return [
+        (joint, Opposite.of(joint, spaces, nodes_on(joint.slaves), nodes_on(joint.masters))) for joint in spaces.joints
+    ]
+
+
+def _somewhere(space: fem.FunctionSpace, nodes: Entities) -> Mask:
+    """Mask of the nodes of this rank that are among these on some rank (collective)."""
+    return np.asarray(largest_around(space, nodes[:, None], np.ones(len(nodes))) > 0)
 
 
 def _apply(matrix: PETSc.Mat, v: fem.Function) -> None:

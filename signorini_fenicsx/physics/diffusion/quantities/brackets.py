@@ -31,7 +31,6 @@ from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.physics.diffusion.bound.certify import (
     LAST_KAPPA,
-    OF_PAIRS,
     Admissible,
     gap_on_gamma_s,
     gap_parts,
@@ -45,7 +44,7 @@ from signorini_fenicsx.physics.diffusion.bound.near_polynomial import NearPolyno
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import cell_values, in_points, normal_flux
 from signorini_fenicsx.physics.diffusion.discrete.through import flux_through
 from signorini_fenicsx.physics.diffusion.problem import Problem
-from signorini_fenicsx.physics.diffusion.quantities.shifts import with_flux, with_trace
+from signorini_fenicsx.physics.diffusion.quantities.shifts import check_paired, with_flux, with_trace
 from signorini_fenicsx.physics.diffusion.show.water import share_above_table
 from signorini_fenicsx.physics.diffusion.soils import FORMS
 from signorini_fenicsx.physics.diffusion.solution import Solution
@@ -73,16 +72,19 @@ def check(domain: Domain, problem: Problem, kind: Kind) -> None:
     Raises:
         InputError: If a name is unknown, or the quantity is given by the data.
     """
-    if problem.boundary.pairs:
-        raise InputError(f"{type(kind).__name__}: {OF_PAIRS}")
     if isinstance(kind, Energy):
-        if problem.b is not None:
-            raise InputError("Energy: there is none with a given flux b")
+        if problem.b is not None or problem.boundary.pairs:
+            without = (
+                "with a given flux b" if problem.b is not None else "where surfaces that share no nodes are paired"
+            )
+            raise InputError(f"Energy: there is none {without}")
         return
     if not isinstance(kind, Flux | Integral):
         raise InputError(f"{type(kind).__name__}: diffusion problems have Integral, Mean, Flux and Energy")
     if isinstance(kind, Integral) and kind.direction is not None:
         raise InputError("direction: is of displacements; u is a scalar here")
+    for part in kind.parts:
+        check_paired(problem, part, is_flux=isinstance(kind, Flux))
     _moved(domain, problem, kind, 0.0)
 
 
@@ -255,6 +257,11 @@ class Fluxes(_Beside):
 class Integrals(beside.Integrals[Admissible], _Beside):
     """The integral of u with a weight, or its mean."""
 
+    def __init__(self, solution: Solution, kind: Integral):
+        super().__init__(solution, kind)
+        if self.spaces.joints and self.weight.polynomial is None:
+            raise InputError("weight: where surfaces are paired it has to be a polynomial")
+
     def discrete(self) -> float:
         """The integral, or the mean, with u_h in cells and p_h, or the mean of u, on facets (collective)."""
         solution, sums = self.solution, np.zeros(2)
@@ -266,13 +273,29 @@ class Integrals(beside.Integrals[Admissible], _Beside):
 
     def integral(self, of: Admissible, enough: float) -> Array:
         """The integral of v with the weight, and by how much it may be wrong, on this rank (collective)."""
-        near = NearPolynomial.of(of)
+        near, lacked = NearPolynomial.of(of), self._lacked(of)
         if not self.kind.parts:
-            return near.integral(self.weight, self.cells, enough)
+            return near.integral(self.weight, self.cells, enough) + lacked
         inner, total = self.solution.boundary.inner, np.zeros(2)
         for part in self.kind.parts:
             total += near.on_facets(self.weight, self.domain.facets[part], enough, jump=part in inner)
-        return total
+        return total + lacked
+
+    def _lacked(self, of: Admissible) -> Array:
+        """What the d of `certificate.opposite`, which v lacks at pairs, may add, on this rank (collective).
+
+        In cells that is ∫|wd| ≤ ‖w‖ ‖d‖; on a facet e of T it is dim ‖d‖²_e |T|/|e| ≤ dim ‖d‖² + 2 diam(T) ‖d‖ ‖∇d‖.
+        """
+        missed, dim = 0.0, self.spaces.mesh.topology.dim
+        for points in self.where(power=2) if self.spaces.joints else ():
+            cells, size = points.cells, np.sqrt(points.integrals(self.weight.values(points) ** 2))
+            d, slope = (each[cells] for each in (of.trace.lacked, of.trace.lacking))
+            if self.kind.parts:
+                far = self.spaces.cell_diameters[cells] / np.sqrt(of.metric.kappa_min[cells])
+                share = points.scale / math.factorial(dim - 1) / of.metric.volume[cells] / dim
+                d = np.sqrt(share * (dim * d**2 + 2 * far * d * slope))
+            missed += float((size * d).sum())
+        return np.array([0.0, missed])
 
 
 SQUARE = 8

@@ -97,6 +97,20 @@ def with_trace(domain: Domain, problem: Problem, parts: Sequence[str], weight: G
     return problem
 
 
+def check_paired(problem: Problem, part: str, *, is_flux: bool) -> None:
+    """Refuse parts of pairs, but for the flux through a slave with a law.
+
+    Raises:
+        InputError: If it is one.
+    """
+    for pair in problem.boundary.pairs:
+        if part in pair.master:
+            raise InputError(f"the part '{part}' is the master of a pair; take a slave, or other parts of its body")
+        if part in pair.slave and (pair.tied or not is_flux):
+            how = "tied" if pair.tied else "a slave, and u jumps there"
+            raise InputError(f"the part '{part}' of a pair is {how}; take other parts, or a region, of its body")
+
+
 def _on_part(domain: Domain, part: str, given: Given) -> Given:
     """A datum as it is on a part: of a text the branches that hold there (collective)."""
     if not isinstance(given, TREES):

@@ -64,7 +64,7 @@ def linear_kkt(
         squares += squares_off(laws.chains, (above, force), unit, cell.measure * h**2, k_T, 1.0)
     of_cells = _of_cells(spaces, data, sigma, u, kind.rows_of(means))
     given = [(spaces.neumann, spaces.through(spaces.neumann, sigma) - data.given_flux)]
-    for facets, left in [*given, *_passed(spaces, sigma)]:
+    for facets, left in [*given, *passed(spaces, sigma)]:
         lacking = (left**2).mean(axis=1)
         of_cells[1] += [length * (facets.measure / scale**2) @ lacking for scale in (k[facets.cells], 1.0)]
     primal, dual, complementarity = np.sqrt(spaces.mesh.comm.allreduce(squares))
@@ -111,7 +111,7 @@ def _of_cells(spaces: LinearSpaces, data: LinearData, sigma: Array, u: Array, me
     return squares + _of_traces(spaces, data, trace, sizes, means)
 
 
-def _passed(spaces: LinearSpaces, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
+def passed(spaces: LinearSpaces, sigma: Array) -> Iterator[tuple[BoundaryFacets, Array]]:
     """What masters do not take of what goes through slaves, and what goes through slaves without one (collective)."""
     nothing = np.empty(0, dtype=np.int32)
     facets = np.unique(np.concatenate([nothing, *(joint.masters for joint in spaces.joints)]))

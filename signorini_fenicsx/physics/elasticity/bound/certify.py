@@ -38,6 +38,7 @@ from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.owned import cells_behind, sums_at
 from signorini_fenicsx.certificate.certificate import Certificate, Gap
 from signorini_fenicsx.certificate.certify import no_bound
+from signorini_fenicsx.certificate.passed_on import pairs_without_bound
 from signorini_fenicsx.forms.elasticity import off_law, square
 from signorini_fenicsx.meshes.refinement import dorfler
 from signorini_fenicsx.physics.elasticity.bound import hidden
@@ -122,18 +123,9 @@ def certificate_of(solution: ElasticSolution, **_: bool) -> Certificate:
 
 def without_bound(solution: ElasticSolution) -> str:
     """Why there is no bound, in words; empty if there is one (collective)."""
-    spaces = solution.spaces
     if solution.problem.joint:
         return "none is there for springs along a joint"
-    for joint in spaces.joints:
-        rows = joint.pieces.master - joint.first
-        elsewhere = bool(((rows < 0) | (rows >= len(joint.masters))).any())
-        if spaces.mesh.comm.allreduce(elsewhere, MPI.LOR):
-            return (
-                f"both sides of the pair {joint.pair.words} have to be on one process for it; give these parts as "
-                "`pairs` where the domain is made, or run on one process"
-            )
-    return ""
+    return pairs_without_bound(solution.spaces)
 
 
 def with_surface(solution: ElasticSolution, of: str) -> str:

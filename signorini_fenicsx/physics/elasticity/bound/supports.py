@@ -6,10 +6,11 @@ import numpy as np
 from dolfinx import fem
 
 from signorini_fenicsx.base.arrays import Array
+from signorini_fenicsx.discrete.facet_coefficients import FacetCoefficients
 from signorini_fenicsx.discrete.linear_traces import linear_from_means
 from signorini_fenicsx.discrete.matrices import OfCells
 from signorini_fenicsx.physics.elasticity.bound.condensed import Nodes
-from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import FacetCoefficients, facet_coefficients
+from signorini_fenicsx.physics.elasticity.discrete.boundary_nodes import facet_coefficients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import facet_rule
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh

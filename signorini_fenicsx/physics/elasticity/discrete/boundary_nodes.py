@@ -7,9 +7,7 @@ node has one such condition for each of its facets of Γ_C, each along the norma
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
-import basix
 import basix.ufl
 import dolfinx.mesh
 import numpy as np
@@ -20,23 +18,15 @@ from mpi4py import MPI
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.errors import InputError
-from signorini_fenicsx.base.reference_cells import SIMPLEX
 from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.base.tolerances import LINEAR
-from signorini_fenicsx.discrete.datum import Datum
+from signorini_fenicsx.discrete.facet_coefficients import NOTHING, FacetCoefficients
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_from_means
-from signorini_fenicsx.discrete.points import from_within, in_facets
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
-from signorini_fenicsx.physics.elasticity.discrete.normal_laws import NormalLaw
-from signorini_fenicsx.physics.elasticity.discrete.on_facets import VectorDatum
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 
 ALONG = 1e-12
 """v is given at a node along directions on which the squares of what is given of unit directions add up to more."""
-NOTHING = 1e-13
-"""The weight of a node that is rounding; which nodes a condition has does not depend on their numbers."""
-HALVINGS = 3
-"""How often the edges of facets in space are halved where lengths of vectors are integrated."""
 TURNED = 0.5
 """The sine of the angle by which the normal of a facet may differ from that of a curved body."""
 
@@ -58,121 +48,6 @@ class GivenNodes:
     given: Mask
     values: Array
     apart: tuple[float, str] = (0.0, "")
-
-
-@dataclass(frozen=True)
-class FacetCoefficients:
-    """Facets on the split mesh or a part of it, and the nodes of a displacement on each.
-
-    Attributes:
-        facets: The facets.
-        rows: Where they are among those asked for.
-        cells: The cell of the split mesh behind each, which is opposite to its last vertex.
-        nodes: Shape (facets, coefficients).
-        degree: Of the displacement.
-    """
-
-    facets: BoundaryFacets
-    rows: Indices
-    cells: Indices
-    nodes: npt.NDArray[np.int32]
-    degree: int
-
-    @cached_property
-    def _element(self) -> basix.finite_element.FiniteElement:
-        facet = SIMPLEX[self.facets.vertices.shape[2] - 1]
-        return basix.create_element(basix.ElementFamily.P, facet, self.degree, basix.LagrangeVariant.bernstein)
-
-    def basis(self, points: Array) -> Array:
-        """Bernstein's basis in points of the reference facet, shape (points, coefficients)."""
-        return self._element.tabulate(0, points)[0, :, :, 0]
-
-    def slopes(self, points: Array) -> Array:
-        """Its derivatives by the coordinates of the reference facet, shape (d − 1, points, coefficients)."""
-        return self._element.tabulate(1, points)[1:, :, :, 0]
-
-    def lengths(self, vectors: Array, bound: Array, moments: Array) -> Array:
-        """Bounds of the means of g|v| over facets: |v| is at most a mean of the lengths of its coefficients.
-
-        In space these are the coefficients on parts of a facet, on which v turns less.
-
-        Args:
-            vectors: The coefficients of v, shape (facets, coefficients, components).
-            bound: G ≥ 0 at the vertices, linear between them, shape (facets, d).
-            moments: ∫ φ_a B for the hats and the basis, the facet being of measure 1, shape (d, coefficients).
-        """
-        hats, on_parts = self._parts
-        lengths = np.linalg.norm(np.einsum("pkl,nlm->npkm", on_parts, vectors), axis=3)
-        weights = np.einsum("pab,nb->npa", hats, bound) @ moments
-        return np.asarray((weights * lengths).sum(axis=(1, 2)) / len(hats))
-
-    @cached_property
-    def _parts(self) -> tuple[Array, Array]:
-        """The hats at the vertices of the parts of a facet, and the coefficients on each from those on the facet.
-
-        Shapes (parts, d, d) and (parts, coefficients, coefficients). An edge is one part.
-        """
-        corners = np.eye(self.facets.vertices.shape[2])[None]
-        for _ in range(HALVINGS if corners.shape[1] == 3 else 0):
-            a, b, c = (corners[:, i] for i in range(3))
-            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-            quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
-            corners = np.concatenate([np.stack(each, axis=1) for each in quarters])
-        return corners, self.restricted(corners)
-
-    def restricted(self, corners: Array) -> Array:
-        """The coefficients on parts of a facet from those on the facet, shape (parts, coefficients, coefficients).
-
-        Each is a mean of these with weights ≥ 0.
-
-        Args:
-            corners: Of the parts, by barycentric coordinates, shape (parts, d, d).
-        """
-        points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
-        hats = np.column_stack([1 - points.sum(axis=1), points])
-        places = (hats @ corners)[:, :, 1:]
-        values = self.basis(places.reshape(-1, places.shape[2])).reshape(len(corners), len(points), len(points))
-        return np.linalg.inv(self.basis(points)) @ values
-
-    @property
-    def hats(self) -> Array:
-        """The hats of the vertices in the points of the coefficients, shape (coefficients, d).
-
-        A linear function has the coefficients that are its values in these points.
-        """
-        cell = self._element.cell_type
-        lagrange = basix.create_element(basix.ElementFamily.P, cell, self.degree, basix.LagrangeVariant.equispaced)
-        return np.column_stack([1 - lagrange.points.sum(axis=1), lagrange.points])
-
-    def places(self) -> Array:
-        """The points of the coefficients, equidistant on each facet, shape (facets, coefficients, d)."""
-        return np.asarray(self.hats @ self.facets.vertices)
-
-    def with_means(self, vectors: Array, directions: Array, means: Array) -> Array:
-        """Coefficients of vectors, shape (facets, coefficients, d), with other means along a direction of each facet.
-
-        Those inside facets are changed, if there are any: a fluid flows through a facet by the mean.
-        """
-        inside = (self.hats > 0).all(axis=1)
-        share = inside / max(inside.mean(), 1 / len(inside))
-        more = means - np.einsum("nki,ni->nk", vectors, directions).mean(axis=1)
-        return np.asarray(vectors + np.einsum("n,k,ni->nki", more, share, directions))
-
-    def of(self, mesh: dolfinx.mesh.Mesh, datum: Datum | VectorDatum | NormalLaw) -> Array:
-        """Coefficients of the polynomials that interpolate at equidistant points (collective).
-
-        What is not a polynomial may jump where a punch ends, so the values are limits from inside the facets.
-        """
-        points = basix.create_lattice(self._element.cell_type, self.degree, basix.LatticeType.equispaced, True)
-        at = in_facets(mesh, self.facets.facets, points)
-        values = from_within(datum.values, at) if datum.polynomial is None else datum.values(at)
-        steps = np.rint(self.degree * np.column_stack([1 - points.sum(axis=1), points])).astype(np.int64)
-        weights = (self.degree + 1) ** np.arange(steps.shape[1])
-        number_of = np.zeros(weights[-1] * (self.degree + 1), dtype=np.int64)
-        number_of[steps @ weights] = np.arange(len(points))
-        where = number_of[weights[self.facets.ranking] @ steps.T]  # the points in the order of the facet's vertices
-        at_points = np.take_along_axis(values, where.reshape(*where.shape, *[1] * (values.ndim - 2)), axis=1)
-        return np.einsum("kp,np...->nk...", np.linalg.inv(self.basis(points)), at_points)
 
 
 def facet_coefficients(split: SplitMesh, space: fem.FunctionSpace, facets: BoundaryFacets) -> FacetCoefficients:

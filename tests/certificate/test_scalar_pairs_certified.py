@@ -1,0 +1,181 @@
+"""Scalar pairs of surfaces: the bound beside finer meshes and matching ones, quantities, derivatives, any ranks."""
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import dolfinx.mesh
+import numpy as np
+import pytest
+import ufl
+from bodies_apart import joined, two
+from dolfinx import fem
+from mpi4py import MPI
+
+from signorini_fenicsx.api import (
+    Diffusion,
+    Dirichlet,
+    Friction,
+    Neumann,
+    Options,
+    Pair,
+    Regulator,
+    Signorini,
+    Solution,
+    Tied,
+    TwoSided,
+    Wall,
+    certify,
+    domain_of,
+    domain_of_bodies,
+    solve,
+)
+from signorini_fenicsx.meshes.domain import Domain
+from signorini_fenicsx.meshes.refinement import refine
+from signorini_fenicsx.meshes.sampling import sampled
+from signorini_fenicsx.quantities.kinds import Flux, Integral, Mean
+
+SIDES = "up.bottom", "low.top"
+LAWS = {
+    "tied": Tied(),
+    "wall": Wall((), beta=4),
+    "stiff": Wall((), beta=300),
+    "friction": Friction((), g=0.3),
+    "contact": Signorini((), psi=-0.02),
+    "between": TwoSided((), psi_upper=0.02, psi=-0.01),
+    "regulator": Regulator((), k=5, g_low=-0.3, g_high=0.3),
+}
+
+
+def boxes(
+    upper: int, lower: int, dim: int = 2, left: float = 0.0, height: float = 0.0, comm: MPI.Intracomm = MPI.COMM_SELF
+) -> Domain:
+    """Two boxes with so many cells along an edge of each, the upper one from `left` on and so high above the other."""
+
+    def box(low: list[float], high: list[float], number: int) -> Domain:
+        make = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
+        mesh = make(comm, [np.array(low), np.array(high)], [number] * dim)
+        ends = {"bottom": (dim - 1, low[-1]), "top": (dim - 1, high[-1]), "before": (0, low[0]), "after": (0, high[0])}
+        ends |= {"front": (1, low[1]), "back": (1, high[1])} if dim == 3 else {}
+        return domain_of(mesh, {name: partial(on_plane, *place) for name, place in ends.items()})
+
+    aside = [0.0] * (dim - 2)
+    up = box([left, *aside, height], [1.0] * (dim - 1) + [height + 1.0], upper)
+    low = box([0.0, *aside, -1.0], [1.0] * (dim - 1) + [0.0], lower)
+    return domain_of_bodies({"up": up, "low": low}, pairs=[SIDES])
+
+
+def on_plane(axis: int, place: float, x: np.ndarray) -> np.ndarray:
+    """Whether points are on a plane."""
+    return np.asarray(np.isclose(x[axis], place))
+
+
+def posed(law: Any, dim: int = 2, **more: Any) -> Diffusion:
+    """A problem of two boxes on one another."""
+    names = ["before", "after"] + ["front", "back"] * (dim == 3)
+    sides = [f"{body}.{name}" for body in ("up", "low") for name in names]
+    held = [Dirichlet("up.top", "1 - 2*x + x**2"), Dirichlet("low.bottom", 0)]
+    return Diffusion(f="1 - x", conditions=[*held, Neumann(sides), Pair(*SIDES, law)], **more)
+
+
+def refined(domain: Domain, times: int) -> Domain:
+    """The domain with all cells refined so often."""
+    for _ in range(times):
+        cells = domain.mesh.topology.index_map(domain.mesh.topology.dim).size_local
+        domain = refine(domain, np.arange(cells, dtype=np.int32))
+    return domain
+
+
+def distance(fine: Solution, coarse: Solution) -> float:
+    """‖σ − σ'‖ of two solutions with κ = 1."""
+    (sigma,) = sampled([coarse.sigma], fine.spaces.mesh, coarse.spaces.domain, degree=4)
+    off = fine.sigma - sigma
+    return math.sqrt(fem.assemble_scalar(fem.form(ufl.inner(off, off) * ufl.dx(metadata={"quadrature_degree": 4}))))
+
+
+@pytest.mark.parametrize(
+    ("name", "dim", "left", "most"),
+    [
+        *((name, 2, 0.0, 1.4) for name in LAWS),
+        ("tied", 2, 0.17, 1.7),
+        ("friction", 2, 0.17, 1.5),
+        ("tied", 3, 0.0, 1.7),
+        ("contact", 3, 0.17, 2.0),
+    ],
+)
+def test_beside_finer_meshes(name: str, dim: int, left: float, most: float) -> None:
+    """The bound is guaranteed, not below the distance to a finer solution, and not far above.
+
+    Also where bodies are apart, or one ends inside facets of the other.
+    """
+    domain, problem = boxes(3 - (dim == 3), 4 - (dim == 3), dim, left, 0.05 * (name == "tied")), posed(LAWS[name], dim)
+    solution = solve(domain, problem)
+    certificate = certify(solution)
+    error = distance(solve(refined(domain, 4 - dim), problem), solution)
+    assert certificate.guaranteed
+    assert error < certificate.sigma_bound < most * error
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_matching_mesh_as_one_cut_inside(name: str) -> None:
+    """Where both surfaces have the same facets the bound is that of a part inside the domain."""
+    law, given = LAWS[name], [Dirichlet("l10", 0), Dirichlet("u11", "1 - 2*x + x**2")]
+    cases = [(two(MPI.COMM_SELF, (4, 3), (4, 3)), Neumann([f"{body}0{end}" for body in "ul" for end in (0, 1)]))]
+    cases.append((joined((4, 3)), Neumann(["x0", "x1"])))
+    inner = TwoSided("u10", psi_upper=0) if name == "tied" else type(law)("u10", **law.data())
+    found = []
+    for (domain, sides), meeting in zip(cases, (Pair("u10", "l11", law), inner), strict=True):
+        problem = Diffusion(f="1 + x", c=0.5, conditions=[*given, sides, meeting])
+        found.append(certify(solve(domain, problem, Options(element="RT1"))).bound)
+    assert found[0] == pytest.approx(found[1], rel=1e-9 if name not in ("regulator", "stiff", "wall") else 1e-3)
+
+
+def test_quantities() -> None:
+    """Intervals of two meshes meet, and the finer ones have the values of its solution in them."""
+    problem, found = posed(LAWS["wall"]), []
+    for times in (0, 1):
+        solution = solve(refined(boxes(1, 2, left=0.17, height=0.05), times), problem)
+        kinds = Mean(region="up"), Integral(parts="up.after"), Flux("up.bottom")
+        found.append([solution.quantity(kind) for kind in kinds])
+    for coarse, fine in zip(*found, strict=True):
+        assert fine.proved
+        assert coarse.lower < fine.lower < fine.value < fine.upper < coarse.upper
+
+
+def test_derivatives() -> None:
+    """Derivatives by a load, κ and a law are those of differences."""
+    domain, at, step = boxes(2, 3, left=0.17), np.array([1.0, 2.0, 4.0]), 1e-4
+    controls = [fem.Constant(domain.mesh, value) for value in at]
+    f, kappa, beta = controls
+    problem = replace(posed(Wall((), beta=beta)), f=f, kappa=kappa)
+
+    def J(solution: Solution) -> ufl.Form:
+        return solution.u**2 * ufl.dx
+
+    solution = solve(domain, problem)
+    found = solution.gradient(J(solution), controls).gradients
+    for control, derivative in zip(controls, found, strict=True):
+        ends, value = [], float(control.value)
+        for sign in (-1, 1):
+            control.value = value + sign * step
+            ends.append(fem.assemble_scalar(fem.form(J(solve(domain, problem)))))
+        control.value = value
+        assert derivative == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-5)
+
+
+@pytest.mark.parallel(3)
+def test_several_ranks() -> None:
+    """The bound is that of one rank if both sides of a pair are on one of them; else the reason is told."""
+    cases = [("tied", 2), ("contact", 2), ("friction", 2), ("tied", 3)]
+
+    def bounds(comm: MPI.Intracomm) -> list[float]:
+        found = []
+        for name, dim in cases:
+            domain = boxes(4 - (dim == 3), 5 - 2 * (dim == 3), dim, 0.17, 0.05, comm)
+            found.append(certify(solve(domain, posed(LAWS[name], dim, c=0.5))).bound)
+        return found
+
+    world = MPI.COMM_WORLD
+    alone = world.bcast(bounds(MPI.COMM_SELF) if world.rank == 0 else [])
+    assert bounds(world) == pytest.approx(alone, rel=1e-9)
