@@ -15,6 +15,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.arrays import Array, Indices
 from signorini_fenicsx.base.tolerances import STEP
 from signorini_fenicsx.contact.law import Law, LawWithMemory
+from signorini_fenicsx.discrete.contact_sets import near_facets
 from signorini_fenicsx.discrete.datum import OnFacets, datum_of
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.part_laws import PartLaw, chains_of, means_of
@@ -51,8 +52,8 @@ class Remembered:
         numbers = [self.spaces.part_names.index(part) for part in law.parts]
         return np.flatnonzero(np.isin(self.spaces.part_of_facet, numbers))
 
-    def start(self, tau: float) -> Array:
-        """The columns at t = 0, with no flux yet (collective).
+    def start(self, tau: float, before: Any = None) -> Array:
+        """The columns at t = 0, with no flux; states are those after another solution that has the same (collective).
 
         Raises:
             InputError: If a state is not finite, or a text cannot be read.
@@ -65,7 +66,16 @@ class Remembered:
             given = at_time(parsed(getattr(law, name), axes + "t", place), 0.0)
             part = PartLaw(law, f"law.{i}", self.rows(law), {name: datum_of(self.spaces, place, given)})
             column[part.rows] = means_of(self.spaces, part)[name]
+        known = None if before is None else Remembered.among(before.spaces, before.problem.laws)
+        if known is not None and known.names == self.names != []:
+            left = known.left_by(before)[:, :-2].T
+            columns[:, :-2] = np.column_stack(near_facets(list(left), before.spaces, self.spaces))
         return columns
+
+    def left_by(self, solution: Any) -> Array:
+        """The columns after a step with this solution (collective)."""
+        flux = solution.spaces.normal_flux(solution.sigma)
+        return self.after(solution.data.laws.of_parts, solution.p_means, flux)
 
     def in_step(self, laws: Sequence[Law], columns: Array) -> tuple[Law, ...]:
         """All laws of a problem, those with memory as laws of a step that knows these columns."""

@@ -140,6 +140,11 @@ def test_ranks_restarts_and_files(tmp_path: Path):
         first, second = ((folder / name / "facets.csv").read_text(encoding="utf-8") for name in ("whole", "parts"))
         rows = [[line.split(",")[-1] for line in text.splitlines()[1:]] for text in (first, second)]
         np.testing.assert_allclose(*[np.array(each, dtype=float) for each in rows], atol=1e-12)
+    longer = case.with_values({"time.end": 2, "time.steps": 8})
+    *_, last = evolve_case(longer, COMM)
+    *_, again = evolve_case(case, COMM, start=one)  # which has the thickness of the last state
+    for law, of in last.solution.summary()["states"].items():
+        assert again.solution.summary()["states"][law] == pytest.approx(of, abs=1e-9)
 
 
 def test_refusals():

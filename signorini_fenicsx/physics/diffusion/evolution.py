@@ -92,7 +92,7 @@ class DiffusionSteps:
         self.spaces, self._evolution = spaces, evolution
         self._problem = with_storage(problem.in_time(dim), evolution, dim)
         self.storage = [_storage(spaces, law, f"law.{i}") for i, law in _storages(self._problem)]
-        self.remembered = Remembered.among(spaces, self._problem.laws)
+        self.remembered, self._before = Remembered.among(spaces, self._problem.laws), start
         for some, what in ((self.storage, "storage"), (self.remembered.laws, "laws with memory")):
             if spaces.degree and some:
                 raise InputError(f"element: there is no RT1 for {what}; take RT0")
@@ -125,7 +125,7 @@ class DiffusionSteps:
         Raises:
             InputError: If they are not finite, or of no usable size.
         """
-        u, columns = self._means("initial", self.initial), self.remembered.start(self._evolution.time(1))
+        u, columns = self._means("initial", self.initial), self.remembered.start(self._evolution.time(1), self._before)
         if isinstance(self.spaces, LinearSpaces):
             return Left(self._content(projected(self.spaces, self.initial)), columns)
         least = np.zeros_like(u)
@@ -195,8 +195,7 @@ class DiffusionSteps:
 
     def _columns(self, solution: Solution) -> Array:
         """What the laws with memory remember after a step (collective)."""
-        flux = solution.spaces.normal_flux(solution.sigma)
-        return self.remembered.after(solution.data.laws.of_parts, solution.p_means, flux)
+        return self.remembered.left_by(solution)
 
     def theta(self, solution: Solution) -> Array:
         """The θ that the balance of a step has selected, per owned cell; 0 where there is no storage (collective).
