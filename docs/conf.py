@@ -1,6 +1,8 @@
 """Sphinx configuration. Build with: uv run --group docs sphinx-build -W docs docs/_build."""
 
 import re
+import sys
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -9,6 +11,9 @@ from sphinx.util.math import get_node_equation_number
 from sphinx.writers.html5 import HTML5Translator
 
 import signorini_fenicsx
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+import notebooks
 
 project = "signorini_fenicsx"
 author = "The signorini_fenicsx developers"
@@ -65,7 +70,22 @@ def keep_signs(app: Sphinx, what: str, name: str, obj: object, options: object, 
         lines[number] = "".join(pieces)
 
 
+def link_to_notebook(app: Sphinx, name: str, source: list[str]) -> None:
+    """Below the title of a tutorial there is a link to its notebook."""
+    if name.startswith("tutorials/"):
+        link = f'<a href="../notebooks/{Path(name).name}.ipynb" download>This page as a notebook</a>'
+        source[0] = re.sub(r"(?m)^(# .*)$", rf"\1\n\n{link}", source[0], count=1)
+
+
+def write_notebooks(app: Sphinx, failure: Exception | None) -> None:
+    """The notebooks of the tutorials, beside the pages."""
+    if failure is None and app.builder.format == "html":
+        notebooks.make(Path(app.outdir) / "notebooks")
+
+
 def setup(app: Sphinx) -> None:
-    """Register the renderer of formulae, and what is done to docstrings before napoleon reads them."""
+    """Register the renderer of formulae, notebooks, and what is done to docstrings before napoleon reads them."""
+    app.connect("source-read", link_to_notebook)
+    app.connect("build-finished", write_notebooks)
     app.connect("autodoc-process-docstring", keep_signs, priority=400)
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))

@@ -2,8 +2,10 @@
 
 import ast
 import inspect
+import json
 import re
 import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -111,3 +113,21 @@ def test_files_of_the_layout_exist():
     names = {path.name for root in ("signorini_fenicsx", "forms") for path in (ROOT / root).rglob("*.py")}
     lost = [each for each in named if each not in names and not any(list(root.glob(each)) for root in roots)]
     assert lost == []
+
+
+def test_notebooks(tmp_path: Path):
+    """Each tutorial is a notebook with all its code, as Jupyter's format wants it; that of Hertz' contact runs."""
+    sys.path.insert(0, str(ROOT / "scripts"))
+    import notebooks
+
+    for path in notebooks.make(tmp_path):
+        page = (ROOT / "docs" / "tutorials" / f"{path.stem}.md").read_text("utf-8")
+        cells = json.loads(path.read_text("utf-8"))["cells"]
+        codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+        assert codes == [text.strip("\n") for kind, text in BLOCK.findall(page) if kind == "code-cell"]
+        assert all(not {".md)", "../static"} & set(re.findall(r"\.md\)|\.\./static", str(cell))) for cell in cells)
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    hertz = nbformat.read(tmp_path / "hertz.ipynb", 4)
+    nbformat.validate(hertz)
+    nbclient.NotebookClient(hertz, timeout=300).execute()
+    assert any("Hertz 0.2" in str(cell.get("outputs")) for cell in hertz.cells)
