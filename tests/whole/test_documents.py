@@ -1,4 +1,4 @@
-"""README and docs: every command, key and name that they show exists."""
+"""README and docs: every command, key and name that they show exists; tutorials as notebooks, one of which runs."""
 
 import ast
 import inspect
