@@ -42,9 +42,9 @@ def spread(spaces: MeshSpaces, facets: npt.NDArray[np.int32], values: Array) -> 
     body = spaces.bodies
     number = spaces.mesh.comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1
     ends = np.full((2, number), -np.inf)
-    own = body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]
+    of_facet = body[cells_and_dofs(spaces.crouzeix_raviart, facets)[0]]
     for end, each in zip(ends, (values, -values), strict=True):
-        np.maximum.at(end, own, each)
+        np.maximum.at(end, of_facet, each)
     spaces.mesh.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
     return float(ends.sum(axis=0).max(initial=0.0))
 

@@ -178,9 +178,9 @@ def jaccard(coarse: FacetSet, fine: FacetSet) -> float:
     """
     gamma = fine.spaces.Lambda.mesh
     (theirs,) = sampled([coarse.indicator()], gamma, coarse.spaces.domain, degree=OVERLAP_DEGREE)
-    mine = fine.indicator()
+    inside = fine.indicator()
     dx = ufl.Measure("dx", gamma, metadata={"quadrature_degree": OVERLAP_DEGREE, "quadrature_scheme": "default"})
-    forms = [fenicsx.form(integrand * dx) for integrand in (theirs * mine, theirs + mine - theirs * mine)]
+    forms = [fenicsx.form(integrand * dx) for integrand in (theirs * inside, theirs + inside - theirs * inside)]
     both, either = gamma.comm.allreduce(np.array([fem.assemble_scalar(form) for form in forms])).tolist()
     return both / either if either > 0 else 1.0
 

@@ -78,11 +78,11 @@ def largest_jump(spaces: MeshSpaces, datum: Datum, entities: Entities, *, cells:
     nodes = cell_dofs(space)[entities] if cells else facet_nodes(space, entities)
     limits = from_within(datum.values, points)
     high, low = (extreme_around(space, nodes, limits, largest=largest) for largest in (True, False))
-    own, met = space.dofmap.index_map.size_local, np.isfinite(high) & np.isfinite(low)
-    differences: Array = np.where(met, high, 0.0)[:own] - np.where(met, low, 0.0)[:own]
+    owned, met = space.dofmap.index_map.size_local, np.isfinite(high) & np.isfinite(low)
+    differences: Array = np.where(met, high, 0.0)[:owned] - np.where(met, low, 0.0)[:owned]
     ends = mesh.comm.allgather((limits.max(initial=-np.inf), -limits.min(initial=np.inf)))
     extent = float(np.sum(np.max(ends, axis=0)))
-    found = [(differences, space.tabulate_dof_coordinates()[:own, : mesh.geometry.dim])]
+    found = [(differences, space.tabulate_dof_coordinates()[:owned, : mesh.geometry.dim])]
     for mask, part in [(np.ones(len(entities), dtype=bool), datum)] if cells else datum.by_facets(entities):
         for tree, rows in part.trees_in(points.cells):
             rows = rows[mask[rows]]

@@ -196,8 +196,8 @@ class _ByRegion(Datum):
     def _look(self, points: Points, *, slope: bool) -> Array:
         looked = np.empty((*points.shape, *((points.mesh.geometry.dim,) if slope else self.shape)))
         for inside, datum in self.parts:
-            there = points.among(inside)
-            value = datum.gradients(there) if slope else datum.values(there)
+            some = points.among(inside)
+            value = datum.gradients(some) if slope else datum.values(some)
             if value.ndim < looked.ndim:  # a number for a matrix
                 value = value[..., None, None] * np.eye(self.shape[0])
             looked[inside[points.cells]] = value
@@ -233,8 +233,8 @@ class _OnParts(Datum):
         looked = np.zeros((*points.shape, points.mesh.geometry.dim) if slope else points.shape)
         for facets, datum in self.parts:
             inside = np.isin(points.facets, facets)
-            there = points.take(inside)
-            looked[inside] = datum.gradients(there) if slope else datum.values(there)
+            some = points.take(inside)
+            looked[inside] = datum.gradients(some) if slope else datum.values(some)
         return looked
 
     def by_facets(self, facets: npt.NDArray[np.int32]) -> list[tuple[Mask, Datum]]:

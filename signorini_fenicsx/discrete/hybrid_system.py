@@ -194,7 +194,7 @@ def _with_reaction(
     Without c they are b, and u = u_x x + u_0 − Sb with S from the fluxes that b brings. With c they are b + Cu, so that
     u = (I + SC)⁻¹ (u_x x + u_0 − Sb). Where u is held they take the place of u among the unknowns z, with I for C.
     """
-    free_u, own = ~held, np.where(held, 0.0, balance + np.einsum("nml,nl->nm", reaction, values))
+    free_u, right = ~held, np.where(held, 0.0, balance + np.einsum("nml,nl->nm", reaction, values))
     reaction = np.where(free_u[:, :, None] & free_u[:, None], reaction, held[:, :, None] * np.eye(held.shape[1]))
     units, free = np.eye(balance.shape[1]), product.shape[1] - balance.shape[1]
     without = eliminate(cells, geometry, tractions, product, np.zeros_like(balance), functional)
@@ -204,8 +204,8 @@ def _with_reaction(
     compliance = product[:, free:, free:] + coupled @ by_unit  # S
     moved = np.linalg.inv(free_u[:, :, None] * units + compliance @ reaction)
     z = moved @ without.u
-    z_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - values - np.einsum("nml,nl->nm", compliance, own))
-    given = own + np.einsum("nml,nl->nm", reaction, z_of_f)
+    z_of_f = np.einsum("nml,nl->nm", moved, without.u_of_f - values - np.einsum("nml,nl->nm", compliance, right))
+    given = right + np.einsum("nml,nl->nm", reaction, z_of_f)
     matrix = without.matrix + without.u.transpose(0, 2, 1) @ reaction @ z
     return Eliminated(
         cells=cells,
@@ -314,10 +314,10 @@ class HybridSystem(ABC):
 
         def parts() -> Iterator[tuple[Eliminated, Array, Array]]:
             for block in self._blocks if blocks is None else blocks:
-                own = x[self._unknowns(block.cells)]
+                traces = x[self._unknowns(block.cells)]
                 flux, varying = with_f * block.flux_of_f, block.flux.shape[1]
-                flux[:, :varying] += np.einsum("nbi,ni->nb", block.flux, own)
-                yield block, flux, np.einsum("nmi,ni->nm", block.u, own) + with_f * block.u_of_f
+                flux[:, :varying] += np.einsum("nbi,ni->nb", block.flux, traces)
+                yield block, flux, np.einsum("nmi,ni->nm", block.u, traces) + with_f * block.u_of_f
 
         return self.fields(parts())
 

@@ -214,10 +214,10 @@ class LinearTraces(MeshSpaces):
             numbers: The numbers of the cells, which follow one another.
         """
         for facets, matrices in self.frames:
-            mine, size = np.flatnonzero(np.isin(facets.cells, numbers)), matrices.shape[1]
-            rows = facets.local[mine, None] * size + np.arange(size)
-            places = (facets.cells[mine] - numbers[:1])[:, None], rows
-            of_facets[places] = matrices[mine].transpose(0, 2, 1) @ of_facets[places]
+            chosen, size = np.flatnonzero(np.isin(facets.cells, numbers)), matrices.shape[1]
+            rows = facets.local[chosen, None] * size + np.arange(size)
+            places = (facets.cells[chosen] - numbers[:1])[:, None], rows
+            of_facets[places] = matrices[chosen].transpose(0, 2, 1) @ of_facets[places]
 
     def forces(self, through: Array) -> Array:
         """⟨σn, q⟩ summed over the cells for each owned unknown q (collective).

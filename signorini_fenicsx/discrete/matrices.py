@@ -61,16 +61,16 @@ def of_cells(
         nodes: Those of all cells of this rank.
         parts: The cells, each of them by one rank; they are asked for one after the other and not kept.
     """
-    own = numbers.size_local
-    count, sizes = own + numbers.num_ghosts, (block * own, block * numbers.size_global)
+    owned = numbers.size_local
+    count, sizes = owned + numbers.num_ghosts, (block * owned, block * numbers.size_global)
     keys = [(each[:, :, None].astype(np.int64) * count + each[:, None]).ravel() for each in nodes]
     ascending = np.sort(np.concatenate(keys))
     rows, columns = np.divmod(ascending[np.diff(ascending, prepend=-1) > 0], count)
-    owners = np.append(np.full(own, comm.rank), numbers.owners)
+    owners = np.append(np.full(owned, comm.rank), numbers.owners)
     entries = la.vector(numbers, 2)  # at most so many blocks of a row are with its owner, and with other ranks
     entries.array[:] = np.bincount(2 * rows + (owners[rows] != owners[columns]), minlength=2 * count)
     entries.scatter_reverse(la.InsertMode.add)
-    most = np.minimum(block * entries.array.reshape(-1, 2)[:own], [sizes[0], sizes[1] - sizes[0]])
+    most = np.minimum(block * entries.array.reshape(-1, 2)[:owned], [sizes[0], sizes[1] - sizes[0]])
     matrix = PETSc.Mat().create(comm)
     matrix.setSizes([sizes, sizes], bsize=block)
     matrix.setType("aij")

@@ -260,8 +260,8 @@ class MeshSpaces:
             coefficients: Functions and constants with up-to-date ghost values.
         """
 
-        def make(*own: Coefficient) -> Any:
-            return fenicsx.form(build(self, *own), entity_maps=self.entity_maps)
+        def make(*copies: Coefficient) -> Any:
+            return fenicsx.form(build(self, *copies), entity_maps=self.entity_maps)
 
         return self.kept_forms.get(build, make, coefficients)
 

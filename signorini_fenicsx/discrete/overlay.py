@@ -137,10 +137,10 @@ def overlay(slave: Surface, master: Surface, directions: Array, within: float) -
     along = np.einsum("ni,ni->n", directions, slave.normals)
     pieces = pieces.take(np.lexsort([pieces.master, pieces.slave]))
     size = np.abs(np.linalg.det(pieces.on_master)) * master.measure[pieces.master]
-    own = np.abs(np.linalg.det(pieces.on_slave))
-    stretch = size / (own * slave.measure[pieces.slave])
+    areas = np.abs(np.linalg.det(pieces.on_slave))
+    stretch = size / (areas * slave.measure[pieces.slave])
     gap = pieces.gap * along[pieces.slave, None]
-    return Pieces(pieces.slave, pieces.master, pieces.on_slave, pieces.on_master, gap, own, stretch)
+    return Pieces(pieces.slave, pieces.master, pieces.on_slave, pieces.on_master, gap, areas, stretch)
 
 
 def _no_pieces(dim: int) -> Pieces:
@@ -265,10 +265,10 @@ def _nearest(pieces: Pieces, slaves: int) -> Pieces:
         return pieces
     kept = [pieces.take(~several[pieces.slave])]
     for facet in np.flatnonzero(several):
-        own = np.flatnonzero(pieces.slave == facet)
-        own = own[np.argsort(np.abs(pieces.gap[own].mean(axis=1)), kind="stable")]
-        nearer = [np.linalg.inv(pieces.on_slave[one]) for one in own]
-        for number, one in enumerate(own):
+        rows = np.flatnonzero(pieces.slave == facet)
+        rows = rows[np.argsort(np.abs(pieces.gap[rows].mean(axis=1)), kind="stable")]
+        nearer = [np.linalg.inv(pieces.on_slave[one]) for one in rows]
+        for number, one in enumerate(rows):
             left = pieces.on_slave[[one]]
             for other in nearer[:number]:
                 left = _without(left, other)
@@ -299,11 +299,11 @@ def _to_the_ends(pieces: Pieces, slaves: int) -> Pieces:
     share = np.bincount(pieces.slave, np.abs(np.linalg.det(pieces.on_slave)), slaves)
     on_slave = pieces.on_slave.copy()
     for facet in np.flatnonzero((share < 1 - WHOLE) & (share > 1 - NEARLY)):
-        own = np.flatnonzero(pieces.slave == facet)
-        stretched = _stretched(on_slave[own])
-        sizes = np.linalg.det(stretched) * np.sign(np.linalg.det(on_slave[own]))
+        rows = np.flatnonzero(pieces.slave == facet)
+        stretched = _stretched(on_slave[rows])
+        sizes = np.linalg.det(stretched) * np.sign(np.linalg.det(on_slave[rows]))
         if abs(sizes.sum() - 1) <= WHOLE and (sizes > -NOTHING).all():
-            on_slave[own] = stretched
+            on_slave[rows] = stretched
     pieces = replace(pieces, on_slave=on_slave)
     return pieces.take(np.abs(np.linalg.det(on_slave)) > NOTHING)  # one between an end and the side may be flat now
 

@@ -123,8 +123,8 @@ class _Extents:
 
     def least(self, mesh: dolfinx.mesh.Mesh, *sides: Facets) -> float:
         """The diameter of the smallest body that one of these facets belongs to (collective)."""
-        mine = [self.diameters[self.of_cell[cells_of_facets(mesh, facets)[0]]].min(initial=np.inf) for facets in sides]
-        return float(mesh.comm.allreduce(min(mine), MPI.MIN))
+        size = [self.diameters[self.of_cell[cells_of_facets(mesh, facets)[0]]].min(initial=np.inf) for facets in sides]
+        return float(mesh.comm.allreduce(min(size), MPI.MIN))
 
 
 def _joint(domain: Domain, pair: PairedParts, ranks: Indices, extents: _Extents) -> Joint:
@@ -134,8 +134,8 @@ def _joint(domain: Domain, pair: PairedParts, ranks: Indices, extents: _Extents)
     slaves, masters = (
         np.unique(np.concatenate([domain.facets[part] for part in parts])) for parts in (pair.slave, pair.master)
     )
-    slave, own = _surface(mesh, slaves, ranks), _surface(mesh, masters, ranks)
-    master = Surface(*(np.concatenate(comm.allgather(each)) for each in (own.corners, own.normals)))
+    slave, side = _surface(mesh, slaves, ranks), _surface(mesh, masters, ranks)
+    master = Surface(*(np.concatenate(comm.allgather(each)) for each in (side.corners, side.normals)))
     directions = slave.normals
     if pair.direction != "normal":
         if len(pair.direction) != slave.normals.shape[1]:

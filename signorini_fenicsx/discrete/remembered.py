@@ -82,8 +82,8 @@ class Remembered:
         data = [OnFacets(ZERO, self.spaces.facets, column) for column in columns.T]
 
         def of(i: int) -> dict[str, Any]:
-            own = {name: datum for (number, name), datum in zip(self.names, data, strict=False) if number == i}
-            return {**own, FLUX: data[-2], TAU: data[-1]}
+            state = {name: datum for (number, name), datum in zip(self.names, data, strict=False) if number == i}
+            return {**state, FLUX: data[-2], TAU: data[-1]}
 
         return tuple(law.in_step(of(i)) if isinstance(law, LawWithMemory) else law for i, law in enumerate(laws))
 
@@ -91,8 +91,8 @@ class Remembered:
         """The columns that the laws of a step know, see `in_step`."""
         columns = np.zeros((len(self.spaces.facets), len(self.names) + 2))
         for i, law in Remembered.among(self.spaces, laws).laws.items():
-            mine = [number == i for number, _ in self.names] + [True, True]
-            columns[:, mine] = np.column_stack([law.now[name].numbers for name in (*law.state, FLUX, TAU)])
+            of_law = [number == i for number, _ in self.names] + [True, True]
+            columns[:, of_law] = np.column_stack([law.now[name].numbers for name in (*law.state, FLUX, TAU)])
         return columns
 
     def after(self, parts: Sequence[PartLaw], u: Array, flux: Array) -> Array:
@@ -112,10 +112,10 @@ class Remembered:
         off, size = [0.0], [0.0]
         for part in parts:
             if isinstance(part.law, LawWithMemory):
-                own, its_flux = u[part.rows], flux[part.rows]
+                trace, its_flux = u[part.rows], flux[part.rows]
                 graph = part.law.falling({**means_of(self.spaces, part), FLUX: its_flux})
                 reference = graph.reference
-                away = own - reference[0], its_flux - reference[1]
+                away = trace - reference[0], its_flux - reference[1]
                 distances = chains_of(graph, len(part.rows)).distances(*away, np.full(len(part.rows), unit))
                 fluxes = unit * distances[0], *distances[1:]
                 off += [float(np.abs(each).max(initial=0.0)) for each in fluxes]

@@ -72,8 +72,8 @@ class Places:
         mesh = domain.mesh if mesh is None else mesh
         padding, dim = AT_BOUNDARY * float(np.ptp(domain.box(), axis=0).max()), mesh.topology.dim
         rows, cells = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int32)
-        if len(own := owned_cells(mesh)) and len(points):
-            tree = dolfinx.geometry.bb_tree(mesh, dim, entities=own, padding=padding)
+        if len(owned := owned_cells(mesh)) and len(points):
+            tree = dolfinx.geometry.bb_tree(mesh, dim, entities=owned, padding=padding)
             near = dolfinx.geometry.compute_collisions_points(tree, np.pad(points, ((0, 0), (0, 3 - dim))))
             rows, cells = np.repeat(np.arange(len(points)), np.diff(near.offsets)), near.array
             shares, gradients = shares_in(mesh, points[rows], cells)

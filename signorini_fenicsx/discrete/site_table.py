@@ -95,6 +95,6 @@ def along_parts(spaces: MeshSpaces, part: Indices, x: Array, names: Sequence[str
     """The coordinate along the part for points on it, shape (points, 3), by the names of parts, or those of Γ_S."""
     along = np.empty(len(x))
     for index, name in enumerate(spaces.part_names if names is None else names):
-        mine = part == index
-        along[mine] = spaces.domain.parts[name].along(x[mine].T)
+        on_part = part == index
+        along[on_part] = spaces.domain.parts[name].along(x[on_part].T)
     return along

@@ -143,8 +143,8 @@ class TraceCoarse:
         product = self._system.PtAP(self._levels.interpolation, result=self._matrix)
         diagonal = product.getDiagonal()
         largest = diagonal.max()[1]
-        own = diagonal.array_r
-        diagonal.array_w[:] = np.where(own > 1e-14 * largest, SHIFT * own, largest)
+        entries = diagonal.array_r
+        diagonal.array_w[:] = np.where(entries > 1e-14 * largest, SHIFT * entries, largest)
         product.setDiagonal(diagonal, PETSc.InsertMode.ADD_VALUES)
         return product
 
@@ -201,11 +201,11 @@ def trace_interpolation(spaces: LinearTraces, displacements: fem.FunctionSpace, 
     used = values != 0
     begins = np.concatenate([[0], np.cumsum(used.sum(axis=2).ravel())]).astype(PETSc.IntType)
     indices = np.broadcast_to(places, values.shape)[used].astype(PETSc.IntType)
-    own, of_all = columns.size_local, columns.size_global
+    owned, of_all = columns.size_local, columns.size_global
     of_sides = PETSc.Mat().createAIJ(
         [
             (size * rows.size_local, size * rows.size_global),
-            (parts * own + normals * rows.size_local, parts * of_all + normals * rows.size_global),
+            (parts * owned + normals * rows.size_local, parts * of_all + normals * rows.size_global),
         ],
         bsize=(size, 1 if normals else parts),
         csr=(begins, indices, values[used]),

@@ -89,15 +89,15 @@ class VertexLaws:
         """The openings p' from the means p. On a flat segment they make its ends those of the graph."""
         return self._moved(segment, means, pressure, inverse=False)
 
-    def means(self, segment: Indices, own: Array, pressure: Array) -> Array:
+    def means(self, segment: Indices, p: Array, pressure: Array) -> Array:
         """The means p from p'."""
-        return self._moved(segment, own, pressure, inverse=True)
+        return self._moved(segment, p, pressure, inverse=True)
 
     def _moved(self, segment: Indices, values: Array, pressure: Array, *, inverse: bool) -> Array:
         if self.chains.plain or len(values) == 0:
             return values
         corrections = np.pad(self.corrections(pressure), ((0, 0), (1, 1)))
-        own, above, below = (np.take_along_axis(corrections, segment[:, None] + k, axis=1)[:, 0] for k in (1, 0, 2))
+        at, above, below = (np.take_along_axis(corrections, segment[:, None] + k, axis=1)[:, 0] for k in (1, 0, 2))
         ends = np.pad(self.chains.p, ((0, 0), (1, 1)), constant_values=((0, 0), (-np.inf, np.inf)))
         begin, end = (np.take_along_axis(ends, segment[:, None] + k, axis=1)[:, 0] for k in (0, 1))
         flat = np.take_along_axis(self.chains.slope, segment[:, None], axis=1)[:, 0] == 0
@@ -111,7 +111,7 @@ class VertexLaws:
         before = (values <= sources[0]) | np.isinf(end)
         after = (values >= sources[1]) | np.isinf(begin)
         on_flat = np.where(before, values + sign * above, np.where(after, values + sign * below, between))
-        return np.where(flat, on_flat, values + sign * own)
+        return np.where(flat, on_flat, values + sign * at)
 
     def springs(self, conditions: SiteConditions) -> Springs:
         """The springs under the conditions of the facet vertices; of a penalty each vertex has its own."""
@@ -126,11 +126,11 @@ class VertexLaws:
         of_facet = robin.reshape(facets, size), segment.reshape(facets, size)
         together = of_facet[0][:, :, None] & of_facet[0][:, None] & (of_facet[1][:, :, None] == of_facet[1][:, None])
         compliance = np.where(together, shared[:, :, None], 0.0)
-        own = np.where(robin, 1 / np.where(robin, conditions.beta, 1.0), 1.0).reshape(facets, size)
+        slopes = np.where(robin, 1 / np.where(robin, conditions.beta, 1.0), 1.0).reshape(facets, size)
         diagonal = np.arange(size)
-        compliance[:, diagonal, diagonal] = own - np.where(of_facet[0], (size - 1) * shared, 0.0)
+        compliance[:, diagonal, diagonal] = slopes - np.where(of_facet[0], (size - 1) * shared, 0.0)
         low, high = self._ends()
-        rest = own * np.broadcast_to(conditions.value, robin.shape).reshape(facets, size)
+        rest = slopes * np.broadcast_to(conditions.value, robin.shape).reshape(facets, size)
         for i in range(size):
             column = np.repeat(of_facet[1][:, i], size)[:, None]  # the segment of vertex i, at all vertices
             least, most = (np.take_along_axis(each, column, axis=1).reshape(facets, size) for each in (low, high))

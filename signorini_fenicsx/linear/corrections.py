@@ -48,19 +48,19 @@ def corrected(
     while not enough(left) and len(sizes) <= MOST:
         if len(sizes) > PATIENCE and sizes[-1] > sizes[-1 - PATIENCE] / 4:
             break
-        more = correction(left)
-        more = [left_by(_sum(fields, more)) - left, *more]
+        change = correction(left)
+        change = [left_by(_sum(fields, change)) - left, *change]
         for earlier in kept:
-            more = _sum(more, earlier, -dot(more[0], earlier[0]) / dot(earlier[0], earlier[0]))
-        size = dot(more[0], more[0])
-        fields = _sum(fields, more[1:], -dot(left, more[0]) / size if size > 0 else 0.0)
+            change = _sum(change, earlier, -dot(change[0], earlier[0]) / dot(earlier[0], earlier[0]))
+        size = dot(change[0], change[0])
+        fields = _sum(fields, change[1:], -dot(left, change[0]) / size if size > 0 else 0.0)
         left = left_by(fields)
         sizes.append(dot(left, left))
         if sizes[-1] <= GOOD**2 * sizes[-2]:
             kept = []
         elif size > 0:
-            most = MEMORY // comm.allreduce(sum(each.nbytes for each in more), MPI.MAX)
-            kept = [*kept[-max(FEW, most) + 1 :], more]
+            most = MEMORY // comm.allreduce(sum(each.nbytes for each in change), MPI.MAX)
+            kept = [*kept[-max(FEW, most) + 1 :], change]
     return fields
 
 
@@ -84,5 +84,5 @@ def stepped(
     return fields
 
 
-def _sum(fields: Fields, more: Fields, share: float = 1.0) -> Fields:
-    return [field + share * each for field, each in zip(fields, more, strict=True)]
+def _sum(fields: Fields, changes: Fields, share: float = 1.0) -> Fields:
+    return [field + share * each for field, each in zip(fields, changes, strict=True)]

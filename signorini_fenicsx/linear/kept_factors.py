@@ -103,8 +103,8 @@ class KeptFactors:
         """
         self._solver, self._operator, self._natural = solver, operator, operator.natural
         self._fixed, self._unknowns = fixed, sites
-        own = np.arange(len(sites))
-        self._near, self._pressing = own[:, None] if near is None else near, own if pressing is None else pressing
+        rows = np.arange(len(sites))
+        self._near, self._pressing = rows[:, None] if near is None else near, rows if pressing is None else pressing
         self._comm: MPI.Comm = self._natural.getComm().tompi4py()
         self._x, self._b = self._natural.createVecs()
         self._w = self._x.duplicate()
@@ -405,11 +405,11 @@ class KeptFactors:
         """
         assert self._kept is not None
         held = self._kept.held
-        own = np.zeros((count, len(held)))
-        own[before + np.arange(len(sites)), sites] = 1.0
+        added = np.zeros((count, len(held)))
+        added[before + np.arange(len(sites)), sites] = 1.0
         traces = []
         for begin in range(0, count, TOGETHER):
-            several = own[begin : begin + TOGETHER]
+            several = added[begin : begin + TOGETHER]
             columns = np.zeros((self._natural.getLocalSize()[0], len(several)), order="F")
             for column, moved in enumerate(np.where(held, several, 0.0)):
                 columns[:, column] = -self._of_moved(moved)
@@ -429,19 +429,19 @@ class KeptFactors:
         """The coefficients c_j of all sites (collective)."""
         assert self._kept is not None
         assert self._load is not None
-        mine = self._changed
-        released, free = self._kept.held[mine], ~imposed.held[mine]
+        changed = self._changed
+        released, free = self._kept.held[changed], ~imposed.held[changed]
 
         def given(traces: Array) -> Array:
             p, forces = traces[..., 0, :], traces[..., 1, :]
-            return np.where(free, forces[..., mine] + self._pulls(imposed, p, forces, mine), p[..., mine])
+            return np.where(free, forces[..., changed] + self._pulls(imposed, p, forces, changed), p[..., changed])
 
         rows = given(self._of_moves).T
-        wanted = np.where(free, load[self._unknowns[mine]], 0.0) - given(self._of_load)
-        as_before = ~imposed.differ(self._kept)[mine]
-        more = (load - self._load)[self._unknowns[mine]] / self._diagonal[mine]
+        wanted = np.where(free, load[self._unknowns[changed]], 0.0) - given(self._of_load)
+        as_before = ~imposed.differ(self._kept)[changed]
+        change = (load - self._load)[self._unknowns[changed]] / self._diagonal[changed]
         rows[as_before] = np.eye(len(self._of_moves))[self._number[as_before]]
-        wanted[as_before] = np.where(released, 0.0, more)[as_before]
+        wanted[as_before] = np.where(released, 0.0, change)[as_before]
         size = np.abs(rows).max(axis=1, initial=0.0)
         gathered = self._comm.allgather(np.column_stack([self._number, rows / size[:, None], wanted / size]))
         system = np.concatenate(gathered)

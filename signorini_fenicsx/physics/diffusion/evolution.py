@@ -208,13 +208,13 @@ class DiffusionSteps:
         u, a = owned_values(solution.u), self.rate(step)
         s = solution.cell_flux.divergence + owned_values(solution.data.source(solution.u))
         numbers = [i for i, _ in _storages(self._problem)]
-        for number, (part, own) in zip(numbers, self.storage, strict=True):
+        for number, (part, chains) in zip(numbers, self.storage, strict=True):
             others, rows = s.copy(), part.rows
             for other in laws.of_regions:
                 if other.name != f"law.{number}":
                     ends = chains_in(self.spaces, other).ends_at(u[other.rows])
                     others[other.rows] += (ends[0] + ends[1]) / 2
-            most, least = (-end for end in own.ends_at(u[rows])[::-1])
+            most, least = (-end for end in chains.ends_at(u[rows])[::-1])
             alone = len(laws.of_regions) == 1
             content[rows] += others[rows] / a if alone else np.clip(others[rows] / a, least, most)
         return content
@@ -237,11 +237,11 @@ class DiffusionSteps:
         if solution.data.inside is not None:
             names["own"] = "cell"
         kinds = {key: self.spaces.site_kinds[name] for key, name in names.items()}
-        own = {key: on.of(names[key]).reshape(kind.count, *kind.shape) for key, kind in kinds.items()}
+        segments = {key: on.of(names[key]).reshape(kind.count, *kind.shape) for key, kind in kinds.items()}
         linear = {"u_at": solution.u_values} if self.spaces.degree else {}
         theta = {"theta": self.theta(solution)} if self.storage else {}
         columns = {"facet_remembered": self._columns(solution)} if self.remembered.laws else {}
-        return {"u": solution.u_means, **linear, **own, **theta, **columns}
+        return {"u": solution.u_means, **linear, **segments, **theta, **columns}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""

@@ -113,8 +113,8 @@ def _read_linear(problem: Problem, on_mesh: Spaces, stored: Stored) -> LinearSol
     if data.cells_at is not None:
         in_cells = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
         at_cells = np.clip(stored.in_cells(spaces, "segment_at").ravel(), 0, data.cells_at.chains.count)
-        own = data.cells_at.own(at_cells, *in_cells), in_cells[1]
-        in_cells = data.cells_at.chains.conditions(at_cells).clean(*own, data.conductance)
+        pair = data.cells_at.own(at_cells, *in_cells), in_cells[1]
+        in_cells = data.cells_at.chains.conditions(at_cells).clean(*pair, data.conductance)
         segment, law = np.append(segment, at_cells), law.followed_by(data.cells_at.chains)
         above, flux = np.append(above, in_cells[0]), np.append(flux, in_cells[1])
     iterate = LinearIterate(p=above, flux=flux, linear_iterations=0, sigma=sigma, u=u, means=means)

@@ -107,14 +107,14 @@ class Diffusion(Scalar):
             elif not isinstance(condition, Dirichlet) or not same_value(condition.value, u_D):
                 laws.append(condition)
         plain = [law for law in laws if type(law) is Signorini and not law.region]
-        own = plain[0] if len(plain) == 1 else Signorini(())
-        laws = [law for law in laws if law is not own]
+        only = plain[0] if len(plain) == 1 else Signorini(())
+        laws = [law for law in laws if law is not only]
         laws += [law for pair in pairs for law in laws_of(pair)]
-        parts = [*own.parts, *(part for law in laws for part in law.parts)]
+        parts = [*only.parts, *(part for law in laws for part in law.parts)]
         inner, paired = [part for part in parts if other_side(part) in domain.parts], [p.on_boundary for p in pairs]
         boundary = Boundary(parts, neumann, inner, paired)
         data = {each.name: getattr(self, each.name) for each in fields(Scalar)}
-        return Problem(**data | {"u_D": u_D}, g_N=flux, psi=own.psi, q_S=own.q_S, laws=tuple(laws), boundary=boundary)
+        return Problem(**data | {"u_D": u_D}, g_N=flux, psi=only.psi, q_S=only.q_S, laws=tuple(laws), boundary=boundary)
 
 
 def laws_of(pair: Pair) -> list[Law]:

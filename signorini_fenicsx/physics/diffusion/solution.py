@@ -290,11 +290,11 @@ class Solution(AnySolution):
 
     def segments_of_law(self, part: PartLaw) -> Indices:
         """The segment of one law in Ω that each of its cells is on (collective)."""
-        laws, own = self.data.inside, part.rows
+        laws, rows = self.data.inside, part.rows
         if laws is not None and len(laws.of_regions) == 1:
-            return self.segments().of("cell")[own]
+            return self.segments().of("cell")[rows]
         chains = np.concatenate([part.chains(points).p for points in part.quadrature(self.spaces, 1)])
-        return corners_passed(chains, owned_values(self.u)[own])
+        return corners_passed(chains, owned_values(self.u)[rows])
 
     @collector_off()
     def on_obstacle(self) -> dict[str, float]:
@@ -436,9 +436,9 @@ class Solution(AnySolution):
         return seepage(self)
 
     def _particular(self) -> dict[str, Any]:
-        own = self.outcome.own_residual
+        residual = self.outcome.own_residual
         return {
-            **({} if own is None else {"own_residual": own}),
+            **({} if residual is None else {"own_residual": residual}),
             **({"eps": self.options.eps, "violation": self.violation()} if self.method.has_eps else {}),
             **({"water": self.water, "water_balance": balance(self)} if self.water else {}),
             **({} if self.seepage is None else {"seepage": self.seepage.summary()}),

@@ -232,9 +232,9 @@ class DiffusionRun:
     def judged(self, outcome: Outcome) -> tuple[Outcome, Residuals]:
         """Judge an outcome by its own residual if it has one, else by its KKT residuals (collective)."""
         kkt = outcome.kkt or self.task.kkt(outcome.iterate, self.options.method.penalty)
-        violation, own = kkt.violation(), outcome.own_residual
-        if own is not None:
-            violation = None if own <= KKT else f"the residual of its own problem is {own:.1e}, above {KKT:g}"
+        violation, residual = kkt.violation(), outcome.own_residual
+        if residual is not None:
+            violation = None if residual <= KKT else f"the residual of its own problem is {residual:.1e}, above {KKT:g}"
         elif violation is not None:
             violation += far_bound(self.task.spaces, self.task.data, outcome.iterate.u)
         outcome.iterate.u.x.array[:] += self.constant

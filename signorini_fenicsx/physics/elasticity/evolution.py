@@ -76,15 +76,15 @@ class ElasticSteps:
 
     def kept(self, solution: ElasticSolution) -> dict[str, npt.NDArray]:
         """For each vertex of Γ_C its segments, its slip as a vector and the bound of the shear."""
-        kinds, own = self.spaces.site_kinds, solution.segments()
-        normal, along = kinds.spread(own.segment)
+        kinds, segments = self.spaces.site_kinds, solution.segments()
+        normal, along = kinds.spread(segments.segment)
         slip = kinds["slip"].spread(self.spaces.along(solution.slipped))
-        on_facets = {"own": normal.astype(np.int64), "own_slip": along, "slip": slip, **own.carried}
+        on_facets = {"own": normal.astype(np.int64), "own_slip": along, "slip": slip, **segments.carried}
         return {f"facet_{key}": rows for key, rows in on_facets.items()}
 
     def again(self, step: int, kept: Callable[[int, str], npt.NDArray]) -> Past:
         """What the step after this one needs, see `solving.evolution.Steps` (collective)."""
         spaces = self.spaces
-        own, along, slip, bound = (kept(step, f"facet_{key}") for key in ("own", "own_slip", "slip", "bound"))
-        segments = Segments(spaces, spaces.site_kinds.gathered(own, along).astype(np.int64), {"bound": bound})
+        segment, along, slip, bound = (kept(step, f"facet_{key}") for key in ("own", "own_slip", "slip", "bound"))
+        segments = Segments(spaces, spaces.site_kinds.gathered(segment, along).astype(np.int64), {"bound": bound})
         return Past(step, [spaces.in_frames(slip[spaces.rough_rows])], segments)

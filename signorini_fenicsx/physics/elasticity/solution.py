@@ -115,8 +115,8 @@ class ElasticSolution(Solution):
         Under other laws it is what they allow.
         """
         laws, normal = self.data.laws, self.spaces.site_kinds["normal"]
-        own, pressure = map(normal.of, (self.outcome.iterate.p, self.data.reactions(self.spaces, self.stresses)))
-        return normal.rows_of(laws.means(self.segment, own, pressure) + laws.p_h)
+        opening, pressure = map(normal.of, (self.outcome.iterate.p, self.data.reactions(self.spaces, self.stresses)))
+        return normal.rows_of(laws.means(self.segment, opening, pressure) + laws.p_h)
 
     @cached_property
     def segment(self) -> Indices:
@@ -265,9 +265,9 @@ class ElasticSolution(Solution):
         for cells in blocks_of_cells(spaces.mesh):
             measure = Cells(spaces.vertices[cells]).measure
             stresses, values = self.stresses[cells], u[cells]
-            own, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
+            of_values, of_sum = (values**2).sum(axis=(1, 2)), (values.sum(axis=1) ** 2).sum(axis=1)
             squares[1] += (subcell_squares(stresses) * measure[:, None] / size).sum()
-            squares[2] += (measure * (own + of_sum)).sum() / (size * (size + 1))
+            squares[2] += (measure * (of_values + of_sum)).sum() / (size * (size + 1))
         energy, sigma, displacement = np.sqrt(spaces.mesh.comm.allreduce(squares)).tolist()
         force = spaces.mesh.comm.allreduce(float(spaces.site_kinds["normal"].measure @ self.pressure.ravel()))
         return {"energy": energy, "sigma_L2": sigma, "u_L2": displacement, "contact_force": force}
@@ -284,14 +284,14 @@ class ElasticSolution(Solution):
         for cells in blocks_of_cells(spaces.mesh):
             points = CellPoints(spaces.mesh, cells, quadrature.points, quadrature.weights)
             where, subcell, vertex = spaces.as_dolfinx(cells)
-            mine = np.empty_like(self.stresses[cells])
-            mine[where, subcell, vertex] = self.stresses[cells]
+            at_vertices = np.empty_like(self.stresses[cells])
+            at_vertices[where, subcell, vertex] = self.stresses[cells]
             nodes = np.empty_like(u_h[cells])
             nodes[np.arange(len(cells))[:, None], spaces.order[cells]] = u_h[cells]
             shape = (len(cells), dim + 1, len(quadrature.weights))
             compliance = self.data.material.compliance(points)
             strain = to_entries(exact.gradients(points)) - self.data.material.strain(points)
-            sigma = to_entries(np.einsum("qa,nsaij->nsqij", quadrature.local, mine)).reshape(strain.shape)
+            sigma = to_entries(np.einsum("qa,nsaij->nsqij", quadrature.local, at_vertices)).reshape(strain.shape)
             off = strain - np.einsum("nqef,nqf->nqe", compliance, sigma)
             product = (off * np.linalg.solve(regular(compliance), off[..., None])[..., 0]).sum(axis=2).reshape(shape)
             displaced = self.data.exact.values(points).reshape(*shape, dim) - np.einsum(
@@ -380,7 +380,7 @@ class ElasticSolution(Solution):
         normal = self.spaces.site_kinds["normal"]  # of g, before tools move
         means = normal.rows_of(self.data.lift[normal.unknown] - normal.of(self.data.moved))
         with_laws = np.concatenate([np.empty(0, dtype=np.int64), *(law.rows for law in self.data.laws.of_parts)])
-        own = np.delete(means, with_laws, axis=0).min(initial=np.inf)
-        least = min(self.spaces.mesh.comm.allgather(float(own)))
+        least_mean = np.delete(means, with_laws, axis=0).min(initial=np.inf)
+        least = min(self.spaces.mesh.comm.allgather(float(least_mean)))
         numbers = {"resultants": self.resultants(), "quantities": self.quantities()}
         return numbers | ({"least_gap": least} if least < 0 else {})

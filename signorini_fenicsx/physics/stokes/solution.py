@@ -82,10 +82,10 @@ class StokesSolution(ElasticSolution):
         pressure = pressure_of(self.stresses)
         for cells in blocks_of_cells(spaces.mesh):
             points = CellPoints(spaces.mesh, cells, quadrature.points, quadrature.weights)
-            mine = np.empty_like(pressure[cells])
-            mine[spaces.as_dolfinx(cells)] = pressure[cells]
+            nodal = np.empty_like(pressure[cells])
+            nodal[spaces.as_dolfinx(cells)] = pressure[cells]
             values = exact.values(points).reshape(len(cells), dim + 1, -1)
-            off = values - np.einsum("qa,nsa->nsq", quadrature.local, mine)
+            off = values - np.einsum("qa,nsa->nsq", quadrature.local, nodal)
             weights = Cells(spaces.vertices[cells]).measure[:, None, None] / (dim + 1) * quadrature.weights
             square += float((weights * off**2).sum())
         return (found or {}) | {"p_L2": float(np.sqrt(spaces.mesh.comm.allreduce(square)))}

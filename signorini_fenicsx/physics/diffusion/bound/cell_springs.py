@@ -85,17 +85,17 @@ class Pieces:
         for parts, cells in inside.groups():
             some = cells[(self.held | self.springy)[cells]].astype(np.int32)
             for at in cell_quadrature(space.mesh, some, degree):
-                law, own = inside.law_at(parts, at), at.cells
+                law, numbers = inside.law_at(parts, at), at.cells
                 slope, value, begin, end = inside.on_segment(law, at, self.piece)
                 finite = np.isfinite(slope)
                 line = np.where(finite, slope, 0.0)
-                stiffness[own] = at.means(line)
-                turned = (line - stiffness[own, None]) * np.clip(self.rest(at, line, value), begin, end)
+                stiffness[numbers] = at.means(line)
+                turned = (line - stiffness[numbers, None]) * np.clip(self.rest(at, line, value), begin, end)
                 density = np.where(finite, value + inside.s_at(at) - turned, 0.0)
                 t = self.rest(at, *inside.on_segment(law, at, inside.segment)[:2])
                 hats = basis(space.mesh.basix_cell(), degree_of(space), at.points)
-                loads[own] = at.scale[:, None] * ((density * at.weights) @ hats)
-                constant += float(at.integrals(density * t - stiffness[own, None] * t**2 / 2).sum())
+                loads[numbers] = at.scale[:, None] * ((density * at.weights) @ hats)
+                constant += float(at.integrals(density * t - stiffness[numbers, None] * t**2 / 2).sum())
         if not comm.allreduce(bool(loads.any() or stiffness.any()), MPI.LOR):
             return None
         load = sums_at(space.dofmap.index_map, nodes, loads)
@@ -112,11 +112,11 @@ class Pieces:
             (high, beyond <= last, self.piece < segment, np.minimum(beyond, last), 2),
         )
         for at, law in self._nodes(space):
-            own, t = at.cells, self.rest(at, *self.inside.on_segment(law, at, segment)[:2])
+            cells, t = at.cells, self.rest(at, *self.inside.on_segment(law, at, segment)[:2])
             for limit, near, past, nearest, end in sides:
-                some, corner = (near | only)[own], self.inside.on_segment(law, at, nearest)[end]
-                values = np.where((self.held & (past | only))[own, None], t, corner)[some]
-                limit[own[some]] = coefficients_of(values, space.mesh.basix_cell())
+                some, corner = (near | only)[cells], self.inside.on_segment(law, at, nearest)[end]
+                values = np.where((self.held & (past | only))[cells, None], t, corner)[some]
+                limit[cells[some]] = coefficients_of(values, space.mesh.basix_cell())
         floor, ceiling = (
             extreme_around(space, nodes, limit, largest=largest) for limit, largest in ((low, True), (high, False))
         )

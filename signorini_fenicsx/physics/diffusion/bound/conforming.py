@@ -145,12 +145,10 @@ def law_trace(
     box.project(v.x.array, TIE * mesh.comm.allreduce(float(np.abs(v.x.array).max(initial=0.0)), MPI.MAX))
     if jumps.basis is not None:
         _join_at_meetings(v, jumps, spaces.inner.rows, at_meeting, limits, on_dirichlet)
-    given, load, robin = np.union1d(known, jumps.meets), np.zeros(len(v.x.array)), None
-    if field is None:
-        load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside)
-    weight = _weight(solution)
+    given, without = np.union1d(known, jumps.meets), (np.zeros(len(v.x.array)), None)
+    load, robin = _on_gamma_s(on, v, nodes, at_meeting, jumps, inside) if field is None else without
+    weight, pull = _weight(solution), None if pieces is None else pieces.springs(space)
     flux, by_nodes = (_driving(data, y), on.by_nodes) if field is None else (weight[0] * ufl.grad(near), False)
-    pull = None if pieces is None else pieces.springs(space)
     relax(v, spaces, flux, weight, load, given, box, robin, pull, jumps, by_nodes=by_nodes)
     jumps.undone(v)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]  # where a slave is tied to what is given otherwise
@@ -329,20 +327,17 @@ def _with_exact_data(
     """The trace with bounds themselves instead of their interpolants (collective)."""
     spaces, mesh, near_dirichlet = on.spaces, on.spaces.mesh, trace.near_dirichlet
     linear, facet_dim = near_dirichlet.function_space, mesh.topology.dim - 1
-    on_dirichlet = np.flatnonzero(near_dirichlet.x.array)
-    changed = [near for _, _, near in trace.levels]
+    on_dirichlet, changed = np.flatnonzero(near_dirichlet.x.array), [near for _, _, near in trace.levels]
     touching = _cells_with(changed, linear)
     if data.u_D.number is None or trace.levels:
         changed.append(near_dirichlet)
-    corners = facet_nodes(linear, spaces.facets)
-    used = [data.u_D, *(datum for datum, _, _ in trace.levels)]
+    corners, used = facet_nodes(linear, spaces.facets), [data.u_D, *(datum for datum, _, _ in trace.levels)]
     for part in on.goal.parts:
         for sign, datum in zip((1.0, -1.0), _bounds(on, part), strict=True):
             if datum is None or (datum.number is not None and not changed):
                 continue
             rows = np.intersect1d(part.rows, spaces.outer_rows)  # inside, coefficients and levels are enough
-            facets = spaces.facets[rows]
-            is_bounded = fem.Function(linear)
+            facets, is_bounded = spaces.facets[rows], fem.Function(linear)
             is_bounded.x.array[fem.locate_dofs_topological(linear, facet_dim, facets)] = 1.0
             lattice = facet_lattice(mesh, facets, SAMPLES)
             short = sign * (datum.values(lattice) - trace.jet(lattice)[:, :, 0])

@@ -248,17 +248,17 @@ class Inside:
                 some = cells[near[cells] == close]
                 points, weights = self.rule(trace, near=close)
                 for at in in_cells(mesh, some.astype(np.int32), points, weights):
-                    own = at.cells.astype(np.int64)
+                    ids = at.cells.astype(np.int64)
                     law = self.law_at(parts, at)
                     v = trace.jet(at, near=close)[:, :, 0]
-                    eta = self._eta(law, v, self.s[own, None] + self._varying(at), metric, at)
-                    missed[own] = self.s[own] - at.means(eta)
-                    part = projected(self.s[own, None] - missed[own, None] - eta, cell, HIGH[dim], points, weights)
-                    load.coefficients[own], load.rest[own] = part.coefficients, part.rest
-                    held = self.held[own]
-                    eta[held] = -(self.sides[own] * self.largest[own])[held, None]
+                    eta = self._eta(law, v, self.s[ids, None] + self._varying(at), metric, at)
+                    missed[ids] = self.s[ids] - at.means(eta)
+                    part = projected(self.s[ids, None] - missed[ids, None] - eta, cell, HIGH[dim], points, weights)
+                    load.coefficients[ids], load.rest[ids] = part.coefficients, part.rest
+                    held = self.held[ids]
+                    eta[held] = -(self.sides[ids] * self.largest[ids])[held, None]
                     density = area(law, v.ravel(), -eta.ravel()).reshape(at.shape)
-                    squares[own] = 2 * at.integrals(density)
+                    squares[ids] = 2 * at.integrals(density)
         resolution.add_means("law", missed, metric)
         return squares, load
 

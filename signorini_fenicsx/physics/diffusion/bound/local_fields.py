@@ -151,8 +151,8 @@ class Projection:
 
     def of_degree(self, cell: basix.CellType, degree: int) -> Projection:
         """The same with coefficients up to a higher degree, which are 0."""
-        more = orthonormal(cell, degree).dim - 1 - self.coefficients.shape[1]
-        return Projection(np.pad(self.coefficients, ((0, 0), (0, more))), self.rest)
+        missing = orthonormal(cell, degree).dim - 1 - self.coefficients.shape[1]
+        return Projection(np.pad(self.coefficients, ((0, 0), (0, missing))), self.rest)
 
     def of(self, rows: Mask) -> Projection:
         """Those of a selection of the cells."""
@@ -164,8 +164,8 @@ class Projection:
 
     def with_rows(self, rows: npt.NDArray[np.intp], other: Projection) -> Projection:
         """With others, of the same degree or a higher one, in these rows."""
-        more = other.coefficients.shape[1] - self.coefficients.shape[1]
-        changed = Projection(np.pad(self.coefficients, ((0, 0), (0, more))), self.rest.copy())
+        missing = other.coefficients.shape[1] - self.coefficients.shape[1]
+        changed = Projection(np.pad(self.coefficients, ((0, 0), (0, missing))), self.rest.copy())
         changed.coefficients[rows], changed.rest[rows] = other.coefficients, other.rest
         return changed
 

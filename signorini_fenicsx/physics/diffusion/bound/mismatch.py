@@ -370,12 +370,12 @@ class _InParts:
         ]
 
         def look(parts: Parts, *remainders: Remainder) -> Array:
-            own, corners = parts.own, parts.vertices.shape[1]
-            at = 1 / corners + np.einsum("nqi,nvi->nqv", parts.vertices - centre[own, None], hats[own])
+            rows, corners = parts.own, parts.vertices.shape[1]
+            at = 1 / corners + np.einsum("nqi,nvi->nqv", parts.vertices - centre[rows, None], hats[rows])
             near = 1 / corners + INSIDE * (shares - 1 / corners)
 
             def of(field: list[Array], places: Array) -> Array:
-                return np.concatenate([jet(each[own], places @ at) for each in field], axis=2)
+                return np.concatenate([jet(each[rows], places @ at) for each in field], axis=2)
 
             w = of_ends @ scaled(inverted(self.piece.at(near @ parts.vertices)), of(fields[1], near))
             slope, y = (of_nodes @ of(each, shares) for each in fields)

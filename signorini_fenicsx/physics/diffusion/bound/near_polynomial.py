@@ -64,13 +64,13 @@ class NearPolynomial:
     degree: int
 
     @classmethod
-    def of(cls, own: Admissible) -> "NearPolynomial":
+    def of(cls, pair: Admissible) -> "NearPolynomial":
         """The polynomials near the v of a solution (collective)."""
-        spaces, data = own.solution.spaces, own.solution.data
-        v = own.trace.v
-        p = v.x.array[cell_dofs(v.function_space)] + _of_linear(own.trace.parts.moved, degree_of(v.function_space))
+        spaces, data = pair.solution.spaces, pair.solution.data
+        v = pair.trace.v
+        p = v.x.array[cell_dofs(v.function_space)] + _of_linear(pair.trace.parts.moved, degree_of(v.function_space))
         of_u = spaces.length ** (1 - spaces.mesh.topology.dim / 2) / math.sqrt(data.conductance * spaces.length)
-        return cls(own, p, *_beside(own, p, max(SHARP * own.resolution.error * of_u, SMALLEST)))
+        return cls(pair, p, *_beside(pair, p, max(SHARP * pair.resolution.error * of_u, SMALLEST)))
 
     @property
     def order(self) -> int:
@@ -130,8 +130,8 @@ class NearPolynomial:
             sides.append(across[on_gamma_s])
         measure, known = on.scale * on.weights.sum(), [part.pieces is not None for _, part in datum.by_facets(facets)]
 
-        def p(own: AnyIndices, x: Array) -> Array:
-            values = [self.at(side[own], x)[:, :, 0] for side in sides]
+        def p(row: AnyIndices, x: Array) -> Array:
+            values = [self.at(side[row], x)[:, :, 0] for side in sides]
             return values[0] - np.sum(values[1:], axis=0)
 
         if jump:
@@ -145,8 +145,8 @@ class NearPolynomial:
             for tree, rows in part.trees_in(on.cells[mask]):
                 some = np.flatnonzero(mask)[rows]
 
-                def w(own: Indices, x: Array, some: Indices = some) -> Array:
-                    return p(some[own], x)
+                def w(row: Indices, x: Array, some: Indices = some) -> Array:
+                    return p(some[row], x)
 
                 of_tree = products(tree, on.vertices[some], measure[some], w, self.order, spaces.frame, enough)
                 total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
@@ -188,7 +188,7 @@ class NearPolynomial:
             tree,
             self.own.resolution.vertices[cells],
             self.own.solution.spaces.cell_measures[cells],
-            lambda own, x: of_jet(self.at(cells[own], x)),
+            lambda rows, x: of_jet(self.at(cells[rows], x)),
             degree,
             self.own.solution.spaces.frame,
             enough,
@@ -201,10 +201,10 @@ def _of_linear(function: fem.Function, degree: int) -> Array:
     return np.asarray(function.x.array[cell_dofs(function.function_space)] @ shares.T)
 
 
-def _beside(own: Admissible, p: Array, tolerance: float) -> tuple[Array, Array, int]:
+def _beside(pair: Admissible, p: Array, tolerance: float) -> tuple[Array, Array, int]:
     """δ, the bound of |r|, and the degree of the polynomials near r (collective)."""
-    vertices, parts, frame = own.resolution.vertices, own.trace.parts, own.solution.spaces.frame
-    cells, order = own.trace.cells.astype(np.int64), degree_of(own.trace.v.function_space)
+    vertices, parts, frame = pair.resolution.vertices, pair.trace.parts, pair.solution.spaces.frame
+    cells, order = pair.trace.cells.astype(np.int64), degree_of(pair.trace.v.function_space)
     delta, off = np.zeros((2, len(vertices)))
     x, tops, enough, degree = vertices[cells], p[cells], np.full(len(cells), tolerance), order
     cell = SIMPLEX[vertices.shape[2]]
@@ -234,7 +234,7 @@ def _beside(own: Admissible, p: Array, tolerance: float) -> tuple[Array, Array, 
                 (raised(as_basix(interpolated(tree, x[rows]), x[rows]), cell, order), quadratic),
                 (coefficients_of(in_nodes(tree, x[rows], order), cell), free[rows] * rho),
             )
-            ends = [bound.sign * (near - tops[rows]) - depth[rows] + more for near, more in nearest]
+            ends = [bound.sign * (near - tops[rows]) - depth[rows] + beyond for near, beyond in nearest]
             above = np.min([end.max(axis=1, initial=0.0) for end in ends], axis=0)
             delta[cells[rows]] += above
             off[cells[rows]] = np.maximum(off[cells[rows]], above)

@@ -137,7 +137,7 @@ def cut_loads(
     groups: list[tuple[tuple, Indices]] = [((), np.arange(len(cells)))]
     for term in terms:
         pieces = resolution.pieces(term.name, term.e)
-        groups = [((*trees, tree), rows[np.isin(cells[rows], own)]) for trees, rows in groups for tree, own in pieces]
+        groups = [((*trees, tree), rows[np.isin(cells[rows], on)]) for trees, rows in groups for tree, on in pieces]
     for trees, rows in groups:
         unsure[rows] = 0.0
 
@@ -212,9 +212,9 @@ class ReactionTerms:
         far = np.where(small, 0.0, size)
         resolution.add_load("u_D", Interval(-far, far), far, metric)
         of_c = np.divide(1, np.sqrt(self.least), out=np.zeros_like(size), where=small)
-        more: Array = size * np.sqrt(metric.volume) * np.where(small, of_c, of_slope)
-        resolution.record_missed("u_D", np.flatnonzero(small), more[small] ** 2)
-        return more
+        added: Array = size * np.sqrt(metric.volume) * np.where(small, of_c, of_slope)
+        resolution.record_missed("u_D", np.flatnonzero(small), added[small] ** 2)
+        return added
 
 
 @dataclass(frozen=True)
@@ -317,23 +317,23 @@ def _near(trace: Trace, coefficient: _Coefficient, level: Array, nodes: Array, s
     for near, cells, degree in ((False, far, squares), (True, trace.cells, max(trace.degree, squares))):
         points, weights = positive_quadrature(cell, degree)
         for some in in_cells(mesh, cells, points, weights):
-            own = some.cells
+            numbers = some.cells
             v, p = trace.jet(some, near=near)[:, :, 0], coefficient.values(some)
-            mean[own] = some.means(p)
-            lacking = some.means(p * (level[own, None] - v))
-            positive = mean[own] > 0
-            delta[own] = np.divide(lacking, mean[own], out=np.zeros(len(own)), where=positive)
-            values = (mean[own] * level[own])[:, None] - p * (v + delta[own, None])
-            missed[own] = np.where(positive, 0.0, np.abs(lacking))
-            farthest = np.maximum(nodes[own], np.abs(v - level[own, None]).max(axis=1, initial=0.0)) + np.abs(
-                delta[own]
+            mean[numbers] = some.means(p)
+            lacking = some.means(p * (level[numbers, None] - v))
+            positive = mean[numbers] > 0
+            delta[numbers] = np.divide(lacking, mean[numbers], out=np.zeros(len(numbers)), where=positive)
+            values = (mean[numbers] * level[numbers])[:, None] - p * (v + delta[numbers, None])
+            missed[numbers] = np.where(positive, 0.0, np.abs(lacking))
+            farthest = np.maximum(nodes[numbers], np.abs(v - level[numbers, None]).max(axis=1, initial=0.0)) + np.abs(
+                delta[numbers]
             )
-            missed[own] += coefficient.deviation[own] * farthest
+            missed[numbers] += coefficient.deviation[numbers] * farthest
             part = projected(values - some.means(values)[:, None], cell, of_load, points, weights)
-            load.coefficients[own], load.rest[own] = part.coefficients, part.rest
+            load.coefficients[numbers], load.rest[numbers] = part.coefficients, part.rest
             if near:
                 between = np.abs(v - some.bernstein(trace.v)[:, :, 0]).max(axis=1, initial=0.0)
-                apart[own] = between > SAME * (np.abs(level) + nodes)[own]
+                apart[numbers] = between > SAME * (np.abs(level) + nodes)[numbers]
     return _Near(mean, delta, missed, load, apart)
 
 

@@ -176,10 +176,10 @@ def _matrix(
         return _assembled(_form(trial, test, kappa, robin, springs))
     matrix = _assembled(_form(trial, test, kappa, None, springs)).ptap(jumps.basis[0])
     if robin is not None:
-        more, size = _assembled(robin[0].form(_rubbing(trial, test, robin))), space.dofmap.index_map.size_local
+        of_robin, size = _assembled(robin[0].form(_rubbing(trial, test, robin))), space.dofmap.index_map.size_local
         tips = jumps.tips[jumps.tips < size].astype(np.int32)
-        more.zeroRowsColumns(tips + more.getOwnershipRange()[0], diag=0.0)
-        matrix.axpy(1.0, more)
+        of_robin.zeroRowsColumns(tips + of_robin.getOwnershipRange()[0], diag=0.0)
+        matrix.axpy(1.0, of_robin)
     return matrix
 
 

@@ -136,9 +136,9 @@ class Resolution:
         """
         norm, mean = seen.norm.copy(), np.stack([seen.mean, seen.mean])
         weight = (factor / self._tolerance(metric)[cells]) ** 2 * metric.volume[cells] / self.volume
-        for tree, own in self.pieces(name, datum):
+        for tree, within in self.pieces(name, datum):
             if isinstance(tree, TREES) and is_enclosed(tree):
-                rows = np.flatnonzero(np.isin(cells, own))
+                rows = np.flatnonzero(np.isin(cells, within))
                 norm_and_mean = self._enclosed(tree, self.vertices[cells[rows]], seen.of(rows), weight[rows])
                 norm[rows], mean[:, rows] = norm_and_mean
         size = np.abs(factor)
@@ -226,9 +226,9 @@ class Resolution:
         for points in cell_quadrature(self.spaces.mesh, cells.astype(np.int32), quadrature_degree(datum)):
             seen, rows = datum.values(points), np.searchsorted(cells, points.cells)
             lo[rows], hi[rows] = seen.min(axis=1, initial=np.inf), seen.max(axis=1, initial=-np.inf)
-        for tree, own in self.pieces(name, datum):
+        for tree, within in self.pieces(name, datum):
             assert isinstance(tree, TREES)
-            below = np.flatnonzero((hi <= limit) & np.isin(cells, own))
+            below = np.flatnonzero((hi <= limit) & np.isin(cells, within))
             least, most = (2 * lo - limit)[below], limit[below]
             narrower = ranges(tree, self.vertices[cells[below]], None, self.spaces.frame, least, most)
             lo[below], hi[below] = narrower.lo, narrower.hi

@@ -126,10 +126,10 @@ class StepBounds:
         if len(self._before) >= len(weights):
             memory = self._memory(weights, from_start=instant.step <= len(weights), initial=steps.initial)
         with np.errstate(all="ignore"):
-            own = Admissible.of(solution, Goal.of(solution, for_signorini=False))
-            parts = gap_parts(own, own, own.goal, memory)
-        certificate = summed(own, parts)
-        content = _content(instant, Continuous.of(solution, certificate.v), parts.of_laws, own)
+            admissible = Admissible.of(solution, Goal.of(solution, for_signorini=False))
+            parts = gap_parts(admissible, admissible, admissible.goal, memory)
+        certificate = summed(admissible, parts)
+        content = _content(instant, Continuous.of(solution, certificate.v), parts.of_laws, admissible)
         self._before = [content, *self._before[:1]]
         return certificate
 
@@ -177,23 +177,23 @@ def _at_start(steps: DiffusionSteps, given: Datum | None) -> InPoints:
     return content
 
 
-def _content(instant: Instant, u: Continuous, load: Projection | None, own: Admissible) -> _Content:
+def _content(instant: Instant, u: Continuous, load: Projection | None, admissible: Admissible) -> _Content:
     """The content after a step, with the means that the step has left and the load of its laws in Ω (collective)."""
     steps = cast(DiffusionSteps, instant.steps)
     theta, a = steps.theta(instant.solution), steps.rate(instant.step)
     stores = np.zeros(len(theta), dtype=bool)
     for part, _ in steps.storage:
         stores[part.rows] = True
-    capacity, missed, largest = constant(steps.capacity, own.metric.jacobian.shape[1]), None, u.largest()
+    capacity, missed, largest = constant(steps.capacity, admissible.metric.jacobian.shape[1]), None, u.largest()
     if steps.given.polynomial != 0:
-        capacity, rest, _ = near_quadratics("capacity", steps.given, own.metric, own.resolution, largest)
+        capacity, rest, _ = near_quadratics("capacity", steps.given, admissible.metric, admissible.resolution, largest)
         missed = rest * largest
 
     def content(points: CellPoints) -> Array:
         cells = points.cells
         stored = at_points(capacity, points) * u(points) + theta[cells, None]
         if load is not None and steps.storage:
-            linear = load.coefficients[cells, : own.metric.jacobian.shape[1]] * stores[cells, None]
+            linear = load.coefficients[cells, : admissible.metric.jacobian.shape[1]] * stores[cells, None]
             of_cells = Projection(linear, load.rest[cells])
             stored -= of_projection(of_cells, points.mesh.basix_cell(), OF_LOAD, points.points) / a
         return stored

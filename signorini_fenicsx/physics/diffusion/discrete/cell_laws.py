@@ -103,8 +103,8 @@ def cell_laws(spaces: Spaces, problem: Problem, u_D: Datum, on_parts: Sequence[P
         part, graph = part_in(spaces, law, name)
         rows, first = part.rows, ~has_law[part.rows]
         means[rows[first]] = np.broadcast_to(graph.reference[0], len(rows))[first]
-        own = chains_of(replace(graph, reference=(means[rows], 0.0)), len(rows))
-        chains = _with(spaces, chains, part, rows, own, first)
+        of_part = chains_of(replace(graph, reference=(means[rows], 0.0)), len(rows))
+        chains = _with(spaces, chains, part, rows, of_part, first)
         if len(laws) == 1 and isinstance(law, Obstacle) and len(graph.corners) == 1 and EVERYWHERE in law.region:
             chains = chains_of(graph, number)  # values that are exactly 0
         has_law[rows] = True
@@ -165,16 +165,16 @@ def at_vertices(spaces: LinearSpaces, laws: CellLaws) -> VertexLaws:
             graph, some = part.falling(points), rows[begin : begin + size * len(points.cells)]
             graph = graph if alone else replace(graph, reference=(graph.reference[0], 0.0))
             at = np.where(has_law[some], means[some], np.nan)
-            own, p_h, _ = vertex_graphs(cells.take(points.cells.astype(np.int64)), points, graph, at)
+            laws_there, p_h, _ = vertex_graphs(cells.take(points.cells.astype(np.int64)), points, graph, at)
             means[some], has_law[some] = p_h, True
-            parts.append((np.arange(begin, begin + len(some)), own))
+            parts.append((np.arange(begin, begin + len(some)), laws_there))
             begin += len(some)
-        own = joined(parts, len(rows))
-        chains = own if alone else _with(spaces, chains, part, rows, own, first)
+        laws_there = joined(parts, len(rows))
+        chains = laws_there if alone else _with(spaces, chains, part, rows, laws_there, first)
     return VertexLaws(laws.of_regions, chains, means, np.zeros(number), shared_compliance(chains, size), size)
 
 
-def _with(spaces: Spaces, chains: Chains, part: PartLaw, rows: Indices, own: Chains, first: Mask) -> Chains:
+def _with(spaces: Spaces, chains: Chains, part: PartLaw, rows: Indices, added: Chains, first: Mask) -> Chains:
     """The chains with those of one more law added in its cells (collective).
 
     Args:
@@ -182,7 +182,7 @@ def _with(spaces: Spaces, chains: Chains, part: PartLaw, rows: Indices, own: Cha
         chains: Chains of all owned cells, or of their vertices.
         part: The law.
         rows: Its cells or vertices.
-        own: Its chains there.
+        added: Its chains there.
         first: Mask of them: those without an earlier law.
 
     Raises:
@@ -190,13 +190,13 @@ def _with(spaces: Spaces, chains: Chains, part: PartLaw, rows: Indices, own: Cha
     """
     number, again = len(chains.p), rows[~first]
     try:
-        total, empty = chains[again].plus(own[np.flatnonzero(~first)]), False
+        total, empty = chains[again].plus(added[np.flatnonzero(~first)]), False
     except ValueError:
-        total, empty = own[:0], True
+        total, empty = added[:0], True
     if spaces.mesh.comm.allreduce(empty, MPI.LOR):
         raise InputError(f"{part.name} ({part.law.name}): with the laws before it no u is left in some cells")
     others = np.setdiff1d(np.arange(number), rows)
-    parts = [(others, chains[others]), (rows[first], own[np.flatnonzero(first)]), (again, total)]
+    parts = [(others, chains[others]), (rows[first], added[np.flatnonzero(first)]), (again, total)]
     all_chains = joined(parts, number)
     most = spaces.mesh.comm.allreduce(int(all_chains.count.max(initial=1)), MPI.MAX)
     return replace(
@@ -266,27 +266,27 @@ def with_reactions(spaces: Spaces, problem: Problem) -> Problem:
             cells_of(spaces, law, of_law)
             c = parsed(law.c, names, f"{of_law}.c")
             regions = [EVERYWHERE] if EVERYWHERE in law.region else law.region
-            more = (
+            added = (
                 c
                 if EVERYWHERE in regions
                 else dict.fromkeys(spaces.domain.regions, exactly(0.0)) | dict.fromkeys(regions, c)
             )
-            problem = replace(problem, c=plus(problem.c, more, 1.0, f"{of_law}: c of the problem and of this law"))
+            problem = replace(problem, c=plus(problem.c, added, 1.0, f"{of_law}: c of the problem and of this law"))
     return problem
 
 
 def plus(
-    c: Given | Mapping[str, Given], more: Given | Mapping[str, Given], factor: float, where: str
+    c: Given | Mapping[str, Given], term: Given | Mapping[str, Given], factor: float, where: str
 ) -> dict[str, Given] | Given:
     """The sum c + factor·more of data, or of tables of them by region.
 
     Raises:
         InputError: If one of them is a function of points; `where` says which data they are.
     """
-    if isinstance(c, Mapping) or isinstance(more, Mapping):
-        names = dict.fromkeys(name for table in (c, more) if isinstance(table, Mapping) for name in table)
-        return {name: combined(_of(c, name), _of(more, name), factor, where) for name in names}
-    return combined(c, more, factor, where)
+    if isinstance(c, Mapping) or isinstance(term, Mapping):
+        names = dict.fromkeys(name for table in (c, term) if isinstance(table, Mapping) for name in table)
+        return {name: combined(_of(c, name), _of(term, name), factor, where) for name in names}
+    return combined(c, term, factor, where)
 
 
 def _of(given: Given | Mapping[str, Given], region: str) -> Given:

@@ -214,10 +214,10 @@ class Fluxes(_Beside):
             total = self.comm.allreduce(self._weighted(of_y, enough))
         if self.weight.number is not None:
             return total
-        more = 0.0
+        added = 0.0
         for load in gap_on_gamma_s(of_v, of_y, of_v.goal, half_gap)[1][:1]:
-            more = load.points.integrals(load.values * self.weight.values(load.points))[self._rows].sum()
-        total[0] += float(self.comm.allreduce(more))
+            added = load.points.integrals(load.values * self.weight.values(load.points))[self._rows].sum()
+        total[0] += float(self.comm.allreduce(added))
         return np.asarray(total)
 
     def _weighted(self, of_y: Admissible, enough: float) -> Array:
@@ -229,8 +229,8 @@ class Fluxes(_Beside):
         slopes = barycentric_gradients(on.vertices).transpose(0, 2, 1)
         measures = on.scale / math.factorial(mesh.topology.dim - 1)
 
-        def w(own: AnyIndices, x: Array) -> Array:
-            return jet(flux[own], 1 / on.vertices.shape[1] + (x - middle[own]) @ slopes[own])[:, :, 0]
+        def w(rows: AnyIndices, x: Array) -> Array:
+            return jet(flux[rows], 1 / on.vertices.shape[1] + (x - middle[rows]) @ slopes[rows])[:, :, 0]
 
         for tree, _ in self.weight.pieces or ():
             assert isinstance(tree, TREES)
@@ -306,20 +306,20 @@ def energy(solution: Solution) -> Quantity:
     """The interval for the energy: J(v) − gap − Σ osc_T‖κ∇v − y‖_T − ½osc² ≤ J(u) ≤ J(v) (collective)."""
     goal = Goal.of(solution, for_signorini=True)
     with np.errstate(all="ignore"):
-        own = Admissible.of(solution, goal)
-        parts = gap_parts(own, own, goal)
-    comm, osc, missing = solution.spaces.mesh.comm, parts.oscillation, parts.left + ROUNDING * own.size
+        admissible = Admissible.of(solution, goal)
+        parts = gap_parts(admissible, admissible, goal)
+    comm, osc, missing = solution.spaces.mesh.comm, parts.oscillation, parts.left + ROUNDING * admissible.size
     mismatch = np.sqrt(parts.mismatch + parts.reaction)
     local = (parts.mismatch + parts.contact).sum() / 2 + (osc * (mismatch + osc / 2)).sum()
-    sums = np.array([local, ((mismatch + osc) ** 2).sum(), own.resolution.missed.sum()])
+    sums = np.array([local, ((mismatch + osc) ** 2).sum(), admissible.resolution.missed.sum()])
     below, squares, missed = comm.allreduce(sums).tolist()
     below = max(below, 0.0) + missing * (math.sqrt(squares) + missing / 2)
-    upper, wrong = _of_v(own, parts.hidden, SHARE * below)
+    upper, wrong = _of_v(admissible, parts.hidden, SHARE * below)
     value = _of_energy(solution, goal)
-    if own.trace.hindrance or not math.isfinite(own.remainder):
-        return Quantity(value, -math.inf, math.inf, False, own.trace.hindrance or own.unbalanced)
+    if admissible.trace.hindrance or not math.isfinite(admissible.remainder):
+        return Quantity(value, -math.inf, math.inf, False, admissible.trace.hindrance or admissible.unbalanced)
     lower, upper = upper - below - wrong, upper + wrong
-    reason = reason_of(own, (math.sqrt(missed) + parts.left) / math.sqrt(below) if below > 0 else 0.0)
+    reason = reason_of(admissible, (math.sqrt(missed) + parts.left) / math.sqrt(below) if below > 0 else 0.0)
     return Quantity(value, lower, upper, not reason, reason)
 
 
@@ -329,15 +329,15 @@ def reason_of(of_y: Admissible, share: float) -> str:
     return reservation(unresolved, sorted(of_y.resolution.by_quadrature))
 
 
-def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
+def _of_v(admissible: Admissible, hidden: Array, enough: float) -> list[float]:
     """J(v), and by how much it may be wrong (collective).
 
     Args:
-        own: Has v.
+        admissible: Has v.
         hidden: What quadrature may miss of ‖κ^½∇v‖ on cells.
         enough: As in `products`.
     """
-    spaces, data, near = own.solution.spaces, own.solution.data, NearPolynomial.of(own)
+    spaces, data, near = admissible.solution.spaces, admissible.solution.data, NearPolynomial.of(admissible)
     cells, half, minus = owned_cells(spaces.mesh).astype(np.int64), np.array([0.5, 0.5]), np.array([-1.0, 1.0])
     total = half * near.of_gradient(hidden) + minus * near.integral(data.f, cells, enough)
     total += minus * near.on_facets(data.g_N, spaces.neumann_facets, enough)
@@ -356,15 +356,15 @@ def _of_v(own: Admissible, hidden: Array, enough: float) -> list[float]:
 
         degree = max(SQUARE, quadrature_degree(*part.data.values()))
         total[0] += near.seen(energy_of, part.rows, degree).sum()
-    return [float(each) for each in spaces.mesh.comm.allreduce(total + _of_laws(own, near, enough))]
+    return [float(each) for each in spaces.mesh.comm.allreduce(total + _of_laws(admissible, near, enough))]
 
 
-def _of_laws(own: Admissible, near: NearPolynomial, enough: float) -> Array:
+def _of_laws(admissible: Admissible, near: NearPolynomial, enough: float) -> Array:
     """The energies of the laws on Γ_S, and by how much they may be wrong, of this rank (collective)."""
-    spaces, goal, total = own.solution.spaces, own.goal, np.zeros(2)
-    degree = min(max(goal.degree(), degree_near(own.trace)), DEGREES[1])
+    spaces, goal, total = admissible.solution.spaces, admissible.goal, np.zeros(2)
+    degree = min(max(goal.degree(), degree_near(admissible.trace)), DEGREES[1])
     rule = basix.make_quadrature(facet_type(spaces.mesh.topology.dim), degree)
-    v = own.trace.on_gamma_s(in_facets(spaces.mesh, spaces.facets, *rule))
+    v = admissible.trace.on_gamma_s(in_facets(spaces.mesh, spaces.facets, *rule))
     for part in goal.parts:
         if type(part.law) is Signorini:
             for jump in (False, True):

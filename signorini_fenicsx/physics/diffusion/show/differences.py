@@ -73,11 +73,11 @@ def slobodeckij_norm(solution: Solution, values: Array) -> float:
     spaces = solution.spaces
     dim = spaces.mesh.topology.dim
     x = dolfinx.mesh.compute_midpoints(spaces.mesh, dim - 1, spaces.facets)
-    comm, mine = spaces.mesh.comm, (x.reshape(-1, 3), spaces.facet_measure, values)
-    square = float(mine[1] @ values**2)
-    others = mine
+    comm, columns = spaces.mesh.comm, (x.reshape(-1, 3), spaces.facet_measure, values)
+    square = float(columns[1] @ values**2)
+    others = columns
     for turn in range(comm.size):
-        for i, (place, e, p) in enumerate(zip(*mine, strict=True)):
+        for i, (place, e, p) in enumerate(zip(*columns, strict=True)):
             x, measure, q = (rows[i + 1 :] for rows in others) if turn == 0 else others  # on this rank each pair once
             distance = np.linalg.norm(x - place, axis=1)
             square += (2 if turn == 0 else 1) * e * float(measure @ ((q - p) ** 2 / distance**dim))

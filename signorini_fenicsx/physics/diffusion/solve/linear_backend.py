@@ -62,13 +62,13 @@ class VertexBackend(PlainBackend):
         """The iterate from means of û less the references and from fields."""
         data, laws, spaces = self.data, self.laws, self.spaces
         flux = spaces.through(spaces.contact, spaces.flux_values(sigma)).ravel() - laws.flux_h
-        own = laws.own(laws.chains.segments(conditions[: len(p)]), p, flux)
+        at_laws = laws.own(laws.chains.segments(conditions[: len(p)]), p, flux)
         means = p + data.lift[spaces.site_kinds.unknown]
         if data.cells_at is not None:
             above, force = data.in_cells(spaces, spaces.flux_values(sigma), spaces.scalar_values(u))
             segment = data.cells_at.chains.segments(conditions[len(p) :])
-            own, flux = np.append(own, data.cells_at.own(segment, above, force)), np.append(flux, force)
-        return LinearIterate(*conditions.clean(own, flux, data.conductance), iterations, sigma, u, means)
+            at_laws, flux = np.append(at_laws, data.cells_at.own(segment, above, force)), np.append(flux, force)
+        return LinearIterate(*conditions.clean(at_laws, flux, data.conductance), iterations, sigma, u, means)
 
     def without_flux(self, iterate: Any, where: Mask) -> LinearIterate:
         """The iterate with σ·n = q_S at some vertices, and the trace that belongs to it by (37) (collective).

@@ -193,7 +193,7 @@ def _on_cells(cells: Cells, compliance: Array, of_facets: npt.NDArray[np.floatin
     mass = np.kron((1 + np.eye(dim)) / (dim * (dim + 1)), np.eye(dim))
     areas = np.linalg.norm(facet_normals(cells.vertices), axis=2) * of_facets
     for facet in range(dim + 1):
-        own = slice(facet * dim**2, (facet + 1) * dim**2)
-        matrices[:, own, own] -= areas[:, facet, None, None] * mass
+        block = slice(facet * dim**2, (facet + 1) * dim**2)
+        matrices[:, block, block] -= areas[:, facet, None, None] * mass
     positive = np.linalg.eigvalsh(inverse - alone).min(initial=np.inf) > 0
     return (matrices + matrices.swapaxes(1, 2)) / 2, bool(positive)

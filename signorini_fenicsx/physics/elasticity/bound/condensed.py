@@ -345,19 +345,19 @@ def _from_linear(
     frames: Array,
 ) -> PETSc.Mat:
     """Interpolation of linear displacements at the nodes that are left (collective)."""
-    dim, own = spaces.dim, nodes.numbers.size_local
+    dim, owned = spaces.dim, nodes.numbers.size_local
     ends, shares = np.zeros((len(nodes.of_space), dim), dtype=np.int32), np.zeros((len(nodes.of_space), dim))
     vertices = np.take_along_axis(cell_dofs(linear), spaces.order, axis=1)
-    for mine, corners, weights in _between_vertices(split, space, nodes):
-        ends[mine], shares[mine] = vertices[:, None, corners], weights
+    for some, corners, weights in _between_vertices(split, space, nodes):
+        ends[some], shares[some] = vertices[:, None, corners], weights
     made = PETSc.Mat().create(spaces.mesh.comm)
     of_linear = linear.dofmap.index_map
     sizes = [(dim * each.size_local, dim * each.size_global) for each in (nodes.numbers, of_linear)]
     made.setSizes(sizes, bsize=dim)
     made.setType("aij")
-    rows = (dim * nodes.numbers.local_range[0] + np.arange(dim * own)).reshape(own, 1, dim, 1)
-    columns = of_linear.local_to_global(ends[:own].ravel()).reshape(own, dim, 1, 1) * dim + np.arange(dim)
-    values = frames[nodes.of_space[:own]].swapaxes(1, 2)[:, None] * shares[:own, :, None, None]
+    rows = (dim * nodes.numbers.local_range[0] + np.arange(dim * owned)).reshape(owned, 1, dim, 1)
+    columns = of_linear.local_to_global(ends[:owned].ravel()).reshape(owned, dim, 1, 1) * dim + np.arange(dim)
+    values = frames[nodes.of_space[:owned]].swapaxes(1, 2)[:, None] * shares[:owned, :, None, None]
     places = (np.broadcast_to(each, values.shape).ravel().astype(PETSc.IntType) for each in (rows, columns))
     made.setPreallocationCOO(*places)
     made.setValuesCOO(values.ravel(), PETSc.InsertMode.ADD_VALUES)
@@ -387,7 +387,7 @@ def means_at_nodes(split: SplitMesh, space: fem.FunctionSpace, nodes: Nodes, u: 
         nodes: The nodes that are left.
         u: Values at the vertices of the cells, as in `ElasticSpaces.order`, shape (cells, d + 1, d).
     """
-    between = [(mine, weights @ u[:, corners]) for mine, corners, weights in _between_vertices(split, space, nodes)]
+    between = [(rows, weights @ u[:, corners]) for rows, corners, weights in _between_vertices(split, space, nodes)]
     numbers, values = (np.concatenate(each) for each in zip(*between, strict=True))
     sums, count = sums_at(nodes.numbers, numbers, values), sums_at(nodes.numbers, numbers)
     return (sums / count[:, None])[: nodes.numbers.size_local]

@@ -215,14 +215,14 @@ class BestDisplacement:
         coupling = self._nodes, np.zeros((len(self._nodes), wide, wide))
         parts = ((inside.around, inside.matrices), *self._springs(), coupling)
         self._natural = of_cells(self.comm, self._numbers, dim, [nodes for nodes, _ in parts], parts)
-        own = left.of_space[:size]
-        self._lift, load = self._given.values[own].ravel(), inside.load
+        values = left.of_space[:size]
+        self._lift, load = self._given.values[values].ravel(), inside.load
         image = self.times(self._lift)
         energy = fem.assemble_scalar(fenicsx.form(square(material.stiffness, self._without_v, 1.0, material.dx)))
         constants = energy / 2 + self._apart + inside.energy
         sums = self.comm.allreduce(np.array([constants, self._lift @ (image / 2 - load)]))
         self.constant, self.scale = float(sums.sum()), float(np.abs(sums).sum())
-        essential = np.flatnonzero(self._given.given[own]).astype(np.int32)
+        essential = np.flatnonzero(self._given.given[values]).astype(np.int32)
         self.load = load - image
         self.load[essential] = 0.0
         diagonal = self._natural.getDiagonal()
@@ -324,12 +324,12 @@ class BestDisplacement:
 
     def _beginning(self) -> Array:
         """The means of u at the nodes, or the v that is continued, less what is given of v (collective)."""
-        own = self._left.of_space[: self._numbers.size_local]
+        known = self._left.of_space[: self._numbers.size_local]
         if self._v is None:
             values = means_at_nodes(self.split, self.space, self._left, self._y.displacement)
         else:
-            values = self._v.x.array.reshape(-1, self.spaces.dim)[own]
-        x: Array = np.einsum("nij,ni->nj", self._given.frames[own], values).ravel() - self._lift
+            values = self._v.x.array.reshape(-1, self.spaces.dim)[known]
+        x: Array = np.einsum("nij,ni->nj", self._given.frames[known], values).ravel() - self._lift
         x[self._essential] = 0.0
         return x
 

@@ -133,12 +133,12 @@ class _Enclosures:
                 rows = rows[acting[rows, scalar]]
                 rho = 2 * distances(tree, vertices[rows], self.spaces.frame, np.full(len(rows), limit / 2))
                 fine = rho <= limit
-                root, rho, there = np.sqrt(seen[rows[fine], scalar]), rho[fine], rows[fine]
-                bounds[there, 1] += rho * (2 * root + rho)
-                bounds[there, 2] += rho**2
-                there = rows[~fine]
-                bounds[there, 1] -= seen[there, scalar]
-                kept = begin + there, vertices[there], near[there, :, scalar]
+                root, rho, chosen = np.sqrt(seen[rows[fine], scalar]), rho[fine], rows[fine]
+                bounds[chosen, 1] += rho * (2 * root + rho)
+                bounds[chosen, 2] += rho**2
+                chosen = rows[~fine]
+                bounds[chosen, 1] -= seen[chosen, scalar]
+                kept = begin + chosen, vertices[chosen], near[chosen, :, scalar]
                 self.rough.setdefault((scalar, number), []).append(kept)
         self.squares.append(bounds)
 
@@ -239,9 +239,9 @@ def without_given(spaces: ElasticSpaces, part: BoundaryFacets, values: Array) ->
     """Tractions on a part without their components along which u is given there, shape (facets, points, d)."""
     values = values.copy()
     for fixed, _, directions, _ in spaces.fixed[spaces.dim :]:
-        mine, order = np.flatnonzero(np.isin(part.facets, fixed.facets)), np.argsort(fixed.facets)
-        axes = directions[order[np.searchsorted(fixed.facets, part.facets[mine], sorter=order)]]
-        values[mine] -= np.einsum("nqj,nj,ni->nqi", values[mine], axes, axes)
+        rows, order = np.flatnonzero(np.isin(part.facets, fixed.facets)), np.argsort(fixed.facets)
+        axes = directions[order[np.searchsorted(fixed.facets, part.facets[rows], sorter=order)]]
+        values[rows] -= np.einsum("nqj,nj,ni->nqi", values[rows], axes, axes)
     return values
 
 
@@ -356,9 +356,9 @@ class _RubbingLoads:
         weights = weights / max(most, SMALLEST) + LEAST_WEIGHT
         touching = np.flatnonzero(np.isin(spaces.inner.rows, spaces.rough_rows))
         across = spaces.across.take(touching)
-        there = np.searchsorted(spaces.rough_rows, spaces.inner.rows[touching])
+        opposite = np.searchsorted(spaces.rough_rows, spaces.inner.rows[touching])
         cells = np.append(spaces.rough.cells, across.cells).astype(np.int64)
-        rows = np.append(np.arange(len(weights)), there)
+        rows = np.append(np.arange(len(weights)), opposite)
         of_facets = np.zeros((len(spaces.order), spaces.dim + 1))
         of_facets[cells, np.append(spaces.rough.local, across.local)] = weights[rows]
         constants = trace_constants(Cells(spaces.vertices[cells]).derivative, spaces.rough.measure[rows])

@@ -79,8 +79,8 @@ class LawOnFacets:
         degree = quadrature_degree(*law.data.values(), power=2)
         points = facet_quadrature(spaces.mesh, facets.facets, min(degree + 2 * contact.degree, DEGREES[1]))
         hats = np.column_stack([1 - points.points.sum(axis=1), points.points])
-        own = np.moveaxis(hats[:, facets.ranking], 0, 1)
-        basis = contact.basis(own[:, :, 1:].reshape(-1, dim - 1)).reshape(*own.shape[:2], contact.nodes.shape[1])
+        lam = np.moveaxis(hats[:, facets.ranking], 0, 1)
+        basis = contact.basis(lam[:, :, 1:].reshape(-1, dim - 1)).reshape(*lam.shape[:2], contact.nodes.shape[1])
         sites = dim * contact.rows[rows][:, None] + np.arange(dim)
         corners = law.graph(points)
         number = len(corners.corners)
@@ -94,7 +94,7 @@ class LawOnFacets:
             chains=Chains.through(p, flux, slope[:, 0], slope[:, -1]),
             at_points=chains_of(corners, points.shape[0] * points.shape[1]),
             basis=basis,
-            hats=own,
+            hats=lam,
             weights=facets.measure[:, None] * points.weights / points.weights.sum(),
             segment=np.take_along_axis(segment[contact.rows[rows]], nearest[:, None], axis=1)[:, 0],
         )

@@ -60,8 +60,8 @@ def load_oscillation(resolution: Resolution, stresses: Array, squares: Array) ->
         if len(numbers) > 0 and (inside.any() or on_facets.any()):
             of_cells[numbers] += local_stresses(dim).least_norms(cells, inside, on_facets, compliance)
     of_cells += passed_on(spaces, stresses, everywhere)
-    more, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + of_cells)
-    return of_cells + more, together
+    beyond, together = missed(resolution, everywhere, np.sqrt(np.maximum(squares, 0.0)) + of_cells)
+    return of_cells + beyond, together
 
 
 def compliances_above(spaces: ElasticSpaces, data: ElasticData) -> Array:
@@ -96,9 +96,9 @@ def _force(
     inward = inward.reshape(len(numbers), dim + 1, dim + 1, dim) / volume[:, None, None, None]
     balanced = -np.einsum("nsvij,nsvj->nsi", stresses[numbers], inward)
     cell, subcell, vertex = spaces.as_dolfinx(numbers)
-    there = np.zeros((*vertex.shape[:2], len(places), dim + 1), dtype=np.int64)  # the lattice in DOLFINx's order
-    np.put_along_axis(there, vertex[:, :, None], np.broadcast_to(places, there.shape), axis=3)
-    quadratic = near[cell, subcell, numbers_in(there, INSIDE)] - balanced[:, :, None]
+    in_order = np.zeros((*vertex.shape[:2], len(places), dim + 1), dtype=np.int64)  # the lattice in DOLFINx's order
+    np.put_along_axis(in_order, vertex[:, :, None], np.broadcast_to(places, in_order.shape), axis=3)
+    quadratic = near[cell, subcell, numbers_in(in_order, INSIDE)] - balanced[:, :, None]
     return quadratic, np.sqrt(rest.sum(axis=(1, 2)) * volume)
 
 
@@ -126,9 +126,9 @@ def _tractions(spaces: ElasticSpaces, data: ElasticData, of_cells: Array) -> tup
         constants = trace_constants(Cells(spaces.vertices[part.cells]).derivative, part.measure)
         np.add.at(of_cells, part.cells, constants * rest)
         fitted -= lattice(dim, ON_FACETS) / ON_FACETS @ linear
-        there = np.zeros((len(part.facets), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
-        np.put_along_axis(there, part.ranking[:, None], np.broadcast_to(places, there.shape), axis=2)
-        cubic.append(np.take_along_axis(fitted, numbers_in(there, ON_FACETS)[:, :, None], axis=1))
+        in_order = np.zeros((len(part.facets), len(places), dim), dtype=np.int64)  # the lattice in DOLFINx's order
+        np.put_along_axis(in_order, part.ranking[:, None], np.broadcast_to(places, in_order.shape), axis=2)
+        cubic.append(np.take_along_axis(fitted, numbers_in(in_order, ON_FACETS)[:, :, None], axis=1))
         cells.append(part.cells)
         local.append(part.local)
     return np.concatenate(cells), np.concatenate(local), np.concatenate(cubic)

@@ -79,11 +79,11 @@ def _coefficients(material: Material, young: Tree, poisson: Tree | None) -> tupl
     if poisson is None:
         twice = Binary("*", exactly(2), young)
         return twice, twice, _inverse(twice), exactly(0)
-    more, less = Binary("+", one, poisson), Binary("-", one, Binary("*", exactly(2), poisson))
+    plus, less = Binary("+", one, poisson), Binary("-", one, Binary("*", exactly(2), poisson))
     if material.dim == 2:
-        less = Binary("*", more, less) if material.in_strain else Binary("-", one, poisson)
+        less = Binary("*", plus, less) if material.in_strain else Binary("-", one, poisson)
     inverse = _inverse(young)
-    return Binary("/", young, more), Binary("/", young, less), Binary("*", more, inverse), Binary("*", less, inverse)
+    return Binary("/", young, plus), Binary("/", young, less), Binary("*", plus, inverse), Binary("*", less, inverse)
 
 
 def _inverse(tree: Tree) -> Tree:

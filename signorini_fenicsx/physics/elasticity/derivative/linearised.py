@@ -123,7 +123,7 @@ class LinearisedElasticity(HybridLinearised):
         """
         backend, spaces, (normal, slip) = self._backend, self._spaces, self._spaces.site_kinds
         friction, values, actual = backend.friction, conditions.value, backend.chains.conditions(segment)
-        held, gap, more = actual.kind == Condition.ZERO_TRACE, numbers["lift"][normal.unknown], np.zeros(len(slip))
+        held, gap, added = actual.kind == Condition.ZERO_TRACE, numbers["lift"][normal.unknown], np.zeros(len(slip))
         lift, load = numbers["lift"].copy(), numbers["load"].copy()
         lift[normal.unknown] = np.where(normal.of(held), gap - normal.of(values), 0.0)
         lift[slip.unknown] *= slip.of(held)
@@ -136,12 +136,12 @@ class LinearisedElasticity(HybridLinearised):
             slope = friction.slope(np.where(self.biactive[slip.pressing], 1.0, self._pressure))
             moved = slope * spaces.pressure_of(backend.flux(x, numbers["load"]))
             left = numbers["mu"].reshape(slope.shape) * self._pressure + moved
-            more = np.repeat(newton(backend, actual, (sides, slope), left).ravel(), spaces.dim - 1)
+            added = np.repeat(newton(backend, actual, (sides, slope), left).ravel(), spaces.dim - 1)
             load[:] = 0.0
-            load[slip.unknown] = sides * slip.measure * more
+            load[slip.unknown] = sides * slip.measure * added
             x.axpy(1.0, backend.solve_homogeneous(actual, load))
         flux, x = backend.flux(x, numbers["load"] - backend.pulled), np.array(x.array_r)
-        slip.of(flux)[:] -= more * np.subtract(1.0, 2 * slip.of(self._segment + np.minimum(self._beside, 0)))
+        slip.of(flux)[:] -= added * np.subtract(1.0, 2 * slip.of(self._segment + np.minimum(self._beside, 0)))
         p = np.append(gap - x[normal.unknown], x[slip.unknown] - numbers["lift"][slip.unknown])
         return *conditions.clean(p, flux, np.inf), x
 

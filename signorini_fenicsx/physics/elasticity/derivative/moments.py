@@ -141,7 +141,7 @@ def _of_datum(
     matrices: Array,
 ) -> Iterator[tuple[str, Effect]]:
     """What the moments of a datum over facets make, part by part, if it is given in UFL (collective)."""
-    for number, (chosen, own) in enumerate(datum.by_facets(facets.facets)):
-        if own.pieces is None:
-            seen = moments_seen(spaces, own, facets.take(np.flatnonzero(chosen)), min(DEGREE + 1, DEGREES[1]))
+    for number, (chosen, part) in enumerate(datum.by_facets(facets.facets)):
+        if part.pieces is None:
+            seen = moments_seen(spaces, part, facets.take(np.flatnonzero(chosen)), min(DEGREE + 1, DEGREES[1]))
             yield f"{name}.{number}", Effect(kind, seen, places[chosen], matrices[chosen])

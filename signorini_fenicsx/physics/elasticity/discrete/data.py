@@ -209,26 +209,23 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         InputError: If something is not finite where it is needed, E ≤ 0 or ν not between −1 and ½ somewhere, or a
             region has no value; if plane stress is asked for in space.
     """
-    dim = spaces.dim
-    viscosity = problem.viscosity
+    dim, viscosity = spaces.dim, problem.viscosity
     material = material_of(spaces, problem) if viscosity is None else Viscous.of(spaces, viscosity)
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
     _check_where_given(spaces, problem.u_D)
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
     g_N, before = tractions_given(spaces, problem), before or FromBefore()
-    pulls = pulls_of(spaces, before.pulls)
+    pulls, friction = pulls_of(spaces, before.pulls), before.friction
     gap = beyond_surfaces(spaces, datum_on_parts(spaces, "gap", problem.gap), problem.surface)
     for joint in spaces.joints:
         if joint.pair.distance and not joint.pair.tied:
             opened = linear_from_means(joint.pieces.means(len(joint.slaves)))
             gap = RaisedGap.of(gap, spaces.boundary_facets(joint.slaves), opened)
-    own = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
-    quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, own + 1), LARGEST_DEGREE))
-    lift = fem.Function(spaces.traces)
-    load = la.vector(lift.function_space.dofmap.index_map, dim**2)
-    laws = normal_laws(spaces, problem.normal)
+    most = max(DEGREE if degree is None else degree for degree in (f.polynomial, material.degree))
+    quadrature = SplitQuadrature.of_degree(dim, min(max(2 if material.uniform else DEGREE, most + 1), LARGEST_DEGREE))
+    lift, load = fem.Function(spaces.traces), la.vector(spaces.traces.dofmap.index_map, dim**2)
+    laws, (normal, slip) = normal_laws(spaces, problem.normal), spaces.site_kinds
     fixed = _set_given(spaces, u_D, gap, lift)
-    normal, slip = spaces.site_kinds
     lift.x.array[normal.unknown] -= laws.p_h
     tractions = traction_moments(spaces, g_N)
     pulled = add_pulls(spaces, pulls, tractions)
@@ -237,9 +234,6 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
     slipped = _velocity_of_walls(spaces, problem, u_D) if before.slipped is None else before.slipped
     lift.x.array[slip.unknown] = slipped
     lift.x.scatter_forward()
-    friction = before.friction
-    if friction is None:
-        friction = friction_bounds(spaces, problem.named_laws, problem.joint)
     data = ElasticData(
         f=f,
         u_D=u_D,
@@ -256,7 +250,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         lift=lift.x.array.astype(np.float64),
         load=load.array,
         fixed=fixed,
-        friction=friction,
+        friction=friction_bounds(spaces, problem.named_laws, problem.joint) if friction is None else friction,
         slipped=slipped,
         tools=tools_of(spaces, problem),
         moved=np.zeros(len(spaces.site_kinds)),

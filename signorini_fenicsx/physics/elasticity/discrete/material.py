@@ -138,10 +138,10 @@ class Material:
         """ε₀ in points, shape (cells, points, entries) (collective)."""
         if not self.own:
             return np.zeros((*points.shape, len(self._kept)))
-        in_space, own = self._in_space(points), self._own(points)
+        in_space, eps0 = self._in_space(points), self._own(points)
         if self.in_strain:
-            own = own - in_space[..., BEYOND] * (own[..., BEYOND] / in_space[..., BEYOND, BEYOND])[..., None]
-        return own[..., self._kept]
+            eps0 = eps0 - in_space[..., BEYOND] * (eps0[..., BEYOND] / in_space[..., BEYOND, BEYOND])[..., None]
+        return eps0[..., self._kept]
 
     def moved(self) -> "Iterator[tuple[str, Expr, Material]]":
         """Each number in UFL by a name, with itself and the material in which it has an imaginary step."""

@@ -300,9 +300,9 @@ def add_pulls(spaces: ElasticSpaces, pulls: Sequence[Pull], tractions: Array) ->
     for pull in pulls:
         for facets, moments in ((spaces.neumann, tractions), (spaces.contact, on_contact)):
             order = np.argsort(facets.facets)
-            mine = np.flatnonzero(np.isin(pull.facets.facets, facets.facets))
-            rows = order[np.searchsorted(facets.facets, pull.facets.facets[mine], sorter=order)]
-            moments[rows] += pull.moments[mine]
+            common = np.flatnonzero(np.isin(pull.facets.facets, facets.facets))
+            rows = order[np.searchsorted(facets.facets, pull.facets.facets[common], sorter=order)]
+            moments[rows] += pull.moments[common]
     return linear_values(on_contact, spaces.contact.measure)
 
 

@@ -70,9 +70,9 @@ class RaisedGap(Datum):
         assert isinstance(points, FacetPoints)
         assert not slope
         gaps = np.array(self.gap.values(points))
-        mine = np.flatnonzero(np.isin(points.facets, self.facets))
-        rows = np.searchsorted(self.facets, points.facets[mine])
-        gaps[mine] += self.offsets[rows, None] + np.einsum("nqi,ni->nq", points.x[mine], self.slopes[rows])
+        on = np.flatnonzero(np.isin(points.facets, self.facets))
+        rows = np.searchsorted(self.facets, points.facets[on])
+        gaps[on] += self.offsets[rows, None] + np.einsum("nqi,ni->nq", points.x[on], self.slopes[rows])
         return gaps
 
 

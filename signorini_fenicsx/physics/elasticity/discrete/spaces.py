@@ -54,9 +54,9 @@ class SplitMesh:
 
     def part(self, cells: Indices) -> "SplitMesh":
         """The subcells of some owned cells of the domain (collective)."""
-        mine = np.sort(self.cells[cells].ravel()).astype(np.int32)
-        mesh, entities = fenicsx.submesh(self.mesh, self.mesh.topology.dim, mine)
-        owned = np.arange(len(mine), dtype=np.int32)
+        subcells = np.sort(self.cells[cells].ravel()).astype(np.int32)
+        mesh, entities = fenicsx.submesh(self.mesh, self.mesh.topology.dim, subcells)
+        owned = np.arange(len(subcells), dtype=np.int32)
         return SplitMesh(self.size, mesh, self.subcells[entities.sub_topology_to_topology(owned, inverse=False)])
 
     def stress(self, values: Array) -> fem.Function:

@@ -168,7 +168,7 @@ def tools_at(tools: Sequence[Tool], moves: Array, *, anew: bool = False) -> tupl
     """The tools after a further motion, or with this motion alone."""
     ends = np.cumsum([len(tool.load) for tool in tools])[:-1]
     parts = zip(tools, np.split(moves, ends), strict=True) if tools else ()
-    return tuple(replace(tool, moved=own if anew else tool.moved + own) for tool, own in parts)
+    return tuple(replace(tool, moved=motion if anew else tool.moved + motion) for tool, motion in parts)
 
 
 def unbalanced(spaces: ElasticSpaces, tools: Sequence[Tool], tractions: Array) -> list[tuple[Tool, Array]]:

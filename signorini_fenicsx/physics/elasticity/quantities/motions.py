@@ -119,8 +119,8 @@ def foundations(domain: Domain, problem: ElasticProblem, kind: Force, tau: float
 
 def _moved_vector(domain: Domain, given: Any, motion: Array, amount: float) -> list[Given]:
     """A vector and a multiple of the motion."""
-    own = components(given, domain.mesh.geometry.dim)
-    return [added(domain, each, _affine(row), amount) for each, row in zip(own, motion, strict=True)]
+    entries = components(given, domain.mesh.geometry.dim)
+    return [added(domain, each, _affine(row), amount) for each, row in zip(entries, motion, strict=True)]
 
 
 def _affine(row: Array) -> Given:

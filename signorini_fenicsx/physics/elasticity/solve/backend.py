@@ -225,13 +225,13 @@ class ElasticBackend(TraceBackend):
             over = share / ENOUGH, self._norm(left) / enough if enough > 0 else 0.0
             if max(over) <= 1 or all(now >= last / FALLS for now, last in zip(over, before, strict=True)):
                 break
-            more = self.system.pulls_of_means(means)
+            pull = self.system.pulls_of_means(means)
             change.set(0.0)
-            load = left - more
+            load = left - pull
             self._iterations += self._factors.solve_by_any(load, change, posed.imposed)[0]
             left = self._factors.left(load, change, posed.imposed) if self.iterates else 0.0
             x.axpy(1.0, change)
-            sums, pulls, before = sums + means, pulls + more, over
+            sums, pulls, before = sums + means, pulls + pull, over
         change.destroy()
         self._solver.share = to_the_end
         return sums, pulls, share, left

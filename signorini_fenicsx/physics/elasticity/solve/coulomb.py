@@ -251,14 +251,8 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
     friction, comm, spaces = backend.friction, backend.comm, backend.spaces
     backend.friction = friction.moved(-friction.bound)
     outcome = tresca(None)
-    if (
-        not outcome.converged
-        or backend.iterates
-        or backend.data.laws.of_parts
-        or backend.spaces.dim == 3
-        or backend.tools
-        or comm.allreduce(backend.sites) > MOST_SITES
-    ):
+    goes = not (backend.iterates or backend.data.laws.of_parts or spaces.dim == 3 or backend.tools)
+    if not outcome.converged or not goes or comm.allreduce(backend.sites) > MOST_SITES:
         return outcome.ended(
             f"the bound of the friction still changes by {min(changes):.1e} after {len(changes)} steps"
         )
@@ -266,15 +260,11 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
     coulomb = np.repeat(friction.coulomb, 2)
     segments = backend.friction.chains.segments(slip.of(outcome.conditions))
     slips = np.array([State.MINUS, State.STICK, State.PLUS])[segments]
-    state = np.concatenate(
-        [
-            np.where(normal.of(outcome.conditions.kind) == Condition.ZERO_TRACE, State.PRESSED, State.OPEN),
-            np.where(coulomb, State.FREE, slips),
-        ]
-    )
+    touches = normal.of(outcome.conditions.kind) == Condition.ZERO_TRACE
+    state = np.append(np.where(touches, State.PRESSED, State.OPEN), np.where(coulomb, State.FREE, slips))
     first = comm.exscan(backend.sites) or 0
     zeros = np.zeros(len(normal))
-    own = (
+    of_rank = (
         *_reactions(backend),
         _shares(backend),
         np.concatenate([np.full(len(normal), -1), first + slip.pressing.ravel()]),
@@ -283,7 +273,7 @@ def by_path(backend: ElasticBackend, tresca: Callable[[Indices | None], Outcome]
         state,
         outcome.iterate.flux,
     )
-    of_ranks = comm.gather(own)
+    of_ranks = comm.gather(of_rank)
 
     def along_path() -> tuple[Indices, Array, Array] | None:
         *parts, state, flux = (np.concatenate(each) for each in zip(*of_ranks or [], strict=True))

@@ -81,10 +81,10 @@ class Limits:
                 motion = on_root(self.comm, partial(_farthest, objective, cuts, still))
                 if motion is None or objective @ motion < 0.5:
                     break
-                more = self._violated(motion)
-                if len(more) == 0:
+                further = self._violated(motion)
+                if len(further) == 0:
                     return np.asarray(motion)
-                cuts = np.concatenate([cuts, more])
+                cuts = np.concatenate([cuts, further])
         return None
 
     def plainer(self, motion: Array, others: Array) -> Array:

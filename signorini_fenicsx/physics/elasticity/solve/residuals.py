@@ -102,9 +102,9 @@ def _of_rounding(
 def subcell_squares(stresses: Array) -> Array:
     """Means of |σ|² over the subcells, from values at their vertices, shape (cells, d + 1, d + 1, d, d)."""
     size = stresses.shape[1]
-    own = (stresses**2).sum(axis=(2, 3, 4))
+    of_each = (stresses**2).sum(axis=(2, 3, 4))
     of_sum = (stresses.sum(axis=2) ** 2).sum(axis=(2, 3))
-    return (own + of_sum) / (size * (size + 1))
+    return (of_each + of_sum) / (size * (size + 1))
 
 
 def energy_squares(spaces: ElasticSpaces, data: ElasticData, stresses: Array) -> Array:

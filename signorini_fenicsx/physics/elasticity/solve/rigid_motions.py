@@ -292,8 +292,8 @@ class Bodies:
         of_each[rows, :, self.of_cell[spaces.across.cells]] -= along[rows]
         for joint in spaces.joints:
             if not joint.pair.tied:
-                mine, jumps = spaces.rows_of(joint), linear_from_means(self._jumps(joint))
-                of_each[mine] = np.einsum("nai,naibr->nabr", directions[mine], jumps)
+                slaves, jumps = spaces.rows_of(joint), linear_from_means(self._jumps(joint))
+                of_each[slaves] = np.einsum("nai,naibr->nabr", directions[slaves], jumps)
         of_bodies = of_each.reshape(*along.shape[:2], self.number * along.shape[2])
         return np.concatenate([of_bodies, -moves_along(spaces, self.tools, directions)], axis=2)
 

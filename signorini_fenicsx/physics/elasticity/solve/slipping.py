@@ -49,6 +49,8 @@ SLOWER, FASTER = 0.3, 1.5
 """By how much Δt changes at most in a step."""
 ROUGH = 0.1
 """CG leaves at most this share of what there was, and at most the share by which the last law is off."""
+STILL = "Coulomb's bound still changes after {}"
+OFF = "; σ_t is still off Coulomb's law by {:.1e} of the largest bound"
 
 
 def slipped(
@@ -68,10 +70,8 @@ def slipped(
     Returns:
         The outcome of the last loop.
     """
-    share, last, known = ROUGH if backend.iterates else 0.0, np.inf, False
-    delay, base = _Delay(), backend.friction
-    if is_large(backend.comm, base):
-        delay.time = DELAYED
+    share, last, known, base = ROUGH if backend.iterates else 0.0, np.inf, False, backend.friction
+    delay = _Delay(DELAYED) if is_large(backend.comm, base) else _Delay()
     backend.leave(share)
 
     @np.errstate(over="ignore", invalid="ignore")  # where nothing holds a tool; the next matrix is singular then
@@ -83,8 +83,7 @@ def slipped(
         after = _following(backend, pressed, slip, shear)
         size, largest = _off(backend, after, iterate)
         off = 0.0 if size[0] <= backend.sizes.rounding else size[0] / largest if largest > 0 else np.inf
-        if friction.by_pressure:
-            changes.append(off)
+        changes.extend([off] if friction.by_pressure else [])
         known = off <= EXACT or last / 2 <= off <= CHANGE
         if known and (share == 0 or backend.to_the_end):
             return False
@@ -103,12 +102,11 @@ def slipped(
         while True:
             exactly = share == 0  # a law that is known at once may leave the sets of a rough solve as they are
             outcome = contact(follow)
-            if outcome.converged and not known and backend.friction.by_pressure:
-                if len(changes) < most:
-                    continue  # a delayed bound may leave the sets as they are
-                outcome = outcome.ended(f"Coulomb's bound still changes after {counted(most, 'iteration')}")
-                break
-            if exactly or (outcome.converged and backend.to_the_end):
+            still = outcome.converged and not known and backend.friction.by_pressure
+            if still and len(changes) < most:
+                continue  # a delayed bound may leave the sets as they are
+            outcome = outcome.ended(STILL.format(counted(most, "iteration"))) if still else outcome
+            if still or exactly or (outcome.converged and backend.to_the_end):
                 break
             share = 0.0
             backend.leave(share)
@@ -116,10 +114,8 @@ def slipped(
         backend.leave(0.0)
     if not outcome.converged:
         backend.turn(begin)
-        reason = outcome.reason
-        if changes and np.isfinite(changes[-1]):
-            reason += f"; σ_t is still off Coulomb's law by {changes[-1]:.1e} of the largest bound"
-        return outcome.ended(reason)
+        off = OFF.format(changes[-1]) if changes and np.isfinite(changes[-1]) else ""
+        return outcome.ended(f"{outcome.reason}{off}")
     slip = backend.spaces.site_kinds["slip"].rows_of(outcome.iterate.p)
     backend.turn(backend.friction.following(pressure(backend, outcome.iterate)).turned(slip))
     law = backend.chains

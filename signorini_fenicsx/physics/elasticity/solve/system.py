@@ -151,15 +151,15 @@ class ElasticSystem(HybridSystem):
         for numbers in blocks_of_cells(spaces.mesh):
             cells = Cells(spaces.vertices[numbers])
             if stresses is None or moments is None:
-                compliances, of_f, own = self._of_cells(numbers, cells.measure)
+                compliances, of_f, strains = self._of_cells(numbers, cells.measure)
             else:
-                compliances, of_f, own = data.compliances(spaces, numbers), moments[numbers], None
+                compliances, of_f, strains = data.compliances(spaces, numbers), moments[numbers], None
             masses = data.masses(spaces, numbers, cells.measure, compliances)
             if len(numbers) == 0:  # other ranks have more cells
                 continue
             basis = cells.stresses(self.element.stresses)
             functional: Array | float = 0.0
-            given = -own if own is not None else to_entries(stresses[numbers]) if stresses is not None else None
+            given = -strains if strains is not None else to_entries(stresses[numbers]) if stresses is not None else None
             if given is not None:
                 functional = np.einsum("nve,nveb->nb", given.reshape(basis.shape[:3]), basis)
             product = compliance_product(basis, masses)
@@ -207,7 +207,7 @@ class ElasticSystem(HybridSystem):
 def _add_supports(matrices: Array, supports: Supports, numbers: npt.NDArray[np.int32]) -> None:
     """Add the stiffness of supports to the matrices of these cells."""
     facets, size = supports.facets, supports.stiffness.shape[1] ** 2
-    mine = np.flatnonzero(np.isin(facets.cells, numbers))
-    rows = facets.local[mine, None] * size + np.arange(size)
-    cells = (facets.cells[mine] - numbers[0])[:, None, None]
-    np.add.at(matrices, (cells, rows[:, :, None], rows[:, None]), supports.masses[mine])
+    common = np.flatnonzero(np.isin(facets.cells, numbers))
+    rows = facets.local[common, None] * size + np.arange(size)
+    cells = (facets.cells[common] - numbers[0])[:, None, None]
+    np.add.at(matrices, (cells, rows[:, :, None], rows[:, None]), supports.masses[common])

@@ -73,7 +73,7 @@ class _Sweep:
         lower = np.full(len(colour), -np.inf)
         lower[system.signorini] = 0.0
         members = [np.flatnonzero(colour == index) for index in range(self.colours)]
-        self._parts = [(own, rows[own], system.load[own], system.diagonal[own], lower[own]) for own in members]
+        self._parts = [(one, rows[one], system.load[one], system.diagonal[one], lower[one]) for one in members]
         self._x = system.matrix.createVecRight()
         self._seen = PETSc.Vec().createSeq(len(needed), comm=MPI.COMM_SELF)
         self._scatter = PETSc.Scatter().create(
@@ -83,11 +83,11 @@ class _Sweep:
     def __call__(self, u: Array) -> Array:
         """The next iterate (collective)."""
         u = u.copy()
-        for own, rows, load, diagonal, lower in self._parts:
+        for colour, rows, load, diagonal, lower in self._parts:
             self._x.array_w[:] = u
             self._scatter.scatter(self._x, self._seen)
             residual = rows @ self._seen.array_r - load
-            u[own] = np.maximum(lower, u[own] - self.omega * residual / diagonal)
+            u[colour] = np.maximum(lower, u[colour] - self.omega * residual / diagonal)
         return u
 
 

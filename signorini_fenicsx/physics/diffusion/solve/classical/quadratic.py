@@ -289,7 +289,7 @@ def _with_laws(
     The pieces s_k of a facet lie in intervals that meet in corners of the graph, and τ·n = Σ s_k − Σ corners. As the
     function is convex, it is lowest with all pieces but one at an end, so that τ·n is that one.
     """
-    linear, lower, upper, quadratic, more = of_flux.T
+    linear, lower, upper, quadratic, of_laws = of_flux.T
     basis, e, slope, value, lowest, highest = pieces.T[1:]
     unknown = pieces[:, 0].astype(np.int64)
     of_facet, first, row = np.unique(unknown, return_index=True, return_inverse=True)
@@ -310,7 +310,7 @@ def _with_laws(
         hessian = scipy.sparse.block_diag([hessian, scipy.sparse.diags_array(e / slope)])
     return _Programme(
         hessian=scipy.sparse.csr_array(hessian),
-        linear=np.concatenate([linear + more, -e * np.where(np.isinf(slope), value, value / slope)]),
+        linear=np.concatenate([linear + of_laws, -e * np.where(np.isinf(slope), value, value / slope)]),
         matrix=scipy.sparse.csr_array(matrix),
         right=np.concatenate([right, -corners]),
         lower=np.concatenate([lower, lowest]),
