@@ -28,7 +28,8 @@ from signorini_fenicsx.pictures import style
 GALLERY = Path(__file__).parents[1] / "docs" / "static" / "gallery"
 CELLS_ACROSS = {2: 64, 3: 16}
 """The diameter of a shape divided by h."""
-WIDTH, HIGHEST = 900, 1400
+WIDTH, HIGHEST, SHARE = 900, 1400, 0.6
+"""Pixels, and the share of those drawn that wide pictures have."""
 FIRST = ("water", "deformed", "flow", "u")
 """Which picture is kept: the first one that there is."""
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
@@ -64,7 +65,8 @@ def draw(name: str) -> None:
             write_solution(solution, folder, certificate=certificate, plot=True, fields=False)
         pictures = [*over_time, *(Path(folder) / f"{name}.png" for name in FIRST)]
         drawn = Image.open(next(each for each in pictures if each.exists()))
-        save(drawn, GALLERY / f"{name}.png", min(WIDTH, round(HIGHEST * drawn.width / drawn.height)))
+        width = max(WIDTH, round(SHARE * drawn.width))
+        save(drawn, GALLERY / f"{name}.png", min(width, round(HIGHEST * drawn.width / drawn.height)))
         if name in WITH_OVERVIEW:
             save(Image.open(Path(folder) / "overview.png"), GALLERY / f"{name}_overview.png", 2 * WIDTH)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
 from signorini_fenicsx.base.rows import joined
@@ -22,8 +23,8 @@ from signorini_fenicsx.pictures.sheet import Sheet
 
 SHARE = 0.05
 """Of the body's size that the largest displacement is drawn as."""
-APART = 0.08
-"""Of the body's size: the distance of bodies that are drawn apart."""
+FADES = 0.5
+"""Of the body's size: how far the shape that a given gap means reaches into bodies."""
 SMALL = 0.25
 """Of the body's size: parts inside it that are smaller have a panel of their own."""
 AROUND = 0.75
@@ -47,10 +48,10 @@ def files(scene: Scene) -> dict[str, File]:
     """The pictures of a solution."""
     fields, u = scene.fields, scene.fields.at_points["u"]
     size, largest = float(np.ptp(fields.points, axis=0).max()), float(np.linalg.norm(u, axis=1).max(initial=0.0))
-    factor, apart = _placed(scene, size, largest)
-    moved = fields.points + factor * u + apart
-    what = "displacement and gap" if {*scene.labels} - {*scene.inside} else "displacement"
-    told = f"{what} × {factor:g}" + (", bodies drawn apart" if apart.any() else "")
+    factor, shape = _placed(scene, size, largest)
+    moved = fields.points + factor * (u + shape)
+    what = "displacement and gap" if {*scene.labels} - {*scene.inside} or shape.any() else "displacement"
+    told = f"{what} × {factor:g}"
     body = scene.at(moved, _beside(scene, moved, factor, NEAR * size))
     foundation = (
         " on its foundation" if scene.dim == 3 and any(each.filled and len(each.points) for each in body.over) else ""
@@ -129,49 +130,42 @@ def _mesh(scene: Scene) -> tuple[list[Array], dict[str, Any]]:
 
 
 def _placed(scene: Scene, size: float, largest: float) -> tuple[float, Array]:
-    """How many times displacements are drawn, and how far bodies are moved apart.
+    """How many times displacements are drawn, and the shape that gaps between meshes that fit together give to bodies.
 
-    Bodies in contact are drawn in contact. Distances before any displacement are not enlarged: where they would be
-    drawn as gaps, or bodies in one another, displacements are not enlarged either. Where a gap is given between meshes
-    that fit together, this may not do: then bodies are drawn apart, if a motion of whole bodies does that.
+    Bodies in contact are drawn in contact. Distances of meshes are not enlarged: where they would be drawn as gaps, or
+    bodies in one another, displacements are not enlarged either.
     """
-    enlarged, still = _rounded(SHARE * size / largest) if largest > 0 else 1.0, np.zeros_like(scene.fields.points)
-    for factor in (enlarged, min(enlarged, 1.0)):
-        if _is_true(scene, factor, TOUCHES * size):
-            return factor, still
-    moved = _apart(scene, APART * size)
-    return (min(enlarged, 1.0), still) if moved is None else (enlarged, moved)
+    enlarged, shape = _rounded(SHARE * size / largest) if largest > 0 else 1.0, _shape(scene, FADES * size)
+    if (most := float(np.linalg.norm(shape, axis=1).max(initial=0.0))) > 0:
+        enlarged = min(enlarged, _rounded(FADES * size / (2 * most)))
+    return enlarged if _is_true(scene, enlarged, TOUCHES * size) else min(enlarged, 1.0), shape
 
 
 def _is_true(scene: Scene, factor: float, near: float) -> bool:
-    """Whether two bodies are drawn in contact where they are, and nowhere in one another."""
+    """Whether bodies with meshes of their own are drawn in contact where they are, and nowhere in one another."""
     facets = scene.facets
     assert isinstance(facets, BodyFacets)
-    inside = _inside(scene)
-    before = np.where(facets.opposite >= 0, factor - 1, factor)[:, None] * facets.apart  # which meshes have in pairs
-    drawn = (factor * facets.gaps - before)[inside]
-    held = facets.gaps[inside] <= near / max(factor, 1.0)
+    pair = facets.opposite >= 0
+    drawn = (factor * facets.gaps - (factor - 1) * facets.apart)[pair]
+    held = facets.gaps[pair] <= near / max(factor, 1.0)
     return bool(drawn.min(initial=0.0) >= -near and drawn[held].max(initial=0.0) <= 2 * near)
 
 
-def _apart(scene: Scene, distance: float) -> Array | None:
-    """How far points are moved so that bodies with a gap between meshes that fit together are this far from each other.
+def _shape(scene: Scene, reach: float) -> Array:
+    """How far points are moved so that two bodies, whose meshes fit together, have the gap that is given between them.
 
-    None if no motion of whole bodies does that.
+    Each has one half of it, which fades within some distance from where they meet.
     """
-    facets, points, inside = scene.facets, scene.fields.points, _inside(scene)
+    facets, points = scene.facets, scene.fields.points
     assert isinstance(facets, BodyFacets)
-    body, other = joined(len(points), scene.fields.cells), np.full(len(points), -1)
-    _, place = np.unique(points, axis=0, return_inverse=True)
-    for point in np.setdiff1d(np.arange(len(points)), facets.vertices[inside]):
-        other[place[point]] = body[point]
-    named_body, other_body = body[facets.vertices[:, 0]], other[place[facets.vertices]].max(axis=1)
-    two = inside & (facets.opposite < 0) & (named_body != other_body) & (other_body >= 0)
-    rows, each = np.zeros((int(two.sum()), int(body.max()) + 1)), np.arange(int(two.sum()))
-    rows[each, named_body[two]], rows[each, other_body[two]] = 1.0, -1.0
-    moves = np.linalg.lstsq(rows, -distance * facets.normals[two], rcond=None)[0]
-    between = -np.einsum("ni,ni->n", rows @ moves, facets.normals[two])
-    return np.asarray(moves[body]) if between.min(initial=np.inf) > distance / 2 else None
+    two = _inside(scene) & (facets.opposite < 0)
+    if not facets.apart[two].any():
+        return np.zeros_like(points)
+    body, vertices = joined(len(points), scene.fields.cells), facets.vertices[two].ravel()
+    distance, nearest = cKDTree(points[vertices]).query(points)
+    side = np.where(body == body[vertices[nearest]], -0.5, 0.5)  # normals point out of the named side
+    moves = side * np.maximum(1 - distance / reach, 0.0) * facets.apart[two].ravel()[nearest]
+    return np.asarray(moves[:, None] * np.repeat(facets.normals[two], points.shape[1], axis=0)[nearest])
 
 
 def _arrows(scene: Scene, moved: Array, given: bool) -> Overlay:
@@ -190,7 +184,10 @@ def _arrows(scene: Scene, moved: Array, given: bool) -> Overlay:
     x, strength = moved[vertices].mean(axis=1), np.linalg.norm(pulls, axis=1)
     kept: list[int] = []
     for row in np.argsort(-strength, kind="stable") if strength.max(initial=0.0) > LOADED * _strongest(scene) else []:
-        clear = not kept or np.linalg.norm(x[kept] - x[row], axis=1).min() > SPACING * size
+        between, way = x[kept] - x[row], pulls[row] / strength[row]
+        ahead = np.abs(between @ way)
+        beside = np.linalg.norm(between - (between @ way)[:, None] * way, axis=1)
+        clear = np.all((ahead > 1.2 * LONG * size) | (beside > SPACING * size))
         kept += [row] if clear and strength[row] > WEAK * strength.max() else []
     along = LONG * size * pulls[kept] / max(float(strength.max(initial=0.0)), 1e-300)
     push = (np.einsum("ni,ni->n", along, inwards[kept]) > 0)[:, None]

@@ -107,6 +107,8 @@ def drawn(solution: ElasticSolution) -> Drawn:
     kinds |= {NEUMANN: free, PARTLY_FIXED: fixed}
     unknown = {kind: np.full((len(facets), spaces.dim), np.nan) for kind, facets in kinds.items()}
     given = spaces.tractions(spaces.boundary_facets(free), solution.stresses).mean(axis=1)
+    sides = [name for pair in solution.boundary.pairs for name in (*pair.slave, *pair.master)]
+    given[np.isin(free, np.concatenate([nothing, *(spaces.domain.facets[side] for side in sides)]))] = 0.0
     u = np.take_along_axis(spaces.displacement_values(solution.u), by_geometry, axis=1)
     stress = von_mises(in_space(spaces, solution.data, solution.stresses)).max(axis=(1, 2))[:, None]
     named = solution.data.laws.of_parts or solution.data.friction
