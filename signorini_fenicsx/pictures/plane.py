@@ -29,7 +29,7 @@ MOST_FACES = 4_000
 WIDE = 1.8
 """If width over height of a domain is above this, panels are below each other, and no surface is drawn."""
 SLIM, NARROW = 0.25, 1.7
-"""If width over height is below this, no surface is drawn either; inches of a column, for its title."""
+"""If width over height is below this, no surface is drawn, nor streamlines beside other panels; inches of a column."""
 TALL = 6.0
 """Inches of the highest map."""
 MAPS = (Where.MAP, Where.STREAMS, Where.SURFACE)
@@ -85,7 +85,8 @@ class Plane:
         """Maps above, traces of each part of Γ_S below; a wide domain has two maps in a row."""
         scene, wide, panels = self.scene, self.wide, list(panels)
         flat = wide or self.aspect < SLIM
-        maps = [each for each in panels if each.where in MAPS and not (flat and each.where is Where.SURFACE)]
+        left_out = [Where.SURFACE] * flat + [Where.STREAMS] * (self.aspect < SLIM and len(panels) > 1)
+        maps = [each for each in panels if each.where in MAPS and each.where not in left_out]
         shown = [each for each in panels if each.where is Where.GAMMA]
         of_parts = [
             (panel, part)

@@ -13,7 +13,6 @@ from matplotlib.mathtext import MathTextParser
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.text import printable_lines
-from signorini_fenicsx.base.tolerances import TIE
 from signorini_fenicsx.certificate.certificate import Certificate
 
 STYLE = {
@@ -43,6 +42,8 @@ WET_MAP, PRESSURE_MAP, WATER_MAP = "YlGnBu", "RdBu", "Blues"
 
 DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
 """Mathematics in a line."""
+FLAT = 1e-3
+"""Values that differ by less than this share of the largest have a scale from 0."""
 QUANTILE = 0.99
 """The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
 
@@ -72,7 +73,7 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
     usual = float(values[order[np.searchsorted(measure, QUANTILE * measure[-1])]])
     if high > 1.2 * usual > 0:
         return min(low, usual), usual, "max"
-    return low, high if high - low > TIE * high else low + (abs(low) or 1.0), "neither"
+    return (low, high, "neither") if high - low > FLAT * high else (0.0, high or 1.0, "neither")
 
 
 def colours_of(names: Iterable[str]) -> dict[str, str]:

@@ -135,7 +135,7 @@ def _placed(scene: Scene, size: float, largest: float) -> tuple[float, Array]:
     Bodies in contact are drawn in contact. Distances of meshes are not enlarged: where they would be drawn as gaps, or
     bodies in one another, displacements are not enlarged either.
     """
-    enlarged, shape = _rounded(SHARE * size / largest) if largest > 0 else 1.0, _shape(scene, FADES * size)
+    enlarged, shape = max(_rounded(SHARE * size / largest), 1.0) if largest > 0 else 1.0, _shape(scene, FADES * size)
     if (most := float(np.linalg.norm(shape, axis=1).max(initial=0.0))) > 0:
         enlarged = min(enlarged, _rounded(FADES * size / (2 * most)))
     return enlarged if _is_true(scene, enlarged, TOUCHES * size) else min(enlarged, 1.0), shape
