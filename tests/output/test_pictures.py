@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.cases.case import load_case
-from signorini_fenicsx.cases.solving import adapt_case, evolve_case, solve_case
+from signorini_fenicsx.cases.solving import adapt_case, solve_case
 from signorini_fenicsx.certificate.adaptive import AdaptRow
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.history import Step
@@ -24,7 +24,7 @@ from signorini_fenicsx.discrete.site_table import FacetTable
 from signorini_fenicsx.meshes.domain import facet_vertices
 from signorini_fenicsx.output.curves import draw_bounds
 from signorini_fenicsx.output.writing import write_solution
-from signorini_fenicsx.physics.diffusion.show.pictures import SETS, columns_of_cells
+from signorini_fenicsx.physics.diffusion.show.pictures import SETS
 from signorini_fenicsx.physics.diffusion.show.pools import Pools
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.elasticity.show.pictures import _near, foundation_of
@@ -441,13 +441,3 @@ def test_small_parts_inside_have_a_panel():
     titles = [axes.get_title() for axes in overview(rock).axes if axes.get_title()]
     assert titles == ["(a) von Mises stress", rf"(b) von Mises stress, less the mean displacement, $\times$ {factor:g}"]
     assert _near(scene("stack")) is None
-
-
-def test_states_of_cells_are_in_words():
-    """The segments of a graph in Ω have their names, or are named by their u, with the region if there are several."""
-    case = load_case("melting").with_values({"time.steps": 2, "solve.h": "1/8"})
-    unnamed = case.with_values({"time.capacity": {"corners": [[0, 0], [0, 1]], "beyond": 1}})
-    by_u = ["up to $u = 0$", "jump at $u = 0$", "from $u = 0$"]
-    for each, names in ((case, ["ice", "mush", "water"]), (unnamed, by_u)):
-        *_, last = evolve_case(each)
-        assert list(columns_of_cells(last.solution).values()) == names

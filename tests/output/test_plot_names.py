@@ -12,9 +12,10 @@ from mpi4py import MPI
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.plot import Plot
-from signorini_fenicsx.cases.solving import quantities_of, solve_case
+from signorini_fenicsx.cases.solving import evolve_case, quantities_of, solve_case
 from signorini_fenicsx.cli.solution_report import interval
 from signorini_fenicsx.physics.diffusion.case import Case
+from signorini_fenicsx.physics.diffusion.show.pictures import columns_of_cells
 from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, Pools, water_lines, wet
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
 from signorini_fenicsx.pictures.drawing import overview
@@ -114,6 +115,16 @@ def test_segments_have_names():
     case = case.with_values({"law": [graph | {"beyond": "vertical", "names": names}]})
     assert list(scene(case).segments) == names
     assert len(set(colours_of([f"phase {i}" for i in range(20)] + ["contact", "lower"]).values())) == 22
+
+
+def test_states_of_cells_are_in_words():
+    """The segments of a graph in Ω have their names, or are named by their u, with the region if there are several."""
+    case = load_case("melting").with_values({"time.steps": 2, "solve.h": "1/8"})
+    unnamed = case.with_values({"time.capacity": {"corners": [[0, 0], [0, 1]], "beyond": 1}})
+    by_u = ["up to $u = 0$", "jump at $u = 0$", "from $u = 0$"]
+    for each, names in ((case, ["ice", "mush", "water"]), (unnamed, by_u)):
+        *_, last = evolve_case(each)
+        assert list(columns_of_cells(last.solution).values()) == names
 
 
 def test_names_are_kept_with_a_solution(tmp_path: Path):
