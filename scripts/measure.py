@@ -15,7 +15,10 @@
 `orders`      how intervals of quantities shrink with h
 `cubics`      bounds of bodies by quadratics and by cubics
 `quadratics`  how far quadratic elements pass a bound, and how wrong they are
+`elastic`     a pressed block beside one linear solve and P2, with friction, two bodies, or as a flow
 `friction`    how many linear problems friction in space takes
+`pairs`       what pairs of surfaces cost (also under mpirun)
+`soils`       how many linear problems soils take; `soil-columns` in time
 `korn`        constants of bounds of bodies; `proved-korn` with rounding included
 `mindlin`     a sphere pressed onto a block and pushed, beside the theory of half-spaces
 `plate`       what the error bound says of published values
@@ -34,10 +37,11 @@ MODULES = {
     **dict.fromkeys(["libraries", "conforming"], "conforming"),
     **dict.fromkeys(["whole-runs", "phases", "repeated", "steps", "gradients"], "runs"),
     **dict.fromkeys(["adaptive", "quantities", "orders", "cubics", "quadratics"], "bounds"),
-    "friction": "elastic",
+    **dict.fromkeys(["elastic", "friction"], "elastic"),
+    "soil-columns": "soils",
     **dict.fromkeys(["korn", "proved-korn"], "korn"),
     **dict.fromkeys(["mindlin", "plate", "penalty"], "published"),
-    **{name: name for name in ("methods", "scaling", "yardstick")},
+    **{name: name for name in ("methods", "pairs", "scaling", "soils", "yardstick")},
 }
 """Where each is, in `measuring`."""
 

@@ -14,12 +14,11 @@ import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
-from random_elastic_bounds import energy_difference
 
 from makers import Found
+from makers.body_bounds import energy_difference, slanted
 from signorini_fenicsx import (
     Contact,
     Corners,
@@ -38,10 +37,8 @@ from signorini_fenicsx import (
     TwoSided,
     Wall,
     certify,
-    domain_of,
     solve,
 )
-from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.meshes.domain import AXES
 
 AGREE = 1e-8
@@ -87,28 +84,9 @@ class Result:
 
 def bodies(rng: np.random.Generator, dim: int, *, touching: bool, size: float) -> Callable[[int], Domain]:
     """The meshes of a random parallelepiped, or of two, one on the other, cut along the part `fault`."""
-    last, low = dim - 1, np.zeros(dim)
-    if touching:
-        low[last] = -float(rng.choice([0.5, 1.0]))
+    low = -float(rng.choice([0.5, 1.0])) if touching else 0.0
     stretch = size * (np.eye(dim) + (rng.random() < 0.7) * rng.uniform(-0.25, 0.25, (dim, dim)))
-
-    def before(x: Array) -> Array:
-        return np.linalg.solve(stretch, x[:dim])
-
-    walls = {"left": (0, 0.0), "right": (0, 1.0), "bottom": (last, low[last]), "top": (last, 1.0)}
-    walls |= {"front": (1, 0.0), "back": (1, 1.0)} if dim == 3 else {}
-    walls |= {"fault": (last, 0.0)} if touching else {}
-    parts = {name: lambda x, axis=axis, at=at: np.isclose(before(x)[axis], at) for name, (axis, at) in walls.items()}
-    regions = {"upper": lambda x: before(x)[last] > -1e-9, "lower": lambda x: before(x)[last] < 1e-9}
-
-    def on(cells: int) -> Domain:
-        make = dolfinx.mesh.create_rectangle if dim == 2 else dolfinx.mesh.create_box
-        numbers = [cells] * last + [round(cells * (1 - low[last]))]
-        mesh = make(MPI.COMM_WORLD, [low, np.ones(dim)], numbers)
-        mesh.geometry.x[:, :dim] = mesh.geometry.x[:, :dim] @ stretch.T
-        return domain_of(mesh, parts, regions, inner=["fault"]) if touching else domain_of(mesh, parts)
-
-    return on
+    return lambda cells: slanted(dim, low, stretch, cells, MPI.COMM_WORLD)
 
 
 def materials(rng: np.random.Generator, dim: int, young: float) -> dict[str, object]:

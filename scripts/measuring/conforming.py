@@ -370,7 +370,7 @@ def libraries(
     cells: Annotated[list[int], typer.Argument(help="Cells across.")],
     dim: Annotated[int, typer.Option(min=2, max=3)] = 2,
 ) -> None:
-    """The pressed block of `elastic_benchmark`, by both: for each mesh a line of JSON with the better of two runs.
+    """The pressed block of `elastic`, by both: for each mesh a line of JSON with the better of two runs.
 
     It has the unknowns, the set updates, the energy and the seconds of the processor from the mesh to the displacement.
     The energy is above the exact one.

@@ -10,9 +10,9 @@ import pytest
 import ufl
 from dolfinx import fem
 from elastic import box, half_plane_contact
+from makers.body_bounds import energy_difference, measured
 from measuring.korn import bound_of, korn_constant, moment_error, trace_constant
 from mpi4py import MPI
-from random_elastic_bounds import energy_difference, measured
 
 from signorini_fenicsx.base import fenicsx
 from signorini_fenicsx.certificate.adaptive import AdaptRow, adapt

@@ -2,8 +2,8 @@
 
 import pytest
 from elastic import box
+from makers.body_bounds import energy_difference
 from mpi4py import MPI
-from random_elastic_bounds import energy_difference
 
 from signorini_fenicsx.certificate.certify import certify
 from signorini_fenicsx.contact.laws import Friction

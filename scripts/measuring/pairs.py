@@ -7,22 +7,22 @@ all ranks are those of the overlay alone, of spaces and overlay, of the solution
 many facets in space, of bodies or with `--scalar` for a scalar u. `sides` solves `roller` with either surface as the
 slave, on two meshes of its block, and prints how far the pressure is off Hertz at vertices and in means over facets.
 
-    uv run python scripts/pairs.py cost [--size 24] [--dim 2]
-    uv run python scripts/pairs.py iterations [--dim 2]
-    uv run python scripts/pairs.py sides
-    uv run mpirun -n 2 python scripts/pairs.py large --size 71 --scalar
+    uv run python scripts/measure.py pairs cost [--size 24] [--dim 2]
+    uv run python scripts/measure.py pairs iterations [--dim 2]
+    uv run python scripts/measure.py pairs sides
+    uv run mpirun -n 2 python scripts/measure.py pairs large --size 71 --scalar
 """
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import dolfinx.mesh
 import numpy as np
+import typer
 from mpi4py import MPI
 
 from signorini_fenicsx.api import (
@@ -212,23 +212,16 @@ def sides() -> None:
         say(f"{name:12s}{about.sizes[0]:.2f}, {about.sizes[1]:.2f}   " + "  ".join(f"{each:5.1f}" for each in numbers))
 
 
-def main() -> None:
-    """Do what is asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("cost", "iterations", "large", "sides"))
-    parser.add_argument("--size", type=int, default=12, help="cells beside each other")
-    parser.add_argument("--dim", type=int, choices=(2, 3), help="dimension; `cost` has both without it")
-    parser.add_argument("--scalar", action="store_true", help="a scalar u in `large`")
-    given = parser.parse_args()
-    if given.what == "cost":
-        cost(given.size, [given.dim] if given.dim else [2, 3])
-    elif given.what == "iterations":
-        iterations(given.dim or 3)
-    elif given.what == "sides":
-        sides()
-    else:
-        large(given.size, scalar=given.scalar)
-
-
-if __name__ == "__main__":
-    main()
+def pairs(
+    what: Annotated[str, typer.Argument(help="cost, iterations, large or sides: see `measuring/pairs.py`")],
+    size: Annotated[int, typer.Option(help="Cells beside each other.")] = 12,
+    dim: Annotated[int | None, typer.Option(help="Dimension; `cost` has both without it.")] = None,
+    scalar: Annotated[bool, typer.Option("--scalar", help="A scalar u in `large`.")] = False,
+) -> None:
+    """What pairs of surfaces cost."""
+    {
+        "cost": lambda: cost(size, [dim] if dim else [2, 3]),
+        "iterations": lambda: iterations(dim or 3),
+        "sides": sides,
+        "large": lambda: large(size, scalar=scalar),
+    }[what]()
