@@ -200,6 +200,10 @@ def _rare() -> Iterator[Capability]:
     yield replace(own("pushed"), beside=FREE)
     yield replace(own("pushed", "--certify-steps"), beside=FREE)
     yield own("blocks", LAW='kind = "friction", mu = 0.3, gap = "0.2*(x - 0.5)^2"', LOAD="-0.1")
+    joint = own(
+        "blocks", LAW='kind = "joint_springs", normal = 20, shear = 5, mu = 0.3, gap = "0.2*(x - 0.5)^2"', LOAD="-0.1"
+    )
+    yield replace(joint, name="solve joint_springs", beside=PATH)
     for obstacle, h in ((None, "0.03"), ("-0.1", "0.06")):  # residuals of CG and rounding of forces, not in the bound
         more = () if obstacle is None else ("--set", f"problem.obstacle={obstacle}")
         yield solved("example1", "--set", "problem.f=-10 if x < 0.317 else 2", *more, h=h, beside=PATH)

@@ -26,7 +26,7 @@ FIRST = [
     ("--physics", "elasticity", "--on", "bottom=friction", "--on", "left,right=neumann"),
     ("--physics", "elasticity", "--on", "bottom=contact", "--on", "left=symmetry", "--on", "right,top=neumann"),
     ("--physics", "elasticity", "--on", "bottom=wall", "--on", "left=two-sided", "--on", "right=regulator"),
-    ("--physics", "elasticity", "--on", "bottom=graph", "--on", "left=signorini"),
+    ("--physics", "elasticity", "--on", "bottom=graph", "--on", "left=signorini", "--on", "right=joint_springs"),
     ("--physics", "elasticity", "--shape", "slit", "--on", "slit=contact", "--on", "left=neumann"),
 ]
 

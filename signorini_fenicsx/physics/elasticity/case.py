@@ -140,6 +140,10 @@ NORMAL = tuple(name for name in BETWEEN if LAWS[name] is not Friction)
 IN_WORDS = {
     "contact": ("Contact without friction.", []),
     "friction": ("Contact with Coulomb's friction, |σ_t| ≤ mu · pressure.", ["mu = 0.3"]),
+    JOINT: (
+        "Springs across and along a joint, which slips, |σ_t| ≤ mu · pressure.",
+        ["normal = 10", "shear = 5", "mu = 0.3"],
+    ),
 }
 
 
@@ -254,7 +258,7 @@ class ElasticCase(WithPairs):
         """What is printed of a step besides that of all physics, see `CaseFile.columns_of_step`."""
         return {"contact_force": ("force", 11, ".5g")} | super().columns_of_step
 
-    first_words = (*WITH_CONTACT, SYMMETRIC, *NORMAL)
+    first_words = (*WITH_CONTACT, SYMMETRIC, JOINT, *NORMAL)
     first_listed = tuple(WITH_CONTACT)
     first_data = FIRST_DATA
     first_laws = IN_WORDS
