@@ -85,8 +85,9 @@ class Plane:
         """Maps above, traces of each part of Γ_S below; a wide domain has two maps in a row."""
         scene, wide, panels = self.scene, self.wide, list(panels)
         flat = wide or self.aspect < SLIM
-        left_out = [Where.SURFACE] * flat + [Where.STREAMS] * (self.aspect < SLIM and len(panels) > 1)
-        maps = [each for each in panels if each.where in MAPS and each.where not in left_out]
+        maps = [each for each in panels if each.where in MAPS and not (flat and each.where is Where.SURFACE)]
+        if self.aspect < SLIM and len(maps) > 1:
+            maps = [each for each in maps if each.where is not Where.STREAMS]
         shown = [each for each in panels if each.where is Where.GAMMA]
         of_parts = [
             (panel, part)

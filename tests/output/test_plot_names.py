@@ -18,9 +18,10 @@ from signorini_fenicsx.physics.diffusion.case import Case
 from signorini_fenicsx.physics.diffusion.show.pictures import columns_of_cells
 from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, Pools, water_lines, wet
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
-from signorini_fenicsx.pictures.drawing import overview
+from signorini_fenicsx.pictures.drawing import draw_all, overview
 from signorini_fenicsx.pictures.panels import Panel
 from signorini_fenicsx.pictures.scene import Scene, gathered_scene
+from signorini_fenicsx.pictures.sheet import Sheet
 from signorini_fenicsx.pictures.style import colours_of
 from signorini_fenicsx.studies.study import make_run
 
@@ -168,3 +169,12 @@ def test_the_water_of_a_dam():
     assert all(each.only is not None for each in seen)
     np.testing.assert_allclose(seen[2].what[left], 24 - points[left, 1], atol=1.0)
     assert Plot().flux_name == r"$\sigma_h$"
+
+
+def test_a_slim_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A column has neither surfaces nor streamlines beside other maps, and all of its pictures."""
+    drawn = dict[str, int]()
+    monkeypatch.setattr(Sheet, "save", lambda sheet, path: drawn.update({path.name: len(sheet.widths)}))
+    draw_all(tmp_path, scene(load_case("soil_column").with_values({"solve.h": 0.2})))
+    assert drawn["water.png"] == 3
+    assert {drawn["sigma.png"], drawn["u.png"]} == {1}

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.physics.diffusion.show.phreatic import lines_in
 from signorini_fenicsx.physics.diffusion.show.pools import Pools, water_lines
@@ -146,14 +147,21 @@ def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
         dry = {"facecolor": "0.9", "linewidth": 0, "rasterized": True}
         usual += [Overlay("dry", list(points[scene.fields.cells[~water.only]]), dry, filled=True)]
     elif contact is not None:
-        tint = {"facecolors": style.CONTACT, "alpha": 0.25, "linewidths": 0, "rasterized": True}
+        tint = {"facecolor": style.CONTACT, "alpha": 0.25, "linewidth": 0, "rasterized": True}
         fronts = {"color": style.CONTACT, "linewidth": 1.8}
-        usual += [Overlay("", list(points[scene.fields.cells[contact]]), tint, filled=True)]
+        usual += [Overlay(_held(scene, contact), list(points[scene.fields.cells[contact]]), tint, filled=True)]
         usual += [Overlay(scene.edges, list(points[scene.free_boundary()]), fronts)]
     return [
         *usual,
         *(Overlay(name, lines, {"color": colour, "linewidth": 1.8}) for name, lines in scene.lines.items()),
     ]
+
+
+def _held(scene: Scene, contact: Mask) -> str:
+    """What legends call the cells where laws in Ω hold u: their segments, if there is one law."""
+    names, held = list(columns_of_cells(scene.solution).values()), np.unique(scene.fields.in_cells["states"][contact])
+    several = len(scene.solution.data.inside.of_regions) > 1
+    return "held" if several else names[0] if len(names) == 1 else ", ".join(names[int(each)] for each in held)
 
 
 def kept(solution: Any, steps: int) -> Mapping[str, Sequence[int]]:

@@ -183,12 +183,13 @@ def _arrows(scene: Scene, moved: Array, given: bool) -> Overlay:
         vertices, inwards = facets.vertices[free], -facets.normals[free]
     x, strength = moved[vertices].mean(axis=1), np.linalg.norm(pulls, axis=1)
     kept: list[int] = []
-    for row in np.argsort(-strength, kind="stable") if strength.max(initial=0.0) > LOADED * _strongest(scene) else []:
+    weak = max(WEAK * float(strength.max(initial=0.0)), LOADED * _strongest(scene))
+    for row in [row for row in np.argsort(-strength, kind="stable") if strength[row] > weak]:
         between, way = x[kept] - x[row], pulls[row] / strength[row]
         ahead = np.abs(between @ way)
         beside = np.linalg.norm(between - (between @ way)[:, None] * way, axis=1)
         clear = np.all((ahead > 1.2 * LONG * size) | (beside > SPACING * size))
-        kept += [row] if clear and strength[row] > WEAK * strength.max() else []
+        kept += [row] if clear else []
     along = LONG * size * pulls[kept] / max(float(strength.max(initial=0.0)), 1e-300)
     push = (np.einsum("ni,ni->n", along, inwards[kept]) > 0)[:, None]
     label, colour = ("given traction", style.LOAD) if given else ("contact", style.CONTACT)
