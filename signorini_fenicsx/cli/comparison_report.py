@@ -24,7 +24,9 @@ class ComparisonReport(Report):
             "norms": norms,
             "relative": "  ".join(f"{word(name)} {value:.3e}" for name, value in comparison.relative.items()),
         }
-        self.entries(lines)
+        if comparison.phreatic is not None:
+            lines["phreatic line"] = f"points up to {comparison.phreatic:.4g} apart"
+        self.entries(lines | {name: f"{a:.6g} and {b:.6g}" for name, (a, b) in comparison.read_off.items()})
 
 
 class ConvergenceReport(CaseReport):

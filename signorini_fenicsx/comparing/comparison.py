@@ -5,11 +5,16 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+from mpi4py import MPI
+from scipy.spatial import cKDTree
+
 from signorini_fenicsx.base.errors import InputError, check_kind
 from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.discrete.contact_sets import hausdorff, jaccard
-from signorini_fenicsx.solving.solved import Solved
+from signorini_fenicsx.meshes.domain import AXES
+from signorini_fenicsx.solving.solved import Columns, Solved
 from signorini_fenicsx.solving.solver import same_domain
 
 
@@ -24,6 +29,8 @@ class Comparison:
         norms: Norms of the differences, see `Solved.differences`, by quadrature on the finer mesh.
         relative: Some of these norms divided by those of the finer solution, see `Solved.sizes`; infinite if these
             are 0.
+        read_off: What is read off of both under the same name, see `Solved.read_off`.
+        phreatic: The largest distance of a point of one phreatic line from the points of the other; None without both.
     """
 
     contact: tuple[float, float]
@@ -31,6 +38,8 @@ class Comparison:
     hausdorff: float
     norms: Any
     relative: Mapping[str, float]
+    read_off: Mapping[str, tuple[float, float]]
+    phreatic: float | None = None
 
     def summary(self) -> dict[str, Any]:
         """All numbers, ready for JSON."""
@@ -56,12 +65,15 @@ def compare(one: Solved, other: Solved) -> Comparison:
         raise InputError(f"only solutions with the same domain and Γ_S can be compared, not {first} and {second}")
     coarse, fine = sorted((one, other), key=lambda solution: solution.spaces.domain.cells)
     norms, sizes = differences(coarse, fine), fine.sizes()
+    first_off, second_off = one.read_off(), other.read_off()
     return Comparison(
         contact=(one.contact.measure, other.contact.measure),
         jaccard=jaccard(coarse.contact_set(), fine.contact_set()),
         hausdorff=hausdorff(one.contact_set(), other.contact_set()),
         norms=norms,
         relative={name: _ratio(getattr(norms, name), size) for name, size in sizes.items()},
+        read_off={name: (value, second_off[name]) for name, value in first_off.items() if name in second_off},
+        phreatic=_apart(one.readings.get("phreatic"), other.readings.get("phreatic"), one.spaces.mesh.comm),
     )
 
 
@@ -76,6 +88,18 @@ def differences(coarse: Solved, fine: Solved) -> Any:
             f"{coarse.name} and {fine.name} are of different physics; only solutions of one can be compared"
         )
     return fine.differences(coarse)
+
+
+def _apart(one: Columns | None, other: Columns | None, comm: MPI.Comm) -> float | None:
+    """How far the points of two tables on rank 0 are from one another at most, None without any (collective)."""
+    if one is None or other is None:
+        return None
+    points = [np.column_stack([table[axis] for axis in AXES if axis in table]) for table in (one, other)]
+    found = None
+    if all(map(len, points)):
+        pairs = (points, points[::-1])
+        found = max(float(cKDTree(of).query(x)[0].max()) for x, of in pairs)
+    return comm.bcast(found)
 
 
 def _ratio(value: float, size: float) -> float:

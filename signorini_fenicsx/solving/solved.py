@@ -263,6 +263,20 @@ class Solved(ABC):
             tables["sections"] = names | _in_columns(flux) | {"measure": np.array([each.measure for each in found])}
         return tables
 
+    def read_off(self) -> dict[str, float]:
+        """Numbers that are read off, by names in words: those of probes and of the flux through sections (collective).
+
+        Their places are not among them.
+        """
+        tables = [self.readings[name] for name in ("probes", "sections") if name in self.readings]
+        return {
+            f"{row} {key}": value
+            for table in tables
+            for row, values in _by_name(table, None).items()
+            for key, value in values.items()
+            if key not in (*AXES, "measure")
+        }
+
     def of_problem(self, problem: Any) -> Self:
         """The solution as one of a problem whose data have the same values but are given otherwise (collective)."""
         raise InputError(f"solutions of {self.physics} have no derivatives")
@@ -407,10 +421,10 @@ def as_points(domain: Domain, points: npt.ArrayLike) -> Array:
     return x
 
 
-def _by_name(table: Columns) -> dict[str, dict[str, float]]:
+def _by_name(table: Columns, most: int | None = IN_SUMMARY) -> dict[str, dict[str, float]]:
     """The first rows of a table by the names in their first column."""
     (_, names), *others = table.items()
-    return {str(name): {key: float(column[i]) for key, column in others} for i, name in enumerate(names[:IN_SUMMARY])}
+    return {str(name): {key: float(column[i]) for key, column in others} for i, name in enumerate(names[:most])}
 
 
 def _in_columns(values: Columns) -> dict[str, npt.NDArray]:

@@ -27,6 +27,7 @@ from signorini_fenicsx import (
     load_solution,
 )
 from signorini_fenicsx.contact.history import Outcome
+from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.soils import Gardner, Soil, VanGenuchten
@@ -38,10 +39,11 @@ COMM = MPI.COMM_WORLD
 CELIA = VanGenuchten(0.00922, 0.0335, 2, 0.102, 0.368)
 
 
-def column(n: int, height: float, comm: MPI.Intracomm = COMM) -> Domain:
-    """A column of two cells of squares in width."""
-    width, diagonal = 2 * height / n, dolfinx.mesh.DiagonalType.crossed
-    mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (width, height)], [2, n], diagonal=diagonal)
+def column(n: int, height: float, comm: MPI.Intracomm = COMM, across: int = 2) -> Domain:
+    """A column of squares, one or two in width; each has two triangles, or four."""
+    width, diagonal = across * height / n, dolfinx.mesh.DiagonalType.crossed
+    diagonal = diagonal if across == 2 else dolfinx.mesh.DiagonalType.right
+    mesh = dolfinx.mesh.create_rectangle(comm, [(0, 0), (width, height)], [across, n], diagonal=diagonal)
     sides = {"bottom": (1, 0.0), "top": (1, height), "left": (0, 0.0), "right": (0, width)}
     return domain_of(mesh, {name: lambda x, i=i, at=at: np.isclose(x[i], at) for name, (i, at) in sides.items()})
 
@@ -91,6 +93,25 @@ def test_celias_infiltration():
     found = steps[-1].solution.at(np.column_stack([np.full(100, 5.1), z]))[0] - z
     assert np.interp(-500, found, z) == pytest.approx(np.interp(-500, psi, z), abs=2)
     assert found[80:] == pytest.approx(psi[80:], rel=0.02)
+
+
+CLAY, SAND = VanGenuchten(0.048, 0.8, 1.09, 0.068, 0.38), VanGenuchten(7.128, 14.5, 2.68, 0.045, 0.43)
+ON_TOP = {
+    "rain on clay": (CLAY, Neumann("top", 0.024), Dirichlet("bottom", 0), "0", 0.625, 3),
+    "a jump": (SAND, Neumann("top", 0), Dirichlet("bottom", 0), "1", 0.2, 2),
+    "standing water": (SAND, Dirichlet("top", 1), Dirichlet("bottom", -10), "y - 10", 0.0014, 1),
+}
+
+
+@pytest.mark.parametrize(("soil", "top", "bottom", "first", "end", "steps"), ON_TOP.values(), ids=ON_TOP)
+def test_hard_steps(soil: Soil, top: Law, bottom: Law, first: str, end: float, steps: int):
+    """Steps end in one piece where the slope of κ is infinite at saturation, after a jump, and in very dry soil."""
+    domain = column(20, 1.0, across=1)
+    problem = Diffusion(kappa=soil, f=0, conditions=[Neumann(["left", "right"], 0), top, bottom])
+    numbers = [step.numbers for step in evolve(domain, problem, Evolution(end=end, steps=steps, initial=first))]
+    assert max(each["parts"] for each in numbers) == 1
+    assert max(each["mass_error"] for each in numbers) < 1e-11
+    assert max(each["linear_solves"] for each in numbers) < 30
 
 
 def test_srivastavas_and_yehs_column():

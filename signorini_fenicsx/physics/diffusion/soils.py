@@ -23,6 +23,15 @@ FLOOR = 1e-12
 TINY = 1e-14
 """The least α|ψ| at which slopes are taken: at 0 that of van Genuchten's k_r is infinite for n < 2."""
 
+BISECTIONS = 30
+"""How often a step of Newton's method is halved to find how far it goes."""
+FARTHEST = 3.0
+"""So many times 1 + α|ψ| of dry soil may fall in a step at least, as far as to `NEAR`."""
+NEAR = 1.0
+"""α|ψ| from which on k_r alone says how far a step goes towards saturation."""
+DRAINED = 0.1
+"""α|ψ| to which saturated soil falls in a step at most."""
+
 
 @dataclass(frozen=True)
 class Soil(ABC):
@@ -119,6 +128,26 @@ class Soil(ABC):
         _, _, s, slope = self._relative(psi)
         span = self.theta_s - self.theta_r
         return self.theta_r + span * s + self.specific_storage * psi, span * slope + self.specific_storage
+
+    def nearer(self, psi: Array, wanted: Array) -> Array:
+        """Pressure heads on the way from some to those that a linear problem wants.
+
+        k_r and θ have a corner at saturation, and k_r is convex below it. So soil that gets wetter goes as far as k_r
+        is as large as the linear problem takes it for, and not beyond saturation; from far below it may be more. Soil
+        that is saturated goes a little below that at most: only there it is known what it stores.
+        """
+        k, slope, _, _ = self._relative(psi)
+        aim, size = k + slope * (wanted - psi), 1 + self.alpha * np.abs(psi)
+        found, rises = wanted.copy(), (psi < 0) & (wanted > psi)
+        low, high = psi[rises], np.minimum(wanted[rises], 0.0)
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            above = self._relative(middle)[0] > aim[rises]
+            low, high = np.where(above, low, middle), np.where(above, middle, high)
+        by_size = (1 - np.maximum(size[rises] / FARTHEST, 1 + NEAR)) / self.alpha
+        far = np.where(size[rises] > 1 + NEAR, by_size, -np.inf)
+        found[rises] = np.minimum(wanted[rises], np.maximum(high, far))
+        return np.where(psi >= 0, np.maximum(found, -self.air_entry - DRAINED / self.alpha), found)
 
     def saturation(self, x: Array, u: Array) -> Array:
         """S, from 0 to 1."""

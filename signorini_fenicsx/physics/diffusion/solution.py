@@ -435,6 +435,10 @@ class Solution(AnySolution):
         """The seepage through a dam of a case with [dam]; None for others (collective when first used)."""
         return seepage(self)
 
+    def read_off(self) -> dict[str, float]:
+        """See `Solved.read_off`; of water also what flows in through each part (collective)."""
+        return super().read_off() | {f"inflow {part}": about["inflow"] for part, about in self.water.items()}
+
     def _particular(self) -> dict[str, Any]:
         residual = self.outcome.own_residual
         return {

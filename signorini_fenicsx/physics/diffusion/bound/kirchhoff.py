@@ -1,10 +1,14 @@
 """Kirchhoff's transformation: where κ = k(x) g(u), w = G(u) with G' = g makes −∇·(κ∇u) = f linear, with σ = k∇w.
 
-Vertical and flat segments of laws stay such, with G of the u at which they are vertical. So if u solves a problem with
-data and values in a range where g > 0, w solves the linear one, and the flux of u is the only flux of that. What is
-guaranteed of the flux of w, in the norm of k⁻¹, is guaranteed for the problem of u itself, whatever method found u.
+Vertical and flat segments of laws stay such, with G of the u at which they are vertical. So if g > 0 on the range of u,
+w solves the linear problem, and the flux of u is the only flux of that. What is guaranteed of the flux of w, in the
+norm of k⁻¹, is guaranteed for the problem of u itself, whatever method found u.
 
 g is a sum of powers of u and of exponentials of linear functions of u, written as such; k may differ between regions.
+Its range is enclosed by comparison with numbers: u is at most the largest given u and bound of u if f ≤ 0 and least
+fluxes are at most 0; and likewise from below. Where that is not so the range has no end, and g > 0 is asked for up to
+infinity, with a positive lower bound. As it is asked for on all of the range, with the g of its ends beyond them, there
+is one such u: that of w.
 
 Gardner's soil with the head h as u is of this kind where ψ = h − z ≤ 0: κ = K e^{−αz} e^{αh}. ψ = 0 solves the problem
 with f = 0, with the flux K n_z. So by comparison ψ ≤ 0 in all of Ω if f ≤ 0, where u is given or has an upper bound
@@ -36,7 +40,7 @@ from signorini_fenicsx.expressions import (
 )
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.expressions.intervals import Interval
-from signorini_fenicsx.expressions.tree import Call, Coordinate, Number, polynomial_degree, substituted
+from signorini_fenicsx.expressions.tree import Call, Coordinate, Negative, Number, polynomial_degree, substituted
 from signorini_fenicsx.physics.diffusion.bound.equilibrated import distance
 from signorini_fenicsx.physics.diffusion.bound.local_fields import cell_metric
 from signorini_fenicsx.physics.diffusion.problem import Problem
@@ -55,14 +59,17 @@ OF_U: Mapping[type, Sequence[str]] = {
     Seepage: ["level"],
 }
 """The laws whose segments are vertical or flat, and their data that are values of u."""
-FLUXES: Mapping[type, Sequence[str]] = {Neumann: ["value"], Signorini: ["q_S"]}
-"""And those without an upper bound of u, with their least flux."""
+FLUXES: Mapping[int, Mapping[type, Sequence[str]]] = {
+    1: {Neumann: ["value"], Signorini: ["q_S"]},
+    -1: {Neumann: ["value"], Seepage: ["rain"]},
+}
+"""And those without an upper (1) or a lower bound (−1) of u, with the flux beyond their vertical segments."""
 STEEP = 20.0
 """Gardner's soils with a larger αH have a k of too many orders."""
 ROUNDING = 1e-12
 """Of the components of normals."""
-BEYOND = 1.0
-"""g > 0 is asked for beyond the values of û and of the data, by this share of their range."""
+FAR = 40.0
+"""The logarithm of the size of u from which a range without an end is one part."""
 PARTS = 256
 """On so many parts of the range g is enclosed."""
 
@@ -123,16 +130,21 @@ def _transformed(problem: Problem, k: Any, g: Terms, names: str) -> Problem:
 
 
 def _positive(solution: Solution, g: Terms) -> bool:
-    """Whether g is enclosed above 0 on more than the range of û and of the data (collective)."""
-    comm, u = solution.spaces.mesh.comm, solution.u.x.array
-    ends = np.array([*solution.data.extent(solution.spaces)])
-    both = comm.allgather((min(u.min(initial=np.inf), ends[0]), max(u.max(initial=-np.inf), ends[1])))
-    low, high = min(least for least, _ in both), max(most for _, most in both)
-    width = BEYOND * max(high - low, abs(high), abs(low)) / 2
-    steps = np.linspace(low - width, high + width, PARTS + 1)
+    """Whether g is enclosed above 0 on an enclosure of the range of u (collective)."""
+    ends = [_most(solution, sign) for sign in (-1, 1)]
+    low, high = (
+        sign * of_u if of_fluxes <= 0 else sign * np.inf for sign, (of_u, of_fluxes) in zip((-1, 1), ends, strict=True)
+    )
+    away = np.append(np.sinh(np.linspace(0, FAR, PARTS)), np.inf)
+    if np.isfinite([low, high]).all():
+        steps = np.linspace(low, high, PARTS + 1)
+    elif np.isfinite(low):
+        steps = low + away
+    else:
+        steps = high - away[::-1] if np.isfinite(high) else np.concatenate([-away[::-1], away])
     box = {"u": Interval(steps[:-1], steps[1:])}
     with np.errstate(all="ignore"):
-        total = sum((interval(term, box) * factor for factor, term in g), Interval(np.zeros(PARTS), np.zeros(PARTS)))
+        total = sum((interval(term, box) * factor for factor, term in g), Interval(0 * steps[:-1], 0 * steps[:-1]))
     return bool((total.lo > 0).all())
 
 
@@ -146,35 +158,53 @@ def _of_soil(soil: Gardner, dim: int) -> tuple[Tree, Terms]:
 
 def _is_dry(solution: Solution, soil: Gardner) -> bool:
     """Whether ψ ≤ 0 is sure for the solution of the problem with Gardner's soil (collective)."""
+    spaces = solution.spaces
+    low, high = spaces.domain.box()[:, spaces.mesh.geometry.dim - 1]
+    return soil.alpha * (high - low) <= STEEP and soil.air_entry == 0 and max(_most(solution, 1, soil)) <= 0
+
+
+def _most(solution: Solution, sign: int, soil: Gardner | None = None) -> tuple[float, float]:
+    """How far values of u are above a number, 0, and how far fluxes and f are above those of it, enclosed (collective).
+
+    Args:
+        solution: Has the data.
+        sign: −1 for how far they are below.
+        soil: It takes the height in the place of the number, with its flux in the soil.
+    """
     spaces, data, mesh = solution.spaces, solution.data, solution.spaces.mesh
-    low, high = spaces.domain.box()[:, mesh.geometry.dim - 1]
-    z, sure = Coordinate("xyz"[mesh.geometry.dim - 1]), soil.alpha * (high - low) <= STEEP and soil.air_entry == 0
+    z, K = Coordinate("xyz"[mesh.geometry.dim - 1]), 0.0 if soil is None else soil.K
     listed = [(data.u_D, spaces.dirichlet_facets, True), (data.g_N, spaces.neumann_facets, False)]
     for part in data.laws.of_parts:
         facets = spaces.facets[part.rows]
         listed += [(part.data[key], facets, True) for key in OF_U[type(part.law)]]
-        listed += [(part.data[key], facets, False) for key in FLUXES.get(type(part.law), [])]
+        listed += [(part.data[key], facets, False) for key in FLUXES[sign].get(type(part.law), [])]
+    most = {True: -np.inf, False: -np.inf}
     for datum, facets, is_u in listed:
         on = in_facets(mesh, facets, np.full((1, mesh.topology.dim - 1), 1 / mesh.topology.dim))
-        most = 0.0 if is_u else soil.K * (on.normals[:, -1] + ROUNDING)
+        taken = np.broadcast_to(0.0 if is_u else K * (on.normals[:, -1] + ROUNDING), len(facets))
         for tree, rows in datum.trees_in(on.cells):
-            above = difference(tree, z) if is_u else tree
-            sure = sure and bool((_largest(above, on.vertices[rows]) <= np.broadcast_to(most, len(facets))[rows]).all())
-        sure = sure and datum.pieces is not None
+            above = difference(tree, z) if is_u and soil is not None else tree
+            above = above if sign > 0 else Negative(above)
+            off = _largest(above, on.vertices[rows]) - taken[rows]
+            most[is_u] = max(most[is_u], off.max(initial=-np.inf))
+        most[is_u] = most[is_u] if datum.pieces is not None else np.inf
     vertices = corners(mesh)
     for tree, rows in data.f.trees_in(np.arange(len(vertices))):
-        sure = sure and bool((_largest(tree, vertices[rows]) <= 0).all())
-    return bool(mesh.comm.allreduce(bool(sure and data.f.pieces is not None), MPI.LAND))
+        off = _largest(tree if sign > 0 else Negative(tree), vertices[rows])
+        most[False] = max(most[False], off.max(initial=-np.inf))
+    most[False] = most[False] if data.f.pieces is not None else np.inf
+    return mesh.comm.allreduce(float(most[True]), MPI.MAX), mesh.comm.allreduce(float(most[False]), MPI.MAX)
 
 
 def _largest(tree: Tree, vertices: Array) -> Array:
-    """Upper bounds of a tree on simplices, shape (n,)."""
+    """Upper bounds of a tree on simplices, shape (n,); ∞ where there is none."""
     box = {
         name: Interval(vertices[..., i].min(axis=1), vertices[..., i].max(axis=1))
         for i, name in enumerate("xyz"[: vertices.shape[2]])
     }
     with np.errstate(all="ignore"):
-        return np.asarray(np.broadcast_to(interval(tree, box).hi, len(vertices)))
+        highest = np.broadcast_to(interval(tree, box).hi, len(vertices))
+    return np.where(np.isnan(highest), np.inf, highest)
 
 
 def _separated(kappa: Any) -> tuple[Any, Terms]:

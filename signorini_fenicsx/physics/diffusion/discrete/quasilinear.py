@@ -140,14 +140,14 @@ class Quasilinear:
             content[inside], slope[inside] = soil.content(x[inside], head[inside])
         return content, slope
 
-    @cached_property
-    def suction(self) -> tuple[Array, Array]:
-        """Where û is looked at what is to be taken from u for the pressure head, and the α of soil there, or 0."""
-        x, _ = self._places
-        alpha = np.zeros(x.shape[:2])
+    def nearer(self, traces: Array, wanted: Array) -> Array:
+        """These û on the facets of the owned cells, less the constant, or nearer ones to others, see `Soil.nearer`."""
+        x, found = self._places[0], wanted.copy()
         for inside, soil in self.soils:
-            alpha[inside] = soil.alpha
-        return x[..., -1] if self.form == FORMS[0] else np.zeros_like(alpha), alpha
+            height = x[inside][..., -1] if self.form == FORMS[0] else 0.0
+            before, after = (each[inside] + self.constant - height for each in (traces, wanted))
+            found[inside] += soil.nearer(before, after) - after
+        return found
 
     @property
     def soils(self) -> list[tuple[Mask, Soil]]:

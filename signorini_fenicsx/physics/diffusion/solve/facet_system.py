@@ -25,10 +25,6 @@ from signorini_fenicsx.physics.diffusion.discrete.data import Data
 from signorini_fenicsx.physics.diffusion.discrete.sources import sources
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
-FARTHEST = 3.0
-"""So many times 1 + α|ψ| of soil that is not saturated may fall in a step of Newton's method in time: from dry soil the
-derivative leads far beyond saturation."""
-
 
 @dataclass(frozen=True)
 class Loads:
@@ -178,7 +174,7 @@ class FacetSystem:
 
     def on_cells(self, x: PETSc.Vec) -> Array:
         """û on the facets of the owned cells, shape (cells, d + 1) (collective)."""
-        return np.asarray(self._with_lift(x).x.array[cell_dofs(self.space)])
+        return np.asarray(self._with_lift(x.array_r).x.array[cell_dofs(self.space)])
 
     def begin(self, traces: Array) -> None:
         """Let x be that of û on the facets of the owned cells, with u_D where that is given (collective)."""
@@ -189,21 +185,14 @@ class FacetSystem:
         self.x.array_w[:] = self.sides.unknowns(owned)
 
     def limited(self, start: Array, x: Array) -> Array:
-        """These unknowns, or nearer ones to a start, with which no dry soil becomes much wetter, see `FARTHEST`.
-
-        Collective.
-        """
-        of_u, lift = self._data.quasilinear, self._data.u_lift.x.array[: len(x)]
+        """These unknowns, or nearer ones to a start as far as soils allow, see `Soil.nearer` (collective)."""
+        of_u, space = self._data.quasilinear, self.space
         assert of_u is not None
-        nodes, numbers = cell_dofs(self.space), self.space.dofmap.index_map
-        count = sums_at(numbers, nodes)[: len(x)]
-        height, alpha = (sums_at(numbers, nodes, each)[: len(x)] / count for each in of_u.suction)
-        before, after = (self.sides.values(each)[: len(x)] + lift + of_u.constant - height for each in (start, x))
-        size, wanted = (np.sign(psi) * np.log1p(alpha * np.abs(psi)) for psi in (before, after))
-        nearer = np.where(before < 0, np.minimum(wanted, size + np.log(FARTHEST)), wanted)
-        psi = np.sign(nearer) * np.expm1(np.abs(nearer)) / np.where(alpha > 0, alpha, 1.0)
-        moved = np.where(nearer == wanted, after, psi) + height - of_u.constant - lift
-        return self.sides.unknowns(moved)
+        nodes, numbers = cell_dofs(space), space.dofmap.index_map
+        traces, wanted = (self._with_lift(each).x.array[nodes] for each in (start, x))
+        off = of_u.nearer(traces, wanted) - wanted
+        moved = sums_at(numbers, nodes, off)[: len(x)] / sums_at(numbers, nodes)[: len(x)]
+        return self.sides.unknowns(self.sides.values(x)[: len(x)] + moved)
 
     def by_kappa(self, x: PETSc.Vec) -> Array:
         """The derivatives of ∫σ·n on the facets of each cell by its κ, shape (cells, d + 1, 1) (collective).
@@ -212,7 +201,7 @@ class FacetSystem:
         """
         of_cells = self.by_kappa_for(self.on_cells(x))
         if self.sources.s is not None:
-            y = self.sources.values(self._with_lift(x))[1] * owned_values(self.sources.s) * self.sources.moments
+            y = self.sources.values(self._with_lift(x.array_r))[1] * owned_values(self.sources.s) * self.sources.moments
             share = y * self.spaces.cell_measures / of_cells.shape[1]
             of_cells -= (share[:, None] / self._data.kappa_values)[:, :, None]
         return of_cells
@@ -296,7 +285,7 @@ class FacetSystem:
     def recover(self, conditions: SiteConditions, linear_iterations: int) -> Iterate:
         """σ_h, u_h and p_h from `x`, which solves the system under these conditions (collective)."""
         spaces = self.spaces
-        sigma, u_cr = fem.Function(spaces.V, name="sigma"), self._with_lift(self.x)
+        sigma, u_cr = fem.Function(spaces.V, name="sigma"), self._with_lift(self.x.array_r)
         if self._jumps is None:
             through = assembled(spaces.kept(_outflow, self._data.kappa_h, self.sources.at(u_cr), u_cr))
             of_cells = through[cell_dofs(spaces.broken_crouzeix_raviart)]
@@ -393,7 +382,7 @@ class FacetSystem:
         """Pairs of all sites: p − ψ and σ·n − q_S of facets, u_T less its reference and −s_T of cells with laws."""
         data, trace = self._data, x.array_r[self.trace_dofs]
         if data.inside is not None:
-            u, source = self.sources.values(self._with_lift(x))
+            u, source = self.sources.values(self._with_lift(x.array_r))
             trace = np.append(trace, u - data.inside.means)
             force = source - owned_values(data.f_h)
             if data.c_h is not None:
@@ -401,9 +390,9 @@ class FacetSystem:
             flux = np.append(flux, force)
         return conditions.clean(trace, flux, data.conductance)
 
-    def _with_lift(self, x: PETSc.Vec) -> fem.Function:
+    def _with_lift(self, x: Array) -> fem.Function:
         """u_CR (collective)."""
-        owned = self.sides.values(x.array_r)
+        owned = self.sides.values(x)
         u_cr = fem.Function(self.space)
         u_cr.x.array[: len(owned)] = owned
         u_cr.x.scatter_forward()

@@ -30,8 +30,10 @@ from signorini_fenicsx.physics.diffusion.discrete.quasilinear import Quasilinear
 
 CHANGE = 1e-9
 """κ is found when it changes by this share of itself,"""
-ENOUGH = 1e-6
-"""or by this one, if Newton's method has left nothing but rounding."""
+ENOUGH, BY_ROUNDING = 1e-6, 0.1
+"""or by the first share, if Newton's method has left nothing but rounding; or else, in time, κ∇u by the second one in
+the energy norm, if κ is that of a u which differs from the solution by `CHANGE`, beside its size: at saturation the
+slope of κ is infinite, and for an n of van Genuchten that is near 1 the rounding of u changes κ by percents."""
 FIRST = 10
 """Anderson's steps before Newton's method."""
 DEPTH, RELAXED = 10, 0.5
@@ -43,7 +45,7 @@ NEWTON = 40
 EXACT = 1e-13
 """Newton's method ends where no residual is above this share of u, in time above `CHANGE` of it, or where they do not
 fall below `CHANGE` of it."""
-KEPT = "u gives the κ of its problem"
+KEPT, NEAR = "u gives the κ of its problem", "a u that differs by rounding gives the κ of this problem"
 """Why it ends."""
 POWERS, SHORTEST, GROWS = 5, 1e-3, 1.5
 """How many powers of κ are tried at first, the shortest step from one to another, and how steps grow."""
@@ -84,6 +86,7 @@ class QuasiLinear:
     _tried: list[tuple[Array, Array]] = field(default_factory=list)
     _solves: int = 0
     _by_newton: bool = False
+    _near: bool = False
 
     def solved(self) -> Outcome:
         """The solution whose u gives its κ (collective)."""
@@ -126,14 +129,15 @@ class QuasiLinear:
             traces = self.backend.system.on_cells(self.backend.x) + data.quasilinear.constant
             data = replace(data, quasilinear=replace(data.quasilinear, storing=replace(storing, traces=traces)))
             self.backend.data = data
-        reason = KEPT if outcome.reason == LINEAR else f"{outcome.reason}, and {KEPT}"
+        kept = NEAR if self._near and last.largest > ENOUGH else KEPT
+        reason = kept if outcome.reason == LINEAR else f"{outcome.reason}, and {kept}"
         return replace(outcome, details=outcome.details | about, reason=reason if outcome.converged else outcome.reason)
 
     @property
     def _found(self) -> bool:
         """Whether the last u gives its κ."""
         last = max(self.changes[-1].largest, self.changes[-1].content)
-        return last <= (ENOUGH if self._by_newton else CHANGE) and self._power == 1
+        return (last <= (ENOUGH if self._by_newton else CHANGE) or self._near) and self._power == 1
 
     @property
     def _power(self) -> float:
@@ -196,11 +200,18 @@ class QuasiLinear:
 
     def _newton(self) -> Iterator[Outcome]:
         """Newton's method from the last solution, and the problem under the κ that it finds (collective)."""
-        if not self._settled(EXACT if self.backend.data.stored is None else CHANGE):
-            return
-        self._by_newton = True
-        yield self._frozen()
-        self._by_newton = False
+        backend, stores = self.backend, self.backend.data.stored is not None
+        for enough in [CHANGE, EXACT] if stores else [EXACT]:  # the second of two is seldom needed
+            if not self._settled(enough):
+                return
+            self._by_newton, x = True, backend.x.array_r.copy()
+            outcome = self._frozen()
+            largest = [float(np.abs(each).max(initial=0.0)) for each in (backend.x.array_r - x, x)]
+            moved, size = (backend.comm.allreduce(each, MPI.MAX) for each in largest)
+            near = stores and enough == EXACT and moved <= CHANGE * size
+            self._near = near and self.changes[-1].energy <= BY_ROUNDING
+            yield outcome
+            self._by_newton = self._near = False
 
     def _settled(self, enough: float) -> bool:
         """Newton's method from the last solution; whether it leaves so little, or all it can (collective)."""

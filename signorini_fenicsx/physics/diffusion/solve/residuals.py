@@ -16,6 +16,7 @@ from signorini_fenicsx.discrete.mesh_spaces import cells_and_dofs
 from signorini_fenicsx.physics.diffusion.discrete.cell_flux import CellFlux, joined, mass_diagonal
 from signorini_fenicsx.physics.diffusion.discrete.cell_laws import CellLaws
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
+from signorini_fenicsx.physics.diffusion.discrete.sources import mean_moments
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 
 FAR = 1e6
@@ -56,8 +57,10 @@ class KKTResiduals(Residuals):
             each facet. Their product is not used, since it can be as small as the square of an error.
         stationarity: √(rᵀ M⁻¹ r) / G and √(rᵀ W⁻¹ M W⁻¹ r) / S with r the residual of (9a), M the diagonal of the mass
             matrix of RT0 and W that of (κ_h⁻¹σ, τ).
-        mass_balance: ‖h_T k⁻¹(∇·σ + s)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by cell, unless
-            there are laws in Ω; on Γ_N √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S.
+        mass_balance: ‖h_T k⁻¹(∇·σ + s)/(1 + c m_T)‖ / G and ‖h_T (∇·σ + s)‖ / S with s = f_h − c_h u, (9b) cell by
+            cell, unless there are laws in Ω; on Γ_N √L ‖k⁻¹(σ·n − g_N)‖ / G and √L ‖σ·n − g_N‖ / S. With the m_T of
+            `sources`, and û fixed, a lack r of the balance moves u_T by m_T r/(1 + c m_T), and m_T is h_T²/k but for a
+            constant; so the first says how far u_T is off, over h_T, whatever is stored.
     """
 
     primal: float
@@ -223,10 +226,11 @@ def _is_at_rest(spaces: Spaces, data: Data) -> bool:
 def _imbalance(spaces: Spaces, in_cells: CellFlux, sigma: fem.Function, u: fem.Function, data: Data) -> Array:
     """Norm of the residual of the mass balance, as a gradient and as a flux (collective)."""
     k, n = data.conductivities(spaces), spaces.neumann_cells
-    missing = np.zeros(len(k))
+    missing, taken = np.zeros(len(k)), k
     if data.inside is None:
         missing = spaces.cell_diameters * (in_cells.divergence + owned_values(data.source(u)))
-    taken = k if data.stored is None else k + spaces.cell_diameters**2 * data.stored[0]  # dry soil rather stores it
+    if data.c_h is not None:  # with û fixed a lack r moves u_T by r m_T/(1 + c m_T), see `sources`: so much less
+        taken = k * (1 + owned_values(data.c_h) * mean_moments(spaces, data))
     difference = (sigma.x.array - data.sigma_lift.x.array)[spaces.neumann_dofs]
     lacking = difference * spaces.neumann_basis_flux / spaces.neumann_measure
     squares = [

@@ -24,6 +24,8 @@ FALLS = 1e-4
 LOWER, PATIENCE, LOST = 0.9, 8, 1e2
 """The steps have failed where the residual has not fallen to this share of the least one in so many of them, or is so
 many times as large."""
+TRUSTED = 3
+"""In time steps are as long as soils allow, without a search, until the residual has not fallen in so many of them."""
 
 
 class Tangible(Protocol):
@@ -77,7 +79,7 @@ class Tangent:
             solver: Its linear solver, whose preconditioner is that of the matrix under the present conditions.
         """
         self._backend: Tangible = backend
-        self._least = np.inf
+        self._least, self._unit = np.inf, np.empty(0)
         self._iterates, self._preconditioner = solver.iterates, solver.preconditioner
 
     def step(self, conditions: SiteConditions) -> None:
@@ -91,12 +93,14 @@ class Tangent:
         base, start = self._residual(conditions), backend.x.array_r.copy()
         traces = backend.system.on_cells(backend.x)
         step = self._direction(conditions, of_u.of_traces(traces)[1])
-        best = self._searched(conditions, start, step, base)
-        if best[0] >= base:  # as where κ has a kink, or an infinite slope: by its slope along the step
+        searches = backend.data.stored is None or self.since >= TRUSTED
+        best = self._searched(conditions, start, step, base if searches else np.inf)
+        if best[0] >= base and searches:  # as where κ has a kink, or an infinite slope: by its slope along the step
             backend.x.array_w[:] = start + step
             moved = backend.system.on_cells(backend.x) - traces
             backend.x.array_w[:] = start
             self._take_kappa()
+            self._residual(conditions)
             step = self._direction(conditions, of_u.along(traces, moved))
             best = min(best, self._searched(conditions, start, step, base), key=lambda found: found[0])
         backend.x.array_w[:] = best[1]
@@ -110,11 +114,12 @@ class Tangent:
     def _searched(self, conditions: SiteConditions, start: Array, step: Array, base: float) -> tuple[float, Array]:
         """The least residual along a step that is halved until it falls, and its x (collective)."""
         backend, best, share = self._backend, (np.inf, start), 1.0
+        stores = backend.data.stored is not None
+        unit = self._unit if stores else 0.0
         for _ in range(HALVINGS):
             x = start + share * step
-            stores = backend.data.stored is not None
             backend.x.array_w[:] = backend.system.limited(start, x) if stores else x
-            norm = self._residual(conditions) if self._take_kappa() else np.inf
+            norm = self._residual(conditions, unit) if self._take_kappa() else np.inf
             if norm < best[0]:
                 best = norm, backend.x.array_r.copy()
             if norm < (1 - FALLS * share) * base:
@@ -139,13 +144,17 @@ class Tangent:
         of_fixed[fixed], free[fixed] = free[fixed], 0.0
         return matrix, fixed, free, of_fixed, load
 
-    def _residual(self, conditions: SiteConditions) -> float:
-        """The norm of what is left of the equations over their diagonal, and of how far sites are off (collective)."""
+    def _residual(self, conditions: SiteConditions, unit: Array | float = 0.0) -> float:
+        """The norm of what is left of the equations over their diagonal, and of how far sites are off (collective).
+
+        Args:
+            conditions: Those of the sites.
+            unit: Where the diagonal is smaller this takes its place: as soil dries the same lack of a flux is no more.
+        """
         backend = self._backend
         matrix, fixed, free, of_fixed, load = self._parts(conditions)
-        left = (self._times(matrix, free) + self._times(backend.natural, of_fixed) - load) / (
-            matrix.getDiagonal().array_r
-        )
+        self._unit = np.maximum(unit, matrix.getDiagonal().array_r)
+        left = (self._times(matrix, free) + self._times(backend.natural, of_fixed) - load) / self._unit
         left[fixed] = of_fixed[fixed]
         values = np.concatenate([left, backend.off_laws(conditions)])
         self.left = backend.comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
