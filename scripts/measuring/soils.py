@@ -118,7 +118,7 @@ def row(name: str, what: str) -> str:
             balance = max(balance, step.numbers["mass_error"])
     except NumericalFailure as failure:
         return f"fails in step {len(solves) + 1}: {failure}"
-    return f"{np.mean(solves):.1f}, {max(solves)}, {halved} halved, mass to {balance:.0e}"
+    return f"{np.median(solves):g}, {np.mean(solves):.1f}, {max(solves)}, {halved} halved, mass to {balance:.0e}"
 
 
 def soil_columns(
@@ -129,7 +129,7 @@ def soil_columns(
     A column is 1 m high, in metres and days. Drained: it is saturated, and the head at the bottom falls to 0. Rain:
     over a water table at the bottom, with water at rest at first, rain of half of K until 0.1 m have fallen.
     Evaporation: the same, with 5 mm a day taken from the top as long as the pressure head there is above -100 m. For
-    each the table has the mean and the largest number of linear problems per step, how many steps were halved, and the
+    each the table has the median, the mean and the largest number of linear problems per step, how many steps were halved, and the
     largest error of mass.
     """
     for name in names or SOILS:
