@@ -129,8 +129,8 @@ def soil_columns(
     A column is 1 m high, in metres and days. Drained: it is saturated, and the head at the bottom falls to 0. Rain:
     over a water table at the bottom, with water at rest at first, rain of half of K until 0.1 m have fallen.
     Evaporation: the same, with 5 mm a day taken from the top as long as the pressure head there is above -100 m. For
-    each the table has the median, the mean and the largest number of linear problems per step, how many steps were halved, and the
-    largest error of mass.
+    each the table has the median, the mean and the largest number of linear problems per step, how many steps were
+    halved, and the largest error of mass.
     """
     for name in names or SOILS:
         for what in scenarios(1.0):
