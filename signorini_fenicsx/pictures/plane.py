@@ -128,9 +128,8 @@ class Plane:
                 traces.draw_trace(each.scene or scene, axes, part, each, named)
         entries = [*handles.values(), *traces.handles(scene, shown if of_parts else [], shades=not maps)]
         if steps:
-            place = divmod(len(maps), columns) if beside else (rows, 2 if of_parts else 0)
             across = {} if beside else {"rows": len(below)} if of_parts else {"columns": columns}
-            axes = sheet.panel(*place, **across)
+            axes = sheet.panel(*(divmod(len(maps), columns) if beside else (rows, 2 if of_parts else 0)), **across)
             draw_steps(axes, scene.history, of_steps or named(steps[0].title))
             entries += axes.get_legend_handles_labels()[0]
         sheet.legend_below(entries)

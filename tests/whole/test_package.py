@@ -189,8 +189,8 @@ def test_the_paper_cites_what_it_lists():
         ("forms/a.py", "x = 1\n" * 450, []),
         ("forms/a.py", "x = 1\n" * 451, ["forms/a.py: 451 lines, more than 450"]),
         ("tests/a.py", "x = 1\n" * 451, ["tests/a.py: 451 lines, more than 450"]),
-        ("forms/a.py", 'def f():\n    """One.\n\n    Two.\n    """\n' + "    g()\n" * 59, []),
-        ("forms/a.py", "def f():\n" + "    g()\n" * 60, ["forms/a.py:1: f has 61 lines, more than 60"]),
+        ("forms/a.py", 'def f():\n    """One.\n\n    Two.\n    """\n' + "    g()\n" * 50, []),
+        ("forms/a.py", "def f():\n" + "    g()\n" * 51, ["forms/a.py:1: f has a body of 51 lines, more than 50"]),
         ("scripts/a.py", "def f():\n" + "    g()\n" * 60, []),
     ],
 )
