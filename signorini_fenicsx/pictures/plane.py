@@ -1,6 +1,6 @@
 """Sheets of a solution in the plane: maps, a surface, traces along Γ_S, iterations."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -84,10 +84,7 @@ class Plane:
     def sheet(self, panels: Iterable[Panel], title: str = "") -> Sheet:
         """Maps above, traces of each part of Γ_S below; a wide domain has two maps in a row."""
         scene, wide, panels = self.scene, self.wide, list(panels)
-        flat = wide or self.aspect < SLIM
-        maps = [each for each in panels if each.where in MAPS and not (flat and each.where is Where.SURFACE)]
-        if self.aspect < SLIM and len(maps) > 1:
-            maps = [each for each in maps if each.where is not Where.STREAMS]
+        maps = self._maps(panels)
         shown = [each for each in panels if each.where is Where.GAMMA]
         of_parts = [
             (panel, part)
@@ -134,6 +131,13 @@ class Plane:
             entries += axes.get_legend_handles_labels()[0]
         sheet.legend_below(entries)
         return sheet
+
+    def _maps(self, panels: Sequence[Panel]) -> list[Panel]:
+        """The maps among panels, and surfaces that can be seen."""
+        slim = self.aspect < SLIM
+        maps = [each for each in panels if each.where in MAPS]
+        maps = [each for each in maps if each.where is not Where.SURFACE or not (self.wide or slim)]
+        return [each for each in maps if each.where is not Where.STREAMS or not slim or len(maps) == 1]
 
     @property
     def handles(self) -> dict[str, Any]:
