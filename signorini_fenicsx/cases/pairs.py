@@ -1,17 +1,59 @@
-"""`[[pair]]`: two surfaces that share no nodes, of bodies with meshes of their own."""
+"""`[[pair]]`: two surfaces that share no nodes, of bodies with meshes of their own.
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+*`[[law]]`*: a law on some parts of the boundary, or in some regions, as text.
+"""
 
-from pydantic import Field
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
 
 from signorini_fenicsx.cases.case import CaseFile
-from signorini_fenicsx.cases.data_section import DataSection, KindSection
-from signorini_fenicsx.cases.laws import OF_KIND
-from signorini_fenicsx.cases.values import Direction, PartNames, Positive
-from signorini_fenicsx.contact.law import Film
-from signorini_fenicsx.contact.laws import LAWS, River, Seepage
+from signorini_fenicsx.cases.data_section import READERS, DataSection, KindSection, data_section
+from signorini_fenicsx.cases.values import Direction, Entries, Expression, PartNames, Positive, choice
+from signorini_fenicsx.contact.law import NO_DATA, Film, Given, Law
+from signorini_fenicsx.contact.laws import LAWS, LAWS_INSIDE, River, Seepage
 from signorini_fenicsx.discrete.pairs import Pair, Tied
+
+KINDS = {**LAWS, **LAWS_INSIDE}
+OF_LAWS = READERS | {
+    Given: Expression,
+    Given | Literal["vertical"]: Expression,
+    Sequence[tuple[Given, Given]]: Entries,
+    Sequence[str]: list[str],
+}
+OF_KIND = {
+    name: data_section(kind, OF_LAWS, words=("names",), **dict.fromkeys(NO_DATA)) for name, kind in KINDS.items()
+}
+"""The data of each kind of law as text in x, y, z."""
+
+
+class LawTexts(KindSection):
+    """A `Law`: its kind, its parts or its regions, and its data as text in x, y, z under the law's names for them."""
+
+    word = "law"
+    of_kind = OF_KIND
+    kind: Annotated[str, choice("law", tuple(KINDS))]
+    parts: Annotated[list[str], Field(default=[], exclude_if=lambda parts: not parts)]
+    region: Annotated[str | list[str] | None, Field(default=None, exclude_if=lambda region: region is None)]
+
+    @model_validator(mode="after")
+    def _has_its_place(self) -> Self:
+        if bool(self.parts) == bool(self.region):
+            raise ValueError(
+                f"the law '{self.kind}' needs parts, a list of parts of the boundary, or region, \"all\" or names of "
+                "regions; not both"
+            )
+        kinds, place, key = (LAWS_INSIDE, "regions", "parts") if self.region else (LAWS, "parts", "region")
+        if self.kind not in kinds:
+            raise ValueError(f"the law '{self.kind}' has {key}; the laws with {place} are {', '.join(kinds)}")
+        return self
+
+    def made(self) -> Law:
+        """The law that the section describes."""
+        place: dict[str, Any] = {"region": self.region} if self.region else {"parts": self.parts}
+        return KINDS[self.kind](**place, **(self.model_extra or {}))
+
 
 SIDES = ("slave", "master")
 BETWEEN = tuple(name for name, kind in LAWS.items() if kind not in (Film, River, Seepage))

@@ -105,8 +105,7 @@ class Plane:
         rows = -(-(len(maps) + beside) // columns) if maps else 0
         below = [1.55] * (len(of_parts) // 2) or [2.6] * bool(steps and not beside)
         heights = [min(width / self.aspect, TALL) if alone else width / max(self.aspect, 0.7)] * rows + below
-        sheet = Sheet([width] * columns, heights, bars=bool(maps), title=title)
-        letters = iter(range(26))
+        sheet, letters = Sheet([width] * columns, heights, bars=bool(maps), title=title), iter(range(26))
 
         def named(text: str) -> str:
             return f"{style.letter(next(letters))} {text}" if len(maps) + len(of_parts) + len(steps) > 1 else text

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 import signorini_fenicsx.api
 from signorini_fenicsx import extend
 from signorini_fenicsx.cases.complaints import keys_of
-from signorini_fenicsx.cases.laws import LawTexts
+from signorini_fenicsx.cases.pairs import LawTexts
 from signorini_fenicsx.cases.quantities import QuantityTexts
 from signorini_fenicsx.cli.app import app
 from signorini_fenicsx.physics.diffusion.case import Case

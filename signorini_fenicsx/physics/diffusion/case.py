@@ -9,8 +9,7 @@ from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, mode
 from signorini_fenicsx.cases.case import Cost, Times
 from signorini_fenicsx.cases.data_section import DataSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD
-from signorini_fenicsx.cases.laws import KINDS, LawTexts
-from signorini_fenicsx.cases.pairs import BETWEEN, PairTexts, WithPairs
+from signorini_fenicsx.cases.pairs import BETWEEN, KINDS, LawTexts, PairTexts, WithPairs
 from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.values import ByRegion, ExpressionByRegion, ExpressionOrByPart, choice

@@ -38,9 +38,8 @@ from signorini_fenicsx.physics.diffusion.soil_steps import SoilSteps
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.physics.diffusion.solve.hybrid import HybridBackend
 from signorini_fenicsx.physics.diffusion.solve.linear_backend import LinearBackend
-from signorini_fenicsx.physics.diffusion.solve.linear_mixed import LinearMixedBackend
 from signorini_fenicsx.physics.diffusion.solve.linear_residuals import LinearIterate
-from signorini_fenicsx.physics.diffusion.solve.mixed import MixedBackend
+from signorini_fenicsx.physics.diffusion.solve.mixed import LinearMixedBackend, MixedBackend
 from signorini_fenicsx.physics.diffusion.solve.residuals import far_bound
 from signorini_fenicsx.physics.diffusion.solve.solvability import check_solvability
 from signorini_fenicsx.physics.diffusion.solve.task import DiffusionTask, LinearTask

@@ -9,7 +9,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.case import CaseFile, Cost
 from signorini_fenicsx.cases.data_section import DataSection, KindSection, data_section
 from signorini_fenicsx.cases.first_case import GIVEN, HELD, SYMMETRIC
-from signorini_fenicsx.cases.laws import OF_KIND, OF_LAWS
+from signorini_fenicsx.cases.pairs import OF_KIND, OF_LAWS
 from signorini_fenicsx.cases.parts import Parts
 from signorini_fenicsx.cases.plot import OF_FLOWS
 from signorini_fenicsx.cases.values import (

@@ -52,13 +52,12 @@ from signorini_fenicsx.discrete.points import facet_type, in_facets
 from signorini_fenicsx.physics.diffusion.bound.added_flux import beside_b
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.conforming import law_trace
-from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux
+from signorini_fenicsx.physics.diffusion.bound.equilibrated import admissible_flux, load_left
 from signorini_fenicsx.physics.diffusion.bound.hidden import Pressure, hidden_parts
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
 from signorini_fenicsx.physics.diffusion.bound.kirchhoff import bound_by, linear_solution
 from signorini_fenicsx.physics.diffusion.bound.laws import Goal, LawGap, not_polynomial
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric, FacetLoad, Projection, cell_metric
-from signorini_fenicsx.physics.diffusion.bound.mean_loads import load_left
 from signorini_fenicsx.physics.diffusion.bound.mismatch import Energies, enclosed
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
 from signorini_fenicsx.physics.diffusion.bound.oscillation import Memory, load_oscillation, on_facets

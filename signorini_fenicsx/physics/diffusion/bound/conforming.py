@@ -58,10 +58,9 @@ from signorini_fenicsx.physics.diffusion.bound.law_bounds import (
     level_of,
 )
 from signorini_fenicsx.physics.diffusion.bound.levels import levels
-from signorini_fenicsx.physics.diffusion.bound.limits import Simplices
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
 from signorini_fenicsx.physics.diffusion.bound.on_gamma_s import OnGammaS
-from signorini_fenicsx.physics.diffusion.bound.rays import Ray
+from signorini_fenicsx.physics.diffusion.bound.rays import Ray, Simplices
 from signorini_fenicsx.physics.diffusion.bound.relaxation import TIE, Box, Robin, Weight, relax
 from signorini_fenicsx.physics.diffusion.bound.resolution import EXACT
 from signorini_fenicsx.physics.diffusion.discrete.data import Data
@@ -190,7 +189,7 @@ def _hold(
 
 
 def _asked(on: OnGammaS, v: fem.Function, nodes: Indices, bounds: list[Array]) -> list[Array]:
-    """The coefficients of bounds on Γ_S as `limits` has them, from those of their interpolants (collective).
+    """The coefficients of bounds on Γ_S as `Simplices` has them, from those of their interpolants (collective).
 
     `v` has values in nodes, not yet coefficients. Bounds of jumps inside the domain stay as they are.
     """

@@ -38,9 +38,8 @@ from signorini_fenicsx.expressions.simplices import Quadratic, barycentric_gradi
 from signorini_fenicsx.expressions.tree import Negative
 from signorini_fenicsx.physics.diffusion.bound.admissible_trace import Trace
 from signorini_fenicsx.physics.diffusion.bound.inside import Inside
-from signorini_fenicsx.physics.diffusion.bound.limits import jumps_in_nodes
 from signorini_fenicsx.physics.diffusion.bound.local_fields import CellMetric
-from signorini_fenicsx.physics.diffusion.bound.rays import Ray
+from signorini_fenicsx.physics.diffusion.bound.rays import Ray, jumps_in_nodes
 from signorini_fenicsx.physics.diffusion.bound.resolution import SHARE, SMALLEST, Resolution, of_all_cells
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 

@@ -5,7 +5,7 @@ certificate replaces a load e by a polynomial p; d = e − p is the difference.
 
 - *Loads.* On a cell, (d, w)_T = (d, w − w_T)_T + |T| μ w_T with μ the mean of d and w_T that of w; the first term is at
   most (δ_T/π)‖d‖ |w|, as in `local_fields`. On a facet e of T, (d, w)_e ≤ C_e‖d‖_e |w| + |e| μ_e w_T. The means
-  together are one load per cell, for which see `mean_loads`.
+  together are one load per cell, for which see `equilibrated`.
 
 - *κ*: see `mismatch`.
 - *u_D, ψ and bounds in Ω*, where v contains them themselves: see `hidden`.

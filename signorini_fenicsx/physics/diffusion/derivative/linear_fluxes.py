@@ -32,8 +32,7 @@ from signorini_fenicsx.derivatives.linearised import Effect, HybridLinearised, S
 from signorini_fenicsx.discrete.datum import DEGREES, quadrature_degree
 from signorini_fenicsx.discrete.linear_traces import blocks_of_cells, linear_from_means, linear_values
 from signorini_fenicsx.discrete.points import facet_quadrature
-from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points
-from signorini_fenicsx.discrete.seen_on_facets import values_seen
+from signorini_fenicsx.discrete.seen import Seen, derivative_by, seen_in_points, values_seen
 from signorini_fenicsx.discrete.vertex_laws import law_points, lines_by_data
 from signorini_fenicsx.physics.diffusion.derivative.linearised import check_differentiable
 from signorini_fenicsx.physics.diffusion.discrete.linear_data import as_matrices, data_points, hats_in

@@ -3,14 +3,13 @@
 from collections.abc import Callable, Mapping
 
 from signorini_fenicsx.contact.history import Outcome
-from signorini_fenicsx.physics.diffusion.solve.bound_constrained import solve_bound_constrained
 from signorini_fenicsx.physics.diffusion.solve.classical.mixed_uzawa import flux_uzawa, half_uzawa, trace_uzawa
 from signorini_fenicsx.physics.diffusion.solve.classical.over_relaxation import over_relaxation
 from signorini_fenicsx.physics.diffusion.solve.classical.primal_sets import primal_dual_active_set, primal_penalty
 from signorini_fenicsx.physics.diffusion.solve.classical.primal_uzawa import primal_uzawa
 from signorini_fenicsx.physics.diffusion.solve.classical.quadratic import quadratic_programme
 from signorini_fenicsx.physics.diffusion.solve.classical.stabilised import minimisation_uzawa, stabilised_form
-from signorini_fenicsx.physics.diffusion.solve.newton import solve_by_newton
+from signorini_fenicsx.physics.diffusion.solve.newton import solve_bound_constrained, solve_by_newton
 
 METHODS: Mapping[str, Callable[..., Outcome]] = {
     method.__name__: method

@@ -9,7 +9,7 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.derivatives.linearised import Effect
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, datum_of
 from signorini_fenicsx.discrete.linear_traces import BoundaryFacets, linear_values
-from signorini_fenicsx.discrete.seen_on_facets import moments_seen
+from signorini_fenicsx.discrete.seen import moments_seen
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, law_points, lines_by_data
 from signorini_fenicsx.expressions.given import parsed
 from signorini_fenicsx.physics.elasticity.conditions import CoulombLaw, is_normal

@@ -37,9 +37,11 @@ from signorini_fenicsx.physics.elasticity.discrete.normal_laws import normal_law
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
     PressureDatum,
     Pull,
+    RaisedGap,
     VectorDatum,
     add_pulls,
     add_tractions,
+    beyond_surfaces,
     facet_moments,
     pulls_of,
     traction_moments,
@@ -47,7 +49,6 @@ from signorini_fenicsx.physics.elasticity.discrete.on_facets import (
     vector_datum_of,
     vector_on_parts,
 )
-from signorini_fenicsx.physics.elasticity.discrete.raised_gap import RaisedGap, beyond_surfaces
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
 from signorini_fenicsx.physics.elasticity.discrete.supports import Supports, supports_of
 from signorini_fenicsx.physics.elasticity.discrete.tools import Tool, moves_at_sites, tools_at, tools_of
