@@ -3,8 +3,8 @@
 The process has limits of time, memory and file size, an empty environment and an empty working folder, and it dies with
 its parent. Before it reads an untrusted file it gives up rights (`seal`, on Linux with x86-64 or ARM): to start
 programs, to open sockets, to open files for writing, to change, move or delete files, and to signal or trace other
-processes. Its result goes into a file that the parent has opened. On other systems only the limits hold. Calls that
-administer the system are not refused: they need rights that a process of a user does not have.
+processes. Its result goes into a file that the parent has opened. On other systems only the limits hold. Calls by which
+root administers a system, such as loading modules, are not refused.
 """
 
 import contextlib
