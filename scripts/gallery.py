@@ -35,8 +35,8 @@ FIRST = ("water", "deformed", "flow", "u")
 WITH_OVERVIEW = ("example2", "dam", "electropainting", "two_obstacles")
 STRIP = {
     "example2": (0.0825, 0.055, 0.452, 0.82),
-    "dam": (0.065, 0.115, 0.908, 0.725),
-    "hertz": (0.126, 0.15, 0.845, 0.885),
+    "dam": (0.105, 0.05, 0.87, 0.262),
+    "hertz": (0.165, 0.175, 0.81, 0.855),
     "ball": (0.06, 0.095, 0.396, 0.87),
 }
 """Pictures of the strip, and which part of each, inside its axes: left, upper, right and lower edge."""

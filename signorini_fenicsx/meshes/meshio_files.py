@@ -222,6 +222,9 @@ def read_with_meshio(path: Path) -> Contents:
         raise InputError(f"cannot be read: {words or 'its format is not known'}") from None
     except (InputError, MemoryError):
         raise
+    except ModuleNotFoundError as error:  # of Exodus, netCDF4
+        name = error.name
+        raise InputError(f"cannot be read: meshio needs {name} for it; `pip install {name}` adds it") from None
     except Exception as error:
         words = " ".join(str(error).split()).replace(str(path), path.name)
         raise InputError(f"cannot be read ({words[:200] or type(error).__name__})") from None

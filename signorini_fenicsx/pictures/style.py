@@ -38,7 +38,7 @@ those of Okabe and Ito: colour-blind readers tell them apart."""
 OTHERS = 0.15, 0.618, 0.6, 0.75
 """The hue of the first of more colours, the step between the hues of two, and their saturation and value."""
 U_MAP, FLUX_MAP, STREAM_MAP, ERROR_MAP, SIGNED_MAP = "viridis", "cividis", "plasma", "magma", "RdBu_r"
-WET_MAP, PRESSURE_MAP, WATER_MAP = "YlGnBu", "RdBu", "Blues"
+WET_MAP, PRESSURE_MAP, WATER_MAP, DRY_MAP = "YlGnBu", "RdBu", "Blues", "Reds_r"
 
 DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
 """Mathematics in a line."""
@@ -74,6 +74,14 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
     if high > 1.2 * usual > 0:
         return min(low, usual), usual, "max"
     return (low, high, "neither") if high - low > FLAT * high else (0.0, high or 1.0, "neither")
+
+
+def around_0(values: Array) -> tuple[float, float]:
+    """Colour limits with 0 in the middle for values of both signs, and at one end for others."""
+    low, high = float(values.min()), float(values.max())
+    most = max(-low, high, 1e-300)
+    down, up = low < -FLAT * most, high > FLAT * most
+    return -most if down else 0.0, most if up or not down else 0.0
 
 
 def colours_of(names: Iterable[str]) -> dict[str, str]:

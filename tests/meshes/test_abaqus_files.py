@@ -1,5 +1,6 @@
 """Parts of Abaqus files by sets of nodes, surfaces and elements; straight elements of second order."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -109,3 +110,11 @@ def test_refusals(tmp_path: Path, text: str, message: str):
     """One sentence says what is wrong."""
     with pytest.raises(InputError, match=message):
         places(tmp_path, text)
+
+
+def test_a_package_that_meshio_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """It is named where it is missing, as netCDF4 for Exodus."""
+    monkeypatch.setitem(sys.modules, "netCDF4", None)
+    (tmp_path / "mesh.e").write_bytes(b"CDF")
+    with pytest.raises(InputError, match=r"cannot be read: meshio needs netCDF4 for it; `pip install netCDF4` adds it"):
+        read_mesh_file(tmp_path / "mesh.e")

@@ -22,7 +22,7 @@ from signorini_fenicsx.pictures.drawing import draw_all, overview
 from signorini_fenicsx.pictures.panels import Panel
 from signorini_fenicsx.pictures.scene import Scene, gathered_scene
 from signorini_fenicsx.pictures.sheet import Sheet
-from signorini_fenicsx.pictures.style import colours_of
+from signorini_fenicsx.pictures.style import around_0, colours_of
 from signorini_fenicsx.studies.study import make_run
 
 HEAT = {
@@ -169,6 +169,12 @@ def test_the_water_of_a_dam():
     assert all(each.only is not None for each in seen)
     np.testing.assert_allclose(seen[2].what[left], 24 - points[left, 1], atol=1.0)
     assert Plot().flux_name == r"$\sigma_h$"
+
+
+def test_scales_have_0_in_their_middle_or_at_an_end():
+    found = [around_0(np.array(values)) for values in ([-1.0, 2.0], [-3.0, 1e-9], [0.0, 2.0], [0.0])]
+    assert found[:3] == [(-2, 2), (-3, 0), (0, 2)]
+    assert found[3][0] < found[3][1]
 
 
 def test_a_slim_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

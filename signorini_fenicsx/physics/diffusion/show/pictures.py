@@ -120,11 +120,12 @@ def sign_of(scene: Scene) -> int:
 
 
 def wetness(scene: Scene, water: Pools) -> list[Panel]:
-    """The pressure head, on a scale with 0 in its middle if it may be negative, and of soils the saturation."""
+    """The pressure head, on a scale with 0 in its middle if it has both signs, and of soils the saturation."""
     title, label = f"pressure head $H - {'xyz'[scene.dim - 1]}$", with_unit("pressure head", scene.plot.unit)
-    most = max(float(np.abs(water.pressure).max()), 1e-300)
-    least, colours = (0.0, style.WATER_MAP) if water.only is not None else (-most, style.PRESSURE_MAP)
-    ends = (least, most, "neither")
+    seen = water.pressure if water.only is None else water.pressure[scene.fields.cells[water.only]]
+    low, high = style.around_0(seen)
+    colours = style.WATER_MAP if low == 0 else style.DRY_MAP if high == 0 else style.PRESSURE_MAP
+    ends = (low, high, "neither")
     panels = [Panel(water.pressure, Where.MAP, title, label, colours, ends=ends, only=water.only)]
     saturation = scene.fields.at_points.get("saturation")
     if saturation is not None:
