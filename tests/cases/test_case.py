@@ -46,6 +46,7 @@ def test_examples_are_shipped():
             "hillslope",
             "soil_column",
             "tracy_box",
+            "vauclin",
             "membrane",
             "membrane_steady",
             "mindlin",

@@ -148,3 +148,19 @@ def test_meshes_that_do_not_match():
         norms = compare(coarse, fine).norms
         assert isinstance(norms, Differences)
         assert (norms.sigma_V, norms.u_Q) == pytest.approx(exact_differences(coarse, fine), rel=5e-3)
+
+
+def test_what_is_read_off_is_compared():
+    """Probes, sections and inflows of both under one name, and how far apart the phreatic lines are."""
+    case = load_case(Path(__file__).parents[1] / "capability_cases" / "read_off.toml")
+    one, other = (solve_case(case.with_values({"solve.h": h})) for h in (0.4, 0.2))
+    found = compare(one, other)
+    for name, at in (("wells 1 u", 0), ("wells 2 u", 1)):
+        assert found.read_off[name] == pytest.approx(
+            [solution.probe([[0.5, 0.5], [0.37, 0.91]])["u"][at] for solution in (one, other)], abs=1e-14
+        )
+    assert found.read_off["inflow left"] == pytest.approx([each.flux_through("left") for each in (one, other)])
+    assert not {"wells 1 x", "across measure"} & found.read_off.keys()
+    assert {"across flux", "wells 1 pressure"} <= found.read_off.keys()
+    assert 0 < found.phreatic < 0.2
+    assert compare(one, one).phreatic == 0
