@@ -15,6 +15,7 @@ slave, on two meshes of its block, and prints how far the pressure is off Hertz 
 
 import signorini_fenicsx  # isort: skip  # noqa: F401  first: it loads the wheel's libraries
 
+import resource
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -182,13 +183,14 @@ def iterations(dim: int) -> None:
 
 
 def large(size: int, *, scalar: bool) -> None:
-    """Print the seconds of a pair with 2 size² slave facets, after a small one for which forms are compiled."""
+    """Print seconds and memory of a pair with 2 size² slave facets, after a small one for which forms are compiled."""
     meeting = Pair("up.face", "low.face", Tied() if scalar else None)
     for number in (2, size):
         domain = paired([number, number, 1], [number, number, 1], bend=1.2)
         say(f"{2 * number**2} slave facets, {domain.cells} cells, {COMM.size} ranks")
         row = phases(domain, problem(3, meeting, [*domain.parts], 1 / number, scalar=scalar), bound=False)
         say(", ".join(f"{name} {each:.2f}" for name, each in zip(("overlay", "spaces", "solution"), row, strict=False)))
+        say(f"memory of rank 0: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.1f} GiB")
 
 
 def sides() -> None:

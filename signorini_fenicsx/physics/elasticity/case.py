@@ -46,8 +46,8 @@ from signorini_fenicsx.physics.elasticity.scope import outside
 from signorini_fenicsx.physics.elasticity.solving import rule_of
 from signorini_fenicsx.solving.options import Options
 
-COSTS = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 700, 300)}
-"""On 110 000 to 450 000 unknowns; an order of magnitude."""
+COSTS = {2: Cost(4, 1e4, 6e3, 3e3), 3: Cost(9, 4.5e4, 1500, 300)}
+"""On 110 000 to 1 300 000 unknowns; an order of magnitude."""
 
 
 class ElasticParts(Parts):
