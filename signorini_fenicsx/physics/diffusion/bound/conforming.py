@@ -109,7 +109,7 @@ def law_trace(
     space = v.function_space
     nodes, facet = facet_nodes(space, spaces.facets), facet_type(mesh.topology.dim)
     on_dirichlet, at_nodes = _given(space, spaces, data.u_D), on.goal.at(spaces, lattice(facet, degree_of(space)))
-    u_D, jumps = quadratic_on_sides(data.u_D, space, spaces), Jumps.of(space, spaces)
+    u_D, jumps = quadratic_on_sides(data.u_D, space, spaces), Jumps.of(space, spaces, on.holding)
     v.x.array[on_dirichlet] = u_D.x.array[on_dirichlet]
     on_cuts, known = ~np.isin(np.arange(len(nodes)), spaces.outer_rows), np.union1d(on_dirichlet, jumps.tied)
     # at meetings there are no jumps that could be held or bounded
@@ -121,11 +121,11 @@ def law_trace(
     if pieces is not None:
         still |= pieces.hold(v, fixed)
     if field is None:
-        _hold(v, nodes, held, (on_cuts, np.union1d(fixed, jumps.meets)), (~on_cuts, fixed))
+        _hold(v, nodes, held, fixed, (on_cuts, jumps.meets), (~on_cuts, np.flatnonzero(jumps.follows)))
     else:  # it need not be near a piece of the law
         ends[2:] = ends[:2]
     limits, bounds = ends[:2], _asked(on, v, nodes, [coefficients_of(end, facet) for end in ends])
-    bounds, ends = _without(bounds, at_meeting), _without(ends, at_meeting)
+    bounds, ends = (_without(each, at_meeting | (jumps.follows[nodes] & ~on_cuts[:, None])) for each in (bounds, ends))
     hindrance = _hindrance(v, nodes, ends[:2], (np.setdiff1d(on_dirichlet, jumps.tips), jumps.tips))
     low, high, soft_low, soft_high = (
         extreme_around(space, nodes, end, largest=number % 2 == 0) for number, end in enumerate(bounds)
@@ -177,11 +177,16 @@ def _weight(solution: Solution) -> Weight:
 
 
 def _hold(
-    v: fem.Function, nodes: Indices, held: tuple[Array, Mask, Mask], *groups: tuple[Mask, npt.NDArray[Any]]
+    v: fem.Function,
+    nodes: Indices,
+    held: tuple[Array, Mask, Mask],
+    fixed: npt.NDArray[Any],
+    *groups: tuple[Mask, npt.NDArray[Any]],
 ) -> None:
-    """Set v where laws hold it, but on each of some groups of facets not in the nodes that it keeps (collective)."""
+    """Set v where laws hold it, but not in fixed nodes, nor on groups of facets in some nodes (collective)."""
     values, fully, nearly = held
-    for facets, kept in groups:
+    for facets, left in groups:
+        kept = np.union1d(fixed, left)
         before = v.x.array[kept]
         for some in (nearly & facets, fully & facets):
             set_means(v, nodes[some], values[some])

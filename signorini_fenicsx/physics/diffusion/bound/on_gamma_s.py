@@ -113,6 +113,12 @@ class OnGammaS:
         own = (self.rigid[np.arange(len(segment)), segment] & between)[:, None]
         return np.where(own, least, low), np.where(own, largest, high)
 
+    @property
+    def holding(self) -> Indices:
+        """The facets on the boundary of the domain whose law may hold u: it has vertical segments."""
+        vertical = np.isinf(self.goal.chains.slope).any(axis=1)
+        return np.intersect1d(np.flatnonzero(vertical), self.spaces.outer_rows)
+
     def beyond(self) -> str:
         """Why laws of pairs of surfaces do not allow y·n in all points; empty if they do (collective)."""
         facet, comm = facet_type(self.spaces.mesh.topology.dim), self.spaces.mesh.comm

@@ -72,6 +72,7 @@ class Jumps:
             only, and those of slaves on Γ_D alone, or of masters. They keep the values of the function.
         pairs: Nodes of the inner facets, and those in the same places of the other side, shape (facets, nodes) each.
         tied: Nodes of slaves that are tied, where the jump is to be 0.
+        follows: Mask of all nodes of slaves that have the jump.
         basis: The matrix from the jumps, and the values in all other nodes, to the values in all nodes, and its
             inverse; None without jumps. At pairs it is for coefficients.
         of_values: The same for values in the nodes.
@@ -82,12 +83,16 @@ class Jumps:
     meets: npt.NDArray[np.intp]
     pairs: tuple[Entities, Entities]
     tied: npt.NDArray[np.intp]
+    follows: Mask
     basis: tuple[PETSc.Mat, PETSc.Mat] | None = None
     of_values: tuple[PETSc.Mat, PETSc.Mat] | None = None
 
     @classmethod
-    def of(cls, space: fem.FunctionSpace, spaces: Spaces) -> Jumps:
-        """The jumps of a space of linear functions, or those of a higher degree (collective)."""
+    def of(cls, space: fem.FunctionSpace, spaces: Spaces, holding: Indices | None = None) -> Jumps:
+        """The jumps of a space of linear functions, or those of a higher degree (collective).
+
+        `holding` are the rows of Γ_S on the boundary of the domain with laws that may hold u.
+        """
         if not spaces.several:
             return cls.nowhere(space)
         numbers, inner = space.dofmap.index_map, spaces.inner
@@ -101,6 +106,7 @@ class Jumps:
         )
         wall = np.zeros(len(other), dtype=bool)
         wall[fem.locate_dofs_topological(space, space.mesh.topology.dim - 1, spaces.dirichlet_facets)] = True
+        held = _somewhere(space, facet_nodes(space, spaces.facets[[] if holding is None else holding]).ravel())
         meets = (other > 0) & below | beside & (below | at_edge | (other > 0))
         half = wall[named] != wall[across]
         meets[named[half]] = meets[across[half]] = True
@@ -108,7 +114,7 @@ class Jumps:
         jump = (other > 0) & ~meets
         own = np.flatnonzero(jump[: numbers.size_local])
         copied = numbers.local_range[0] + own, other[own].astype(np.int64) - 1, np.ones(len(own))
-        of_pairs = _Following.of(space, spaces, wall, (other > 0) | below | at_edge)
+        of_pairs = _Following.of(space, spaces, wall, held, (other > 0) | below | at_edge)
         bases = [
             (_identity_with(space, copied, more), _identity_with(space, copied, more, sign=-1.0))
             for more in (of_pairs.of_coefficients, of_pairs.of_values)
@@ -116,13 +122,14 @@ class Jumps:
         meets |= of_pairs.kept
         jump |= of_pairs.jump
         tied = np.flatnonzero(of_pairs.tied)
-        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), pairs, tied, *bases)
+        return cls(jump, np.flatnonzero(at_edge & ~meets), np.flatnonzero(meets), pairs, tied, of_pairs.jump, *bases)
 
     @classmethod
     def nowhere(cls, space: fem.FunctionSpace) -> Jumps:
         """The change of unknowns on a mesh that is not cut, which is none."""
         numbers, none, pairs = space.dofmap.index_map, np.empty(0, dtype=np.intp), np.empty((0, 1), dtype=np.int32)
-        return cls(np.zeros(numbers.size_local + numbers.num_ghosts, dtype=bool), none, none, (pairs, pairs), none)
+        nowhere = np.zeros(numbers.size_local + numbers.num_ghosts, dtype=bool)
+        return cls(nowhere, none, none, (pairs, pairs), none, nowhere)
 
     def join(self, v: fem.Function, at: Mask, given: Entities) -> None:
         """Let v be continuous in the places of some nodes, in place: of `given` values, else the largest (collective).
@@ -188,11 +195,12 @@ class _Following:
     of_values: _Entries
 
     @classmethod
-    def of(cls, space: fem.FunctionSpace, spaces: Spaces, wall: Mask, others: Mask) -> _Following:
-        """Those of a space, given the nodes on Γ_D and those of facets inside the domain (collective).
+    def of(cls, space: fem.FunctionSpace, spaces: Spaces, wall: Mask, held: Mask, others: Mask) -> _Following:
+        """Those of a space, given the nodes on Γ_D, of laws that may hold u, and of facets in the domain (collective).
 
         A node of several slaves follows what is opposite to the first of these, a tied one before all others. Where v
-        is given on the slave alone, or the node is one of a master, it keeps its value.
+        is given on the slave alone, a law may hold it and it is not tied, or the node is one of a master, it keeps its
+        value.
         """
         jump, tied, kept = (np.zeros(len(wall), dtype=bool) for _ in range(3))
         none = np.empty(0, dtype=np.int64)
@@ -205,7 +213,7 @@ class _Following:
             named, rank = nodes[:, 0], float(space.mesh.comm.rank)
             free = wall[named] & ((weights[:, 1:] != 0) & ~wall[nodes[:, 1:]]).any(axis=1)
             first = extreme_around(space, named, np.full(len(named), rank), largest=False)[named] == rank
-            left_out = others[named] | free
+            left_out = others[named] | free | (held[named] & (not joint.pair.tied))
             chosen = first & ~left_out & ~jump[named]
             for found, of_values in zip(entries, (False, True), strict=True):
                 found.append(_entries(space, *(each[chosen] for each in pair.conditions(of_values=of_values))))
