@@ -1,4 +1,4 @@
-"""`[plot]`: names, units, the direction of the physical flux, level lines; the water of Baiocchi's dam."""
+"""`[plot]`: names, units, the physical flux, level lines; words of quantities and segments; Baiocchi's water."""
 
 from dataclasses import replace
 from pathlib import Path
