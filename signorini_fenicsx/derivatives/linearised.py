@@ -107,7 +107,7 @@ class Linearised(ABC):
         """
 
     @abstractmethod
-    def by(self, J: Form, more: Any) -> dict[str, Array]:
+    def by(self, J: Form, besides: Any) -> dict[str, Array]:
         """The derivatives of J by what is seen and plain, and by the numbers that are made, see `adjoint`."""
 
     def largest(self, p: Array, flux: Array) -> tuple[Array, Array]:
@@ -133,18 +133,18 @@ class Linearised(ABC):
         iterate = self._solution.outcome.iterate
         return self._law.beside(self._segment, iterate.p, iterate.flux, self.scales(), tolerance)
 
-    def adjoint(self, J: Form, more: Any = None) -> dict[str, Array]:
+    def adjoint(self, J: Form, besides: Any = None) -> dict[str, Array]:
         """The derivatives of J by all numbers that are seen, but for where the data stand in J itself (collective).
 
         Args:
             J: What is differentiated.
-            more: The derivatives of what is differentiated besides, see `solving.evolution.Steps.functional`; None if
-                nothing is.
+            besides: The derivatives of what is differentiated besides, see `Steps.functional` of `solving.evolution`;
+                None if nothing is.
 
         Returns:
             They, and those by what is in no datum, such as what earlier steps in time have left.
         """
-        by = self.by(J, more)
+        by = self.by(J, besides)
         return by | {name: effect.sensitivities(by[effect.kind]) for name, effect in self._effects.items()}
 
     def settled(self, changes: Mapping[str, Array], solve: Callable[[SiteConditions, Indices], Solved]) -> Any:

@@ -114,8 +114,8 @@ class FacetCoefficients:
         """
         inside = (self.hats > 0).all(axis=1)
         share = inside / max(inside.mean(), 1 / len(inside))
-        more = means - np.einsum("nki,ni->nk", vectors, directions).mean(axis=1)
-        return np.asarray(vectors + np.einsum("n,k,ni->nki", more, share, directions))
+        added = means - np.einsum("nki,ni->nk", vectors, directions).mean(axis=1)
+        return np.asarray(vectors + np.einsum("n,k,ni->nki", added, share, directions))
 
     def of(self, mesh: dolfinx.mesh.Mesh, datum: Any) -> Array:
         """Coefficients of the polynomials that interpolate a datum at equidistant points (collective).

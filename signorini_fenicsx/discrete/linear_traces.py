@@ -334,10 +334,10 @@ def _boundary_facets(traces: fem.FunctionSpace, order: Indices, facets: npt.NDAr
     mesh = traces.mesh
     dim = mesh.topology.dim
     cells, blocks = cells_and_dofs(traces, facets)
-    own = np.argmax(traces.dofmap.list[cells] == blocks[:, None], axis=1)  # the facet in DOLFINx's order of the cell
-    local = np.argmax(order[cells] == own[:, None], axis=1)
+    place = np.argmax(traces.dofmap.list[cells] == blocks[:, None], axis=1)  # the facet in DOLFINx's order of the cell
+    local = np.argmax(order[cells] == place[:, None], axis=1)
     among = np.take_along_axis(order[cells], opposite(dim)[local], axis=1)  # DOLFINx's numbers of the facet's vertices
-    ranking = among - (among > own[:, None])
+    ranking = among - (among > place[:, None])
     nodes = np.take_along_axis(cell_nodes(mesh)[cells], order[cells], axis=1)
     vertices = mesh.geometry.x[nodes, :dim]
     areas = facet_normals(vertices)[np.arange(len(cells)), local]

@@ -202,11 +202,11 @@ def of_laws(
     slips = [law for law in laws if isinstance(law, Slip)]
     normal = [law for law in laws if isinstance(law, Law)]
     held = [law for law in normal if isinstance(law, Leak) or getattr(law, "tangential", FREE) == HELD]
-    more = {part: NORMAL for law in slips for part in law.parts}
-    more |= {part: TANGENTIAL for law in held for part in law.parts}
-    for part in more:
-        if fixed.get(part, more[part]) != more[part]:
-            raise InputError(f"fixed: part '{part}' has a law, by which '{more[part]}' is fixed, not '{fixed[part]}'")
+    only = {part: NORMAL for law in slips for part in law.parts}
+    only |= {part: TANGENTIAL for law in held for part in law.parts}
+    for part in only:
+        if fixed.get(part, only[part]) != only[part]:
+            raise InputError(f"fixed: part '{part}' has a law, by which '{only[part]}' is fixed, not '{fixed[part]}'")
     parts = [part for law in laws for part in law.parts]
     through = {part: _turned(law.u_n) for law in slips if law.u_n != 0 for part in law.parts}
     return {
@@ -216,7 +216,7 @@ def of_laws(
         "boundary": StokesBoundary(
             contact=parts,
             neumann=neumann,
-            fixed={**fixed, **more},
+            fixed={**fixed, **only},
             turned=parts,
             plates=plates,
         ),

@@ -92,31 +92,31 @@ def certificate_of(solution: Solution, *, for_signorini: bool = False) -> Certif
     if (of_w := linear_solution(solution)) is not None:
         return bound_by(solution, of_w, certificate_of(of_w))
     with np.errstate(all="ignore"):  # of data that are unbounded the certificate tells
-        own = Admissible.of(solution, Goal.of(solution, for_signorini=for_signorini))
-        return summed(own, gap_parts(own, own, own.goal))
+        admissible = Admissible.of(solution, Goal.of(solution, for_signorini=for_signorini))
+        return summed(admissible, gap_parts(admissible, admissible, admissible.goal))
 
 
-def summed(own: Admissible, parts: GapParts) -> Certificate:
+def summed(admissible: Admissible, parts: GapParts) -> Certificate:
     """The bound that admissible fields of one solution give (collective)."""
-    spaces, resolution = own.solution.spaces, own.resolution
+    spaces, resolution = admissible.solution.spaces, admissible.resolution
     missed = spaces.mesh.comm.allreduce(float(resolution.missed.sum()))
     enclosed = np.sqrt(missed) + parts.left
     gap = Gap(
         squares=parts.mismatch + parts.contact,
-        oscillation=_with_more(parts.oscillation, parts.left, own.metric, spaces.mesh.comm),
-        remainder=own.remainder,
-        size=own.size,
-        v=own.trace.v,
-        hindrance=own.trace.hindrance,
-        unbalanced=own.unbalanced,
+        oscillation=_with_more(parts.oscillation, parts.left, admissible.metric, spaces.mesh.comm),
+        remainder=admissible.remainder,
+        size=admissible.size,
+        v=admissible.trace.v,
+        hindrance=admissible.trace.hindrance,
+        unbalanced=admissible.unbalanced,
         by_quadrature=tuple(sorted(resolution.by_quadrature)),
         account=lambda bound: resolution.account(enclosed / bound if bound > 0 else 0.0),
         coarse=lambda: resolution.coarse,
     )
     certificate = gap.certificate(spaces)
-    if own.goal.of_penalty:
+    if admissible.goal.of_penalty:
         return replace(certificate, of=OF_PENALTY, about={"of_penalty": True})
-    if own.solution.data.quasilinear is None:
+    if admissible.solution.data.quasilinear is None:
         return certificate
     about = {"guaranteed": False, "of_last_kappa": True}
     return replace(
@@ -262,12 +262,12 @@ def gap_parts(
     return GapParts(mismatch, of_reaction, contact, oscillation, left, hidden.slope, of_laws)
 
 
-def _with_more(oscillation: Array, more: float, metric: CellMetric, comm: MPI.Comm) -> Array:
+def _with_more(oscillation: Array, added: float, metric: CellMetric, comm: MPI.Comm) -> Array:
     """osc_T such that osc grows by `more`, shared out by osc_T, or by volumes if osc = 0 (collective)."""
     total, volume = comm.allreduce(np.array([(oscillation**2).sum(), metric.volume.sum()])).tolist()
     if total > 0:
-        return oscillation * (1 + more / np.sqrt(total))
-    return more * np.sqrt(metric.volume / volume)
+        return oscillation * (1 + added / np.sqrt(total))
+    return added * np.sqrt(metric.volume / volume)
 
 
 def gap_on_gamma_s(

@@ -286,8 +286,8 @@ class Inside:
 
     def meets(self, cells: Mask) -> bool:
         """Whether some of these owned cells have a law (collective)."""
-        here = any(bool(cells[part.rows].any()) for part in self.parts)
-        return bool(self.spaces.mesh.comm.allreduce(here, MPI.LOR))
+        met = any(bool(cells[part.rows].any()) for part in self.parts)
+        return bool(self.spaces.mesh.comm.allreduce(met, MPI.LOR))
 
     def law_at(self, parts: list[int], at: CellPoints) -> Chains:
         """The sum of some laws in points of cells, cell after cell."""

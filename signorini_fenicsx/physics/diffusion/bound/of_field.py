@@ -28,8 +28,8 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
     goal = Goal.of(solution, for_signorini=True)
     comm = solution.spaces.mesh.comm
     with np.errstate(all="ignore"):  # of data that are unbounded the bounds tell
-        own = Admissible.of(solution, goal)
-        certificate = summed(own, gap_parts(own, own, goal))
+        pair = Admissible.of(solution, goal)
+        certificate = summed(pair, gap_parts(pair, pair, goal))
         field = _in_nodes(v)
         repaired = Admissible.of(solution, goal, field)
         parts = gap_parts(repaired, repaired, goal)
@@ -37,14 +37,14 @@ def field_bound(solution: Solution, v: fem.Function) -> FieldBound:
         to_bernstein(field)
         flux, of_field = (
             solution.data.driving(solution.cell_flux),
-            replace(own.trace, v=field, exact=None, cells=own.trace.cells[:0]),
+            replace(pair.trace, v=field, exact=None, cells=pair.trace.cells[:0]),
         )
-        squares = own.energies.squares(flux, of_field)
-        most = (np.sqrt(squares.most) + own.off_b) ** 2
-        least = np.maximum(np.sqrt(squares.least) - own.off_b, 0.0) ** 2
-        moved = np.sqrt(own.energies.squares(None, repaired.trace, field).most) + parts.hidden + repaired.trace.lacking
+        squares = pair.energies.squares(flux, of_field)
+        most = (np.sqrt(squares.most) + pair.off_b) ** 2
+        least = np.maximum(np.sqrt(squares.least) - pair.off_b, 0.0) ** 2
+        moved = np.sqrt(pair.energies.squares(None, repaired.trace, field).most) + parts.hidden + repaired.trace.lacking
     repair = math.sqrt(comm.allreduce(float((moved**2).sum())))
-    return joined(solution, certificate, (most, least), own.size, repair, of_repaired)
+    return joined(solution, certificate, (most, least), pair.size, repair, of_repaired)
 
 
 def _in_nodes(v: fem.Function) -> fem.Function:

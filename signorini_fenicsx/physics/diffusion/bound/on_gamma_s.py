@@ -110,8 +110,8 @@ class OnGammaS:
         largest = np.where(first, high, at.flux_at(np.maximum(segment - 1, 0)))
         weights = at.points.weights / at.points.weights.sum()
         between = (least @ weights <= self.flux) & (self.flux <= largest @ weights)
-        own = (self.rigid[np.arange(len(segment)), segment] & between)[:, None]
-        return np.where(own, least, low), np.where(own, largest, high)
+        stiff = (self.rigid[np.arange(len(segment)), segment] & between)[:, None]
+        return np.where(stiff, least, low), np.where(stiff, largest, high)
 
     @property
     def holding(self) -> Indices:

@@ -141,7 +141,7 @@ class LinearisedFluxes(HybridLinearised):
             functional[numbers] = np.tensordot(pulled, element.at_nodes, ((1, 2), (0, 1)))
         return functional, moments
 
-    def by(self, J: Form, more: None) -> dict[str, Array]:
+    def by(self, J: Form, besides: None) -> dict[str, Array]:
         """See `Linearised.by`."""
         spaces, system, (kind, _) = self._spaces, self._backend.system, self._spaces.site_kinds
         solution, maps = self._solution, self._spaces.entity_maps

@@ -158,7 +158,7 @@ class LinearisedDiffusion(Linearised):
         jumps = self._jumps(flux) + traces.x.array[cell_dofs(space)]
         return Loads(jumps, source + np.zeros_like(u), np.zeros_like(u), forces)
 
-    def by(self, J: Form, more: tuple[Array, Array] | None, of_traces: Array | None = None) -> dict[str, Array]:
+    def by(self, J: Form, besides: tuple[Array, Array] | None, of_traces: Array | None = None) -> dict[str, Array]:
         """See `Linearised.by`; besides J there are derivatives by u and by the s of laws in Ω of each cell.
 
         `of_traces` has those of a functional of û on the facets, one for each owned unknown.
@@ -174,12 +174,12 @@ class LinearisedDiffusion(Linearised):
         on_p, on_u = by_p.x.array[: len(facets)].copy(), owned_values(by_u).copy()
         held = self._held[len(facets) :] if data.inside is not None else np.zeros(len(u), dtype=bool)
         of_s = np.zeros_like(u)  # in held cells, where s = ∇·σ + f − cu
-        if more is not None:
-            on_u += more[0]
+        if besides is not None:
+            on_u += besides[0]
             if data.inside is not None:
                 slope = np.take_along_axis(self._law.slope, self._segment[:, None], axis=1)[len(facets) :, 0]
-                on_u += np.where(held, 0.0, slope) * more[1]
-                of_s = np.where(held, more[1], 0.0)
+                on_u += np.where(held, 0.0, slope) * besides[1]
+                of_s = np.where(held, besides[1], 0.0)
         forces = np.zeros(spaces.crouzeix_raviart.dofmap.index_map.size_local)
         if of_traces is not None:
             on_p += of_traces[on_gamma]
@@ -296,16 +296,16 @@ class LinearisedByU(LinearisedDiffusion):
         """
         raise InputError("derivative: where κ depends on u there are gradients alone; take gradient")
 
-    def by(self, J: Form, more: tuple[Array, Array] | None, of_traces: Array | None = None) -> dict[str, Array]:
+    def by(self, J: Form, besides: tuple[Array, Array] | None, of_traces: Array | None = None) -> dict[str, Array]:
         """See `LinearisedDiffusion.by` (collective)."""
         backend, slopes = self._backend, self._of_u.of_traces(self._traces)[1][:, 0]
         through = backend.system.by_kappa_for(self._traces)[:, :, 0]
-        g = super().by(J, more)["kappa"]
+        g = super().by(J, besides)["kappa"]
         matrices = through[:, :, None] * slopes[:, None]
         w = backend.new_tangent().transposed(self._conditions, matrices, self._sums(slopes, g))
         mu = g - np.einsum("cn,cn->c", through, self._in_cells(w))
         # λ_σ·n jumps where û has a functional, so that it is not in RT0, and μ is known
-        return super().by(J, more, self._sums(slopes, mu)) | {"kappa": mu}
+        return super().by(J, besides, self._sums(slopes, mu)) | {"kappa": mu}
 
     def _sums(self, slopes: Array, of_cells: Array) -> Array:
         """Sᵀ times numbers of the owned cells, for the owned unknowns (collective)."""

@@ -112,12 +112,12 @@ class Jumps:
         meets[named[half]] = meets[across[half]] = True
         meets = _over_places(space, pairs, meets.astype(np.float64)) > 0
         jump = (other > 0) & ~meets
-        own = np.flatnonzero(jump[: numbers.size_local])
-        copied = numbers.local_range[0] + own, other[own].astype(np.int64) - 1, np.ones(len(own))
+        owned = np.flatnonzero(jump[: numbers.size_local])
+        copied = numbers.local_range[0] + owned, other[owned].astype(np.int64) - 1, np.ones(len(owned))
         of_pairs = _Following.of(space, spaces, wall, held, (other > 0) | below | at_edge)
         bases = [
-            (_identity_with(space, copied, more), _identity_with(space, copied, more, sign=-1.0))
-            for more in (of_pairs.of_coefficients, of_pairs.of_values)
+            (_identity_with(space, copied, entries), _identity_with(space, copied, entries, sign=-1.0))
+            for entries in (of_pairs.of_coefficients, of_pairs.of_values)
         ]
         meets |= of_pairs.kept
         jump |= of_pairs.jump
@@ -171,8 +171,8 @@ type _Entries = tuple[Indices, Indices, Array]
 """Rows and columns over all ranks, and values."""
 
 
-def _identity_with(space: fem.FunctionSpace, copied: _Entries, more: _Entries, sign: float = 1.0) -> PETSc.Mat:
-    rows, columns, values = (np.append(*each) for each in zip(copied, more, strict=True))
+def _identity_with(space: fem.FunctionSpace, copied: _Entries, others: _Entries, sign: float = 1.0) -> PETSc.Mat:
+    rows, columns, values = (np.append(*each) for each in zip(copied, others, strict=True))
     return identity_with(space.mesh.comm, space.dofmap.index_map.size_local, rows, columns, sign * values)
 
 
@@ -228,8 +228,8 @@ class _Following:
 def _entries(space: fem.FunctionSpace, nodes: Indices, weights: Array) -> _Entries:
     """The entries of P for conditions, see `Opposite.conditions`."""
     used = weights[:, 1:] != 0
-    own, columns = np.broadcast_to(nodes[:, :1], used.shape)[used], nodes[:, 1:][used]
-    rows, columns = (space.dofmap.index_map.local_to_global(each.astype(np.int32)) for each in (own, columns))
+    first, columns = np.broadcast_to(nodes[:, :1], used.shape)[used], nodes[:, 1:][used]
+    rows, columns = (space.dofmap.index_map.local_to_global(each.astype(np.int32)) for each in (first, columns))
     return rows.astype(np.int64), columns.astype(np.int64), -weights[:, 1:][used]
 
 

@@ -131,13 +131,13 @@ def _passed(solution: Solution, leaving: Array) -> Array:
     spaces, dry = solution.spaces, _above_table(solution)
     space, numbers = spaces.crouzeix_raviart, spaces.Q.dofmap.index_map
     first, size = numbers.local_range[0], len(leaving)
-    own = first + np.arange(size)
+    ids = first + np.arange(size)
     dofs = cell_dofs(space)
-    sums = sums_at(space.dofmap.index_map, dofs, np.column_stack([own, np.ones(size)])[:, None])[dofs]
+    sums = sums_at(space.dofmap.index_map, dofs, np.column_stack([ids, np.ones(size)])[:, None])[dofs]
     entering = np.where(sums[:, :, 1] > 1, np.maximum(-leaving, 0.0), 0.0)
     through = np.maximum(np.maximum(leaving, 0.0).sum(axis=1), np.maximum(-leaving, 0.0).sum(axis=1))
     shares = np.where(dry[:, None] | (entering == 0), 0.0, entering / np.where(through > 0, through, 1.0)[:, None])
-    columns = np.column_stack([own, sums[:, :, 0] - own[:, None]]).astype(PETSc.IntType)
+    columns = np.column_stack([ids, sums[:, :, 0] - ids[:, None]]).astype(PETSc.IntType)
     values = np.column_stack([np.ones(size), -LESS * shares])
     kept = values != 0
     csr = np.append(0, np.cumsum(kept.sum(axis=1))).astype(PETSc.IntType), columns[kept], values[kept]

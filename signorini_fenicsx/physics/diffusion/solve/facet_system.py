@@ -222,8 +222,8 @@ class FacetSystem:
     def unknowns(self, sites: Mask) -> npt.NDArray[np.int32]:
         """The owned unknowns of some sites."""
         of_cells = cell_dofs(self.space)[np.flatnonzero(self._cells.of(sites))].ravel()
-        own = of_cells[of_cells < self.space.dofmap.index_map.size_local]
-        return np.union1d(self.trace_dofs[self._facets.of(sites)], own).astype(np.int32)
+        owned = of_cells[of_cells < self.space.dofmap.index_map.size_local]
+        return np.union1d(self.trace_dofs[self._facets.of(sites)], owned).astype(np.int32)
 
     def apply(self, conditions: SiteConditions) -> npt.NDArray[np.int32]:
         """Impose conditions on `matrix`, `b` and `x` and return the owned unknowns that they fix (collective)."""

@@ -164,19 +164,19 @@ def condensed(
         if material.incompressible:
             law, volume, modulus = _apart(law, block.shape)
             stiffness = of_law(law, degree)
-            share, own, left, of_load = _incompressible(stiffness, of_law(volume, degree), first, pull)
+            share, alone, left, of_load = _incompressible(stiffness, of_law(volume, degree), first, pull)
             flows, bulk = _flows(split, space, block, which, frames[outer], modulus)
             left = left + bulk[:, None, None] * flows[:, :, None] * flows[:, None]
         else:
             stiffness = of_law(law, degree)
-            share, own, left, of_load = _eliminated(stiffness, first, pull)
+            share, alone, left, of_load = _eliminated(stiffness, first, pull)
         for sums, values in (
             (load, of_load),
             (softened, np.einsum("nii->ni", stiffness[:, :first, :first] - left)),
         ):
             np.add.at(sums.array.reshape(-1, dim), around, values.reshape(*around.shape, dim))
-        energy -= float((pull[:, :, 0] * own).sum()) / 2
-        parts.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, own, flows, bulk))
+        energy -= float((pull[:, :, 0] * alone).sum()) / 2
+        parts.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, alone, flows, bulk))
     for sums in (load, softened):
         sums.scatter_reverse(la.InsertMode.add)
     none = np.empty((0, 0), dtype=np.int32)
@@ -192,8 +192,8 @@ def _eliminated(stiffness: Array, first: int, pull: Array) -> tuple[Array, ...]:
     coupling = stiffness[:, :first, first:]
     right = np.concatenate([stiffness[:, first:, :first], pull], axis=2)
     both = np.linalg.solve(stiffness[:, first:, first:], right)
-    share, own = both[:, :, :-1], both[:, :, -1]
-    return share, own, stiffness[:, :first, :first] - coupling @ share, -np.einsum("noi,ni->no", coupling, own)
+    share, alone = both[:, :, :-1], both[:, :, -1]
+    return share, alone, stiffness[:, :first, :first] - coupling @ share, -np.einsum("noi,ni->no", coupling, alone)
 
 
 def _incompressible(stiffness: Array, volume: Array, first: int, pull: Array) -> tuple[Array, ...]:
@@ -204,11 +204,11 @@ def _incompressible(stiffness: Array, volume: Array, first: int, pull: Array) ->
     given = np.concatenate([volume[:, inner, :first], 0 * pull], axis=2)
     for _ in range(INSIDE):
         both += inverse @ (given - volume[:, inner, inner] @ both)
-    share, own = both[:, :, :-1], both[:, :, -1]
-    moved, of_own = stiffness[:, :, inner] @ share, stiffness[:, :, inner] @ own[:, :, None]
+    share, alone = both[:, :, :-1], both[:, :, -1]
+    moved, of_own = stiffness[:, :, inner] @ share, stiffness[:, :, inner] @ alone[:, :, None]
     across = share.swapaxes(1, 2)
     left = stiffness[:, :first, :first] - moved[:, :first] - moved[:, :first].swapaxes(1, 2) + across @ moved[:, inner]
-    return share, own, left, (across @ (of_own[:, inner] - pull) - of_own[:, :first])[:, :, 0]
+    return share, alone, left, (across @ (of_own[:, inner] - pull) - of_own[:, :first])[:, :, 0]
 
 
 def _apart(law: Array, cells: tuple[int, ...]) -> tuple[Array, Array, Array]:

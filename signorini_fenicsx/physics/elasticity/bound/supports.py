@@ -85,7 +85,7 @@ class SupportsOfDisplacement:
     def matrices(self, left: Nodes, frames: Array) -> OfCells:
         """∫ Kv·v' on each facet for the nodes that are left, in the frames of all nodes."""
         nodes = self.on.nodes
-        own = frames[nodes]
-        values = np.einsum("nij,kl,nkia,nljb->nkalb", self.stiffness, self.mass, own, own, optimize=True)
+        frame = frames[nodes]
+        values = np.einsum("nij,kl,nkia,nljb->nkalb", self.stiffness, self.mass, frame, frame, optimize=True)
         size = nodes.shape[1] * frames.shape[1]
         return left.number_of[nodes], values.reshape(len(nodes), size, size)

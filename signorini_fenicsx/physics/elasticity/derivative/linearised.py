@@ -158,13 +158,13 @@ class LinearisedElasticity(HybridLinearised):
         cells = np.arange(len(spaces.order), dtype=np.int32)
         return stresses[spaces.as_dolfinx(cells)], np.take_along_axis(moments, spaces.order[:, :, None], axis=1)
 
-    def by(self, J: Form, more: Array | None) -> dict[str, Array]:
+    def by(self, J: Form, besides: Array | None) -> dict[str, Array]:
         """See `Linearised.by`; besides J there is a derivative by û_t at the sites with friction.
 
         "slipped" is the derivative by û_t of the step before.
         """
         spaces, backend, w, (normal, slip) = self._spaces, self._backend, np.zeros(0), self._spaces.site_kinds
-        friction, of_slip = backend.friction, np.zeros(len(slip)) if more is None else more
+        friction, of_slip = backend.friction, np.zeros(len(slip)) if besides is None else besides
         by_sigma, by_u = (derivative_by(each, J, ()) for each in (self._solution.sigma, self._solution.u))
         stresses, moments = spaces.split.values(by_sigma), -spaces.displacement_values(by_u)
 

@@ -101,11 +101,11 @@ class ContactCoefficients(FacetCoefficients):
         """The coefficients of g, less p at the references of the laws (collective)."""
         openings = self.of(mesh, data.gap)
         for law in data.laws.of_parts:
-            mine = np.flatnonzero(np.isin(self.rows, law.rows))
+            rows = np.flatnonzero(np.isin(self.rows, law.rows))
             part = FacetCoefficients(
-                self.facets.take(mine), self.rows[mine], self.cells[mine], self.nodes[mine], self.degree
+                self.facets.take(rows), self.rows[rows], self.cells[rows], self.nodes[rows], self.degree
             )
-            openings[mine] -= part.of(mesh, law)
+            openings[rows] -= part.of(mesh, law)
         return np.asarray(np.einsum("fkl,fl->fk", self.own, openings) + self.opened)
 
     def pairs(self, rows: Indices, places: Indices) -> tuple[Indices, Array]:
@@ -165,8 +165,8 @@ def in_pieces(
         pieces = pieces.take(np.isin(slaves[pieces.slave], contact.rows))
         order = np.argsort(contact.rows, kind="stable")  # those of pairs before are at the end
         at = np.searchsorted(contact.rows, slaves[pieces.slave], sorter=order)
-        own = plain[:0] if len(pieces) == 0 else order[at]
-        rows, first = np.append(plain, own), len(plain)
+        picked = plain[:0] if len(pieces) == 0 else order[at]
+        rows, first = np.append(plain, picked), len(plain)
         across = np.searchsorted(masters.rows, pieces.master - joint.first)
         opened = np.zeros((len(pieces), spaces.dim))
         if joint.pair.distance:

@@ -98,9 +98,9 @@ def _loaded(domain: Domain, problem: ElasticProblem, kind: Integral, tau: float)
         raise InputError("weight: must be a number or a text")
     if kind.parts:
         return problem
-    own, along = components(problem.f, dim), direction_of(kind.direction, dim)
+    load, along = components(problem.f, dim), direction_of(kind.direction, dim)
     f = [
-        in_regions(domain, each, kind.weight, kind.region, tau * share) for each, share in zip(own, along, strict=True)
+        in_regions(domain, each, kind.weight, kind.region, tau * share) for each, share in zip(load, along, strict=True)
     ]
     return replace(problem, f=f)
 

@@ -70,10 +70,10 @@ class Along:
         ways = np.broadcast_to(ways, (len(subcells), ways.shape[-1]))
         return cls(vertices, np.einsum("nai,ni->na", coefficients, ways))
 
-    def at(self, own: Indices, x: Array) -> Array:
+    def at(self, rows: Indices, x: Array) -> Array:
         """The components in points of the subcells with these positions, shape (n, points, d)."""
-        slopes, middle = barycentric_gradients(self.vertices[own]), self.vertices[own].mean(axis=1, keepdims=True)
-        return jet(self.coefficients[own], 1 / slopes.shape[1] + (x - middle) @ slopes.swapaxes(1, 2))[:, :, 0]
+        slopes, middle = barycentric_gradients(self.vertices[rows]), self.vertices[rows].mean(axis=1, keepdims=True)
+        return jet(self.coefficients[rows], 1 / slopes.shape[1] + (x - middle) @ slopes.swapaxes(1, 2))[:, :, 0]
 
 
 def energy(solution: ElasticSolution) -> Quantity:

@@ -62,8 +62,8 @@ class HalfNorm:
         self._rows = RootRows(mesh.comm, len(spaces.facets))
         mesh.topology.create_connectivity(dim - 1, dim)
         nodes = dolfinx.mesh.entities_to_geometry(mesh, dim - 1, spaces.facets).reshape(-1, dim)
-        own = mesh.geometry.input_global_indices[nodes], mesh.geometry.x[nodes], spaces.facet_measure
-        columns: list[Any] = [self._rows.gather(each) for each in own]
+        table = mesh.geometry.input_global_indices[nodes], mesh.geometry.x[nodes], spaces.facet_measure
+        columns: list[Any] = [self._rows.gather(each) for each in table]
         self._alone = on_root_only(mesh.comm, lambda: _Dense(spaces.length, *columns))
 
     def inner(self, p: Array, q: Array) -> float:
