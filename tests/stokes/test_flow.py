@@ -299,6 +299,18 @@ def test_a_pressure_on_a_half_line(law: Law, told: str):
     assert [told in note for note in found.spaces.notices] == [True]
 
 
+@pytest.mark.parametrize("large", [0, 10**9])
+def test_a_viscosity_that_jumps(large: int):
+    """A thin fluid pushes a thick one: its pressure is far above its own viscosity, and nothing is lost all the same."""
+    problem = Stokes("1 if x < 0.5 else 1e6", conditions=[Dirichlet("x0", ["y*(1 - y)", 0]), Outflow("x1")])
+    solver = Solver(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), problem)
+    found = solver.solve(problem, Options(tuning=Tuning(direct_up_to=large)))
+    assert found.converged
+    assert leaving(solver, found) < 1e-10
+    assert found.flows()["x1"] == pytest.approx(1 / 6, rel=1e-9)
+    assert found.certify().guaranteed
+
+
 def test_several_bodies_of_fluid():
     """Each has its own balance, and words for where it is."""
     boxes = {name: box(COMM, 2, [x, 0.0], [x + 1.0, 1.0]) for name, x in (("left", 0.0), ("right", 3.0))}

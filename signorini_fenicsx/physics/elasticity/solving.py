@@ -10,6 +10,7 @@ import numpy as np
 
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.base.signals import LoopInterruption
+from signorini_fenicsx.base.tolerances import KKT
 from signorini_fenicsx.contact.history import Outcome
 from signorini_fenicsx.contact.kept_backend import KeptBackend
 from signorini_fenicsx.contact.set_rules import SetRule
@@ -161,6 +162,8 @@ class ElasticRun:
         """The outcome, which has converged only if its residuals are small, and these (collective)."""
         kkt = outcome.kkt if isinstance(outcome.kkt, ElasticKKT) else self.task.kkt(outcome.iterate, None)
         failure = kkt.violation() if outcome.converged else outcome.reason
+        if outcome.converged and failure is None and self.task.kept.present.lost > KKT:
+            failure = f"of what flows through cells {self.task.kept.present.lost:.1e} is lost: the viscosity jumps too far"
         friction = self.task.data.friction
         if failure is not None and friction and (outcome.converged or friction.slipping is not None):
             failure = slides(self.task.spaces, self.task.kept.present.data_found()) or failure

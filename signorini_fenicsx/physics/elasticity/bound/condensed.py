@@ -33,7 +33,7 @@ from signorini_fenicsx.linear.facet_solver import FacetSolver
 from signorini_fenicsx.physics.elasticity.discrete.data import OnSplit
 from signorini_fenicsx.physics.elasticity.discrete.material import STIFF_VOLUME
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces, SplitMesh
-from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BULK, ENOUGH, MeanPressure
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BETTER, BULK, ENOUGH, STALLS, MeanPressure
 from signorini_fenicsx.physics.elasticity.solve.mean_pressure import MOST as MOST_SOLVES
 
 TOLERANCE = 1e-5
@@ -115,18 +115,29 @@ class Condensed:
             solve: What forces change.
             pushed: Gives an x near another one that is admissible.
         """
-        numbers, dim, before = self.nodes.numbers, self.nodes.dim, np.inf
+        numbers, dim, before, stalled = self.nodes.numbers, self.nodes.dim, np.inf, 0
         mean = MeanPressure(numbers.comm, self.flows, self.stiffness)
-        for _ in range(MOST_SOLVES):
+        search = mean.search()
+
+        def lost(x: Array) -> tuple[Array, float]:
             everywhere = la.vector(numbers, dim)
             everywhere.array[: len(x)] = x + lift
             everywhere.scatter_forward()
-            values = everywhere.array.reshape(-1, dim)[self.around]
-            means, share = mean.of(values.reshape(self.flows.shape))
-            if share <= ENOUGH or share > before / 2:
+            return mean.of(everywhere.array.reshape(-1, dim)[self.around].reshape(self.flows.shape))
+
+        means, share = lost(x)
+        for _ in range(MOST_SOLVES):
+            stalled = stalled + 1 if share > before / 2 else 0
+            if share <= ENOUGH or stalled == STALLS:
                 break
-            pulls = sums_at(numbers, self.around, mean.pulls(means).reshape(values.shape))
-            x, before = pushed(x + solve(-pulls[: numbers.size_local].ravel())), share
+            way = mean.pulls(search.direction(means, again=stalled > 0)).reshape(*self.around.shape, dim)
+            change = solve(-sums_at(numbers, self.around, way)[: numbers.size_local].ravel())
+            last, x, before = x, pushed(x + change), share
+            means, share = lost(x)
+            if share > before / 2 and (length := search.length(means)) != 1.0:
+                tried = pushed(last + length * change)
+                if (then := lost(tried))[1] < BETTER * share:
+                    x, (means, share) = tried, then
         return x, share
 
     def coefficients(self, x: Array) -> Array:

@@ -29,7 +29,7 @@ from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBound
 from signorini_fenicsx.physics.elasticity.discrete.on_facets import neighbours
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 from signorini_fenicsx.physics.elasticity.discrete.tools import Moving
-from signorini_fenicsx.physics.elasticity.solve.mean_pressure import ENOUGH, FALLS, LEAVES, MOST
+from signorini_fenicsx.physics.elasticity.solve.mean_pressure import BETTER, ENOUGH, FALLS, LEAVES, MOST, STALLS
 from signorini_fenicsx.physics.elasticity.solve.rigid_motions import check_rigid_motions, is_free
 from signorini_fenicsx.physics.elasticity.solve.system import ElasticSystem
 from signorini_fenicsx.physics.elasticity.solve.weak_springs import SPRING, WeakSprings
@@ -49,6 +49,7 @@ class ElasticBackend(TraceBackend):
 
     name = "elastic"
     pulled: Array | float = 0.0
+    lost = 0.0
     spaces: ElasticSpaces
     system: ElasticSystem
     data: ElasticData
@@ -194,7 +195,7 @@ class ElasticBackend(TraceBackend):
             left = self._factors.left(load, self._x, posed.imposed)
             self._x.axpy(1.0, self._held)
             size = LINEAR * np.sqrt(self.comm.allreduce(float(load @ load)))
-        means, pulls, _, left = self._keep_volume(self._x, posed, self.data.lift, left, size if self._grows else 0.0)
+        means, pulls, self.lost, left = self._keep_volume(self._x, posed, self.data.lift, left, size if self._grows else 0.0)
         self.system.take_means(means, pulls)
         self._solver.share = 0.0
         return not self._grows or self._norm(left) <= size
@@ -217,21 +218,35 @@ class ElasticBackend(TraceBackend):
         which has to be `enough` in the end. By an iteration each solve leaves a share, which the next one has as well
         (collective).
         """
-        change, before = x.duplicate(), (np.inf, np.inf)
-        sums, pulls = np.zeros(len(self.spaces.order)), np.zeros(len(self.system.load))
+        assert self.system.mean is not None
+        change, before, stalled = x.duplicate(), (np.inf, np.inf), 0
+        sums, pulls, search = np.zeros(len(self.spaces.order)), np.zeros(len(self.system.load)), self.system.mean.search()
         to_the_end, self._solver.share = self._solver.share, self.corrected_to if self.iterates else 0.0
+        means, share = self.system.means(self.system.everywhere(x.array_r) + lift)
         for _ in range(MOST):
-            means, share = self.system.means(self.system.everywhere(x.array_r) + lift)
             over = share / ENOUGH, self._norm(left) / enough if enough > 0 else 0.0
-            if max(over) <= 1 or all(now >= last / FALLS for now, last in zip(over, before, strict=True)):
+            falls = any(now < last / FALLS for now, last in zip(over, before, strict=True))
+            stalled = 0 if falls else stalled + 1
+            if max(over) <= 1 or stalled == STALLS:
                 break
-            pull = self.system.pulls_of_means(means)
+            way = search.direction(means, again=stalled > 0)
+            pull = self.system.pulls_of_means(way)
             change.set(0.0)
             load = left - pull
             self._iterations += self._factors.solve_by_any(load, change, posed.imposed)[0]
-            left = self._factors.left(load, change, posed.imposed) if self.iterates else 0.0
+            after = self._factors.left(load, change, posed.imposed) if self.iterates else 0.0
             x.axpy(1.0, change)
-            sums, pulls, before = sums + means, pulls + pull, over
+            last, (means, share) = share, self.system.means(self.system.everywhere(x.array_r) + lift)
+            if (length := search.length(means) if share >= last / FALLS else 1.0) != 1.0:
+                x.axpy(length - 1.0, change)
+                tried = self.system.means(self.system.everywhere(x.array_r) + lift)
+                if tried[1] < BETTER * share:
+                    means, share = tried
+                else:
+                    x.axpy(1.0 - length, change)
+                    length = 1.0
+            left = (1.0 - length) * left + length * after
+            sums, pulls, before = sums + length * way, pulls + length * pull, over
         change.destroy()
         self._solver.share = to_the_end
         return sums, pulls, share, left

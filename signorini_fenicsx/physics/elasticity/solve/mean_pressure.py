@@ -8,6 +8,9 @@ alone, with (∫tr τ)(∫tr τ')/(2μd²K|T|) added to (𝔸τ, τ'). Then
 
 and the matrix is that of an ordinary body. Now take m_T as a stress that is given, and solve again: what is left of the
 flow ∫_∂T û·n falls by about K each time. That is the method of Hestenes and Powell for [S Bᵀ; B 0].
+
+Where a viscosity jumps by more than K, few of the flows, such as that of all of a thin fluid before a thick one, hardly
+fall. Then steps are those of conjugate gradients for the means.
 """
 
 from typing import Self
@@ -21,10 +24,17 @@ from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
 
 BULK = 1e4
 """K."""
-MOST = 12
+MOST = 24
 """Solves at most, besides the first one."""
-FALLS = 4
-"""What is lost falls by this factor at least; else there is no flow under these conditions, or rounding is left."""
+FALLS, STALLS = 4, 2
+"""What is lost falls by this factor in so many solves; else no flow exists under these conditions, or rounding is left.
+"""
+NEAR = 0.5
+"""A step has the length 1 if that is nearer than this to the best one."""
+BETTER = 0.5
+"""Another length is taken if what is lost is then less than this share of what is lost with the length 1."""
+FLAT = 1e-7
+"""Flows against which this share of the stiffness acts, at most, do not change under these conditions."""
 LEAVES = 1e-3
 """What a solve by an iteration leaves, as the next one has it on its right side too."""
 ENOUGH = 1e-14
@@ -77,6 +87,40 @@ class MeanPressure:
         left, *most = (self._comm.allreduce(size, MPI.MAX) for size in sizes)
         return self._stiffness * out, left / max(most) if max(most) > 0 else 0.0
 
+    def search(self) -> "Search":
+        """The steps of one problem."""
+        return Search(self._comm, self._stiffness)
+
     def pulls(self, means: Array) -> Array:
         """∫ m q·n over the boundary of each cell for its unknowns q, shape (cells, n)."""
         return np.asarray(means[:, None] * self._out)
+
+
+class Search:
+    """The directions and lengths of steps by conjugate gradients; the means that flows ask for are its residuals."""
+
+    def __init__(self, comm: MPI.Comm, stiffness: Array):
+        """Begin.
+
+        Args:
+            comm: Communicator.
+            stiffness: 2μK/|T| of each owned cell.
+        """
+        self._comm, self._weights = comm, 1 / stiffness
+        self._means = self._way = np.zeros(len(stiffness))
+
+    def _product(self, one: Array, other: Array) -> float:
+        return float(self._comm.allreduce(float((one * other) @ self._weights)))
+
+    def direction(self, means: Array, *, again: bool) -> Array:
+        """The next direction, from what flows ask for, again after a step by which they fell little (collective)."""
+        before = self._product(self._means, self._means) if again else 0.0
+        share = max(self._product(means - self._means, means) / before, 0.0) if before > 0 else 0.0
+        self._means, self._way = means, means + share * self._way
+        return self._way
+
+    def length(self, means: Array) -> float:
+        """The length of a step, from what flows ask for after one of length 1 (collective)."""
+        falls, size = self._product(self._way, self._means - means), self._product(self._way, self._way)
+        best = self._product(self._means, self._way) / falls if falls > FLAT * size else 1.0
+        return best if abs(best - 1) > NEAR else 1.0
