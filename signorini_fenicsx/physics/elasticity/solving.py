@@ -163,7 +163,9 @@ class ElasticRun:
         kkt = outcome.kkt if isinstance(outcome.kkt, ElasticKKT) else self.task.kkt(outcome.iterate, None)
         failure = kkt.violation() if outcome.converged else outcome.reason
         if outcome.converged and failure is None and self.task.kept.present.lost > KKT:
-            failure = f"of what flows through cells {self.task.kept.present.lost:.1e} is lost: the viscosity jumps too far"
+            failure = (
+                f"of what flows through cells {self.task.kept.present.lost:.1e} is lost: the viscosity jumps too far"
+            )
         friction = self.task.data.friction
         if failure is not None and friction and (outcome.converged or friction.slipping is not None):
             failure = slides(self.task.spaces, self.task.kept.present.data_found()) or failure

@@ -63,7 +63,7 @@ class _Power:
     def __init__(self, solution: StokesSolution):
         self._solution = solution
 
-    def interval(self, near: Quantity | None = None) -> Quantity:  # noqa: ARG002  no search is in it
+    def interval(self, near: Quantity | None = None) -> Quantity:
         """The interval: the narrower one where there are two (collective)."""
         solution = self._solution
         certificate, size = certify(solution), solution.norms()["energy"]

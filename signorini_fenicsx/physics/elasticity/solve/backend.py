@@ -195,7 +195,9 @@ class ElasticBackend(TraceBackend):
             left = self._factors.left(load, self._x, posed.imposed)
             self._x.axpy(1.0, self._held)
             size = LINEAR * np.sqrt(self.comm.allreduce(float(load @ load)))
-        means, pulls, self.lost, left = self._keep_volume(self._x, posed, self.data.lift, left, size if self._grows else 0.0)
+        means, pulls, self.lost, left = self._keep_volume(
+            self._x, posed, self.data.lift, left, size if self._grows else 0.0
+        )
         self.system.take_means(means, pulls)
         self._solver.share = 0.0
         return not self._grows or self._norm(left) <= size
@@ -220,7 +222,11 @@ class ElasticBackend(TraceBackend):
         """
         assert self.system.mean is not None
         change, before, stalled = x.duplicate(), (np.inf, np.inf), 0
-        sums, pulls, search = np.zeros(len(self.spaces.order)), np.zeros(len(self.system.load)), self.system.mean.search()
+        sums, pulls, search = (
+            np.zeros(len(self.spaces.order)),
+            np.zeros(len(self.system.load)),
+            self.system.mean.search(),
+        )
         to_the_end, self._solver.share = self._solver.share, self.corrected_to if self.iterates else 0.0
         means, share = self.system.means(self.system.everywhere(x.array_r) + lift)
         for _ in range(MOST):
