@@ -301,7 +301,7 @@ def test_a_pressure_on_a_half_line(law: Law, told: str):
 
 @pytest.mark.parametrize("large", [0, 10**9])
 def test_a_viscosity_that_jumps(large: int):
-    """A thin fluid pushes a thick one: its pressure is far above its own viscosity, and nothing is lost all the same."""
+    """A thin fluid pushes a thick one: its pressure is far above its viscosity, and nothing is lost all the same."""
     problem = Stokes("1 if x < 0.5 else 1e6", conditions=[Dirichlet("x0", ["y*(1 - y)", 0]), Outflow("x1")])
     solver = Solver(box(COMM, 4, [0.0, 0.0], [1.0, 1.0]), problem)
     found = solver.solve(problem, Options(tuning=Tuning(direct_up_to=large)))
