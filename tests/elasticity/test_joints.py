@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import signorini
+from commands import read_rows, signorini
 from elastic import box
+from in_time import run, run_in_two
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann
 from signorini_fenicsx.output.checkpoint import load_solution
 from signorini_fenicsx.physics.elasticity.conditions import Contact, Coulomb, JointSprings, Tresca
@@ -130,6 +132,21 @@ g_N = {left = ["0", "-0.02"], right = ["0", "0.02"]}
 [solve]
 h = 1
 """
+
+
+def test_after_a_restart(folder: Path):
+    """What has slipped is kept from step to step: a run in two pieces is one in one piece."""
+    of_time = "\n[time]\nend = 3\nsteps = 3\n"
+    text = CASE.replace('u_D = ["0.08", "-0.1"]', 'u_D = ["0.1*t*(3 - t)", "-0.1"]').replace("mu = 0.4", "mu = 0.2")
+    (folder / "case.toml").write_text(text + of_time, encoding="utf-8")
+    case = load_case(folder / "case.toml")
+    run(case, folder / "whole", certify_steps=True)
+    run_in_two(case, folder / "two", step=2)
+    one, other = (read_rows(folder / name / "contact.csv") for name in ("whole", "two"))
+    slips = [[float(row["slip"]) for row in rows] for rows in (one, other)]
+    assert np.allclose(*slips, rtol=0, atol=1e-12)
+    assert {row["friction"] for row in one} == {"slip+", "slip-", "stick"}
+    assert [row["bound"] for row in read_rows(folder / "whole" / "steps.csv")] == ["inf"] * 3
 
 
 def test_case_file(folder: Path):
