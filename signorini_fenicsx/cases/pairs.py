@@ -75,6 +75,7 @@ class PairTexts(KindSection):
     master: PartNames
     direction: Direction = "normal"
     within: Positive | None = None
+    shift: list[float] | None = None
 
     def law(self) -> Any:
         """The law, without parts; None for that which the physics has."""
@@ -82,7 +83,7 @@ class PairTexts(KindSection):
 
     def made(self) -> Pair:
         """The pair."""
-        return Pair(self.slave, self.master, self.law(), self.direction, self.within)
+        return Pair(self.slave, self.master, self.law(), self.direction, self.within, shift=self.shift)
 
 
 class WithPairs(CaseFile):

@@ -1,7 +1,7 @@
 """Pairs of surfaces on a mesh: which facets carry pressure, and the overlay with the surfaces opposite to them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import dolfinx.mesh
 import numpy as np
@@ -136,6 +136,10 @@ def _joint(domain: Domain, pair: PairedParts, ranks: Indices, extents: _Extents)
     )
     slave, side = _surface(mesh, slaves, ranks), _surface(mesh, masters, ranks)
     master = Surface(*(np.concatenate(comm.allgather(each)) for each in (side.corners, side.normals)))
+    if pair.shift is not None:
+        if len(pair.shift) != mesh.geometry.dim:
+            raise InputError(f"pair {pair.words}: shift has {len(pair.shift)} components")
+        master = replace(master, corners=master.corners + pair.shift)
     directions = slave.normals
     if pair.direction != "normal":
         if len(pair.direction) != slave.normals.shape[1]:

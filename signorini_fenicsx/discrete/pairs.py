@@ -33,6 +33,7 @@ class Pair:
             body.
         gap: Of bodies: "distance", which is negative where the surfaces overlap; "distance" with something added, as
             "distance - 1e-3"; or what is in its place, a number or a text.
+        shift: By how much the master is moved before points are paired: with `Tied` periodic sides; None for none.
 
     Raises:
         InputError: If the law has parts, or a part is on both sides.
@@ -44,6 +45,7 @@ class Pair:
     direction: str | Sequence[float] = "normal"
     within: float | None = None
     gap: Given = "distance"
+    shift: Sequence[float] | None = None
     side: ClassVar[None] = None
 
     def __post_init__(self) -> None:
@@ -78,4 +80,4 @@ class Pair:
     def on_boundary(self) -> PairedParts:
         """What the boundary has of it."""
         tied = isinstance(self.law, Tied)
-        return PairedParts(self.slave, self.master, self.direction, self.within, tied, self.added[0])
+        return PairedParts(self.slave, self.master, self.direction, self.within, tied, self.added[0], self.shift)

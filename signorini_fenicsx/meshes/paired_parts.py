@@ -20,6 +20,7 @@ class PairedParts:
         within: The largest distance; None for half the diameter of the smaller body.
         tied: Whether nothing may move.
         distance: Whether the gap is the distance, and what else is given more.
+        shift: By how much the master is moved before points are paired, as for periodic sides; None for not at all.
     """
 
     slave: Sequence[str]
@@ -28,6 +29,7 @@ class PairedParts:
     within: float | None = None
     tied: bool = False
     distance: bool = True
+    shift: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         """Make lists, as they are read from files; refuse what is no direction.
@@ -47,6 +49,13 @@ class PairedParts:
             if vector.ndim != 1 or vector.dtype.kind not in "if" or not np.isfinite(vector).all() or not vector.any():
                 raise InputError(f"pair: direction is {self.direction!r}; use normal or a vector such as [0, -1]")
             object.__setattr__(self, "direction", (vector / np.abs(vector).max()).tolist())
+        if self.shift is not None:
+            shift = np.asarray(self.shift)
+            if shift.ndim != 1 or shift.dtype.kind not in "if" or not np.isfinite(shift).all() or not self.tied:
+                raise InputError(
+                    f"pair: shift is {self.shift!r}; it is a vector such as [1, 0], of a pair that is tied"
+                )
+            object.__setattr__(self, "shift", shift.tolist())
         if self.within is not None:
             if not (isinstance(self.within, int | float | np.number) and 0 < self.within < np.inf):
                 raise InputError(f"pair: within is {self.within!r}; it must be a length above 0")
