@@ -211,7 +211,8 @@ def given_nodes(
         directions = axes[coefficients.rows][:, None]
         if v is None:
             displacement = coefficients.of(spaces.mesh, data.u_D)
-            if k == 0 and np.isin(facets.facets, spaces.contact.facets).all():
+            in_contact = bool(np.isin(facets.facets, spaces.contact.facets).all())
+            if k == 0 and spaces.mesh.comm.allreduce(in_contact, MPI.LAND):
                 of_wall = coefficients.of(spaces.mesh, data.gap)  # beside friction, and u_D is what a wall moves with
                 displacement = of_wall[:, :, None] * directions
             if data.material.incompressible:
