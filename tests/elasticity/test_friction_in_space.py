@@ -367,13 +367,13 @@ def test_picture_of_shear_and_slip():
     views_of = Space(body)
     sheet = views_of.sheet(PICTURES.files(body)["pressure"][1])
     views = {axes.get_title()[4:]: axes.images[0].get_array() for axes in sheet.axes if axes.get_title()}
-    assert [title.split()[0] for title in views] == ["pressure", "gap", "contact", "shear", "slip"]
+    assert [title.split()[0] for title in views] == ["pressure", "pressure", "gap", "contact", "shear", "slip"]
     lengths = replace(body, sites=replace(body.sites, gap=np.linalg.norm(body.sites.shear_vector, axis=1)))
     axes = sheet.view(0, 0)
     Space(lengths).draw(Panel("gap", Where.GAMMA), sheet, axes, "", views_of.views[0])
     white = [
         np.mean(np.min(image, axis=2) == 255)
-        for image in (axes.images[-1].get_array(), views[r"shear $|\sigma_t|$ on $\Gamma_C$"])
+        for image in (axes.images[-1].get_array(), views[r"shear $|\sigma_t|$ on z0"])
     ]
     assert 0.001 < white[1] - white[0] < 0.1  # arrows
 

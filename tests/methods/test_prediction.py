@@ -141,6 +141,6 @@ def test_meshes_of_an_own_geometry_are_coarser(folder: Path, monkeypatch):
 
     monkeypatch.setattr("signorini_fenicsx.cases.solving.mesh_case", counted)
     sizes = Tuning(predict_from=1, coarsen_from=100)
-    assert solve_case(load_case(folder / "sheet.toml"), COMM, tuning=sizes).converged
+    assert solve_case(load_case(folder / "sheet.toml"), COMM, tuning=sizes, mesh=counted).converged
     assert len(made) == 2  # that of the problem and one for its prediction
     assert 4 * made[1] <= made[0]

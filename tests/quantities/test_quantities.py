@@ -397,7 +397,10 @@ def test_case_file(folder: Path):
         ('quantity.1.kind="flow"', "Flow: diffusion problems have Integral, Mean, Flux and Energy"),
         ('quantity.1.name="left half"', "name of two quantities"),
         ('quantity.0.weight="1 +"', "quantity.0.weight: "),
-        ('quantity.1.weigth="1"', "unknown key 'weigth' of the quantity 'flux'; known are kind, name, parts, weight"),
+        (
+            'quantity.1.weigth="1"',
+            "unknown key 'weigth' of the quantity 'flux'; known are kind, name, symbol, unit, sign, parts, weight",
+        ),
     ):
         refused = signorini(folder, "solve", "case.toml", "--set", change, "--output", "refused")
         assert refused.returncode == 2
