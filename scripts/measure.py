@@ -52,7 +52,11 @@ def main() -> None:
     if what not in MODULES:
         sys.exit(__doc__)
     app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
-    app.command()(getattr(import_module(f"measuring.{MODULES[what]}"), what.replace("-", "_")))
+    try:
+        module = import_module(f"measuring.{MODULES[what]}")
+    except ModuleNotFoundError as missing:
+        sys.exit(f"{what} needs {missing.name}: uv run --group bench python scripts/measure.py {what}")
+    app.command()(getattr(module, what.replace("-", "_")))
     app()
 
 
