@@ -49,8 +49,4 @@ def passed_on(spaces: ElasticSpaces, stresses: Array, compliance: Array) -> Arra
         compliance: On each owned cell a matrix that is at least 𝔸 there, shape (cells, entries, entries).
     """
     flows = ((joint, -spaces.tractions(spaces.boundary_facets(joint.slaves), stresses)) for joint in spaces.joints)
-    return (
-        of_pairs.passed_on(spaces, flows, compliance, response(spaces.dim))
-        if spaces.joints
-        else np.zeros(len(spaces.order))
-    )
+    return of_pairs.passed_on(spaces, flows, compliance, response(spaces.dim))
