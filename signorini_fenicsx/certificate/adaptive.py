@@ -8,10 +8,11 @@ from typing import Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.base.errors import InputError, LaterFailure, check_kind, in_words
-from signorini_fenicsx.base.owned import owned_values
+from signorini_fenicsx.base.owned import cells_behind, owned_values
 from signorini_fenicsx.base.parallel import collect_garbage, collector_off, end_all, first_words
 from signorini_fenicsx.base.progress import doing
 from signorini_fenicsx.certificate.certificate import Certificate
@@ -177,7 +178,8 @@ def adapt[S: Solved](
         with doing("refining the mesh"), _after(solution, certificate, "cannot refine further: "):
             part = theta if target is None or interval is not None else _enough(theta, certificate.relative / target)
             marked = dorfler(owned_values(certificate.indicator) if shares is None else np.sqrt(shares), part, comm)
-            domain = refine(domain, np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype))
+            marked = np.union1d(marked, np.flatnonzero(certificate.coarse)).astype(marked.dtype)
+            domain = refine(domain, with_opposite(solution.spaces, marked))
         if domain.cells > max_cells:
             return solution, certificate
         mesh += 1
@@ -190,6 +192,15 @@ def _solving(domain: Domain, problem: Any) -> SolveOn[Any]:
     """What solves a problem on a mesh, with the element of order two where it is there (collective)."""
     options, _ = refining(sorted_on(domain, problem), Options())
     return lambda mesh, start: solve(mesh, problem, options, start=start)
+
+
+def with_opposite(spaces: Any, cells: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Owned cells to refine, with those behind masters that would be coarse for slaves opposite to them (collective).
+
+    On them u is linear on facets, and a slave that is finer answers with pressures that go up and down.
+    """
+    masters = [joint.coarse_masters(spaces.mesh, cells) for joint in getattr(spaces, "joints", ())]
+    return np.unique(np.concatenate([cells, *(cells_behind(spaces.mesh, facets) for facets in masters)]))
 
 
 def _enough(theta: float, above: float) -> float:

@@ -20,6 +20,9 @@ from signorini_fenicsx.meshes.domain import Domain
 from signorini_fenicsx.meshes.paired_parts import PairedParts
 from signorini_fenicsx.meshes.seams import unit_normals
 
+COARSER = 1.4
+"""Facets of a slave that are coarser than the master's by this factor see u of the master as it is."""
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -62,6 +65,19 @@ class Joint:
     def of_masters(self, comm: MPI.Intracomm, rows: npt.NDArray) -> npt.NDArray:
         """Rows of this rank's master facets as those of all ranks (collective)."""
         return np.concatenate(comm.allgather(rows))
+
+    def coarse_masters(self, mesh: dolfinx.mesh.Mesh, cells: Indices) -> Facets:
+        """Master facets of this rank that are coarse for the slaves opposite once some cells are halved (collective).
+
+        Args:
+            mesh: The mesh.
+            cells: Owned cells that will be halved, of this rank.
+        """
+        halved = np.isin(cells_of_facets(mesh, self.slaves)[0], cells)[self.pieces.slave]
+        slaves, masters = self.pieces.slave[halved], self.pieces.master[halved]
+        coarse = 2 * COARSER * self.master.balls[1][masters] > self.slave.balls[1][slaves]
+        rows = np.unique(np.concatenate(mesh.comm.allgather(masters[coarse]))) - self.first
+        return self.masters[rows[(rows >= 0) & (rows < len(self.masters))]]
 
     def opposite(self, comm: MPI.Intracomm, values: Array) -> Array:
         """Means by the hats of the slave facets of what is opposite to them, shape (slaves, d, …) (collective).

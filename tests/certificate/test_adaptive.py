@@ -8,14 +8,17 @@ import dolfinx.mesh
 import numpy as np
 import pytest
 import ufl
+from bodies_apart import two
 from commands import read_rows, signorini
 from dolfinx import fem
 from mpi4py import MPI
 
+from signorini_fenicsx.api import Elasticity, Pair, Solver, Tied
 from signorini_fenicsx.base.errors import InputError, NumericalFailure
+from signorini_fenicsx.base.owned import cells_behind
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import adapt_case
-from signorini_fenicsx.certificate.adaptive import AdaptRow, rate
+from signorini_fenicsx.certificate.adaptive import AdaptRow, rate, with_opposite
 from signorini_fenicsx.meshes.domain import Domain, distribute
 from signorini_fenicsx.meshes.meshing import build_domain, label_parts
 from signorini_fenicsx.meshes.refinement import dorfler, refine
@@ -68,6 +71,25 @@ def test_refined_meshes_fill_the_domain():
         longest = np.linalg.norm(x[:, :, None] - x[:, None], axis=3).max(axis=(1, 2), initial=0.0)
         volume = np.abs(np.linalg.det(x[:, 1:] - x[:, :1]))
         assert np.all(volume > {2: 0.15, 3: 0.015}[dim] * longest**dim)
+
+
+@pytest.mark.parallel([1, 3])
+@pytest.mark.parametrize(("lower", "opposite"), [(4, [0.125, 0.375]), (12, [])])
+def test_masters_are_refined_with_slaves(lower: int, opposite: list[float]) -> None:
+    """With the cell behind a slave those behind masters opposite to it are halved, if they would be coarse."""
+    domain, problem = two(COMM, (3, 2), (lower, 2)), Elasticity(1, 0.3, conditions=[Pair("u10", "l11", Tied())])
+    spaces = Solver(domain, problem).spaces
+    centre = spaces.vertices.mean(axis=1)
+    behind, beside = ((abs(centre[:, 1]) < 1 / 5) & (centre[:, 1] * side > 0) for side in (1, -1))
+    on_pair = np.isin(np.arange(len(centre)), cells_behind(domain.mesh, spaces.joints[0].slaves_and_masters))
+    chosen = np.flatnonzero(behind & on_pair & (centre[:, 0] < 1 / 3)).astype(np.int32)
+    marked = with_opposite(spaces, chosen)
+    assert set(chosen) <= set(marked)
+    x = centre[np.setdiff1d(marked, chosen)]
+    assert (on_pair & beside)[np.setdiff1d(marked, chosen)].all()
+    found = np.sort(np.concatenate(COMM.allgather(x[:, 0])))
+    assert len(found) == len(opposite)
+    assert np.allclose(found, opposite, atol=0.1)
 
 
 @pytest.mark.parallel([3])

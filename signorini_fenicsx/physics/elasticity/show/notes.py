@@ -10,7 +10,7 @@ from signorini_fenicsx.base.text import place_in_words
 from signorini_fenicsx.discrete.continuity import NO_TRACE, TIGHTER, jump_in_words
 from signorini_fenicsx.discrete.curved import curved_parts
 from signorini_fenicsx.discrete.pair_overviews import Overview, overviews
-from signorini_fenicsx.discrete.pairing import Joint
+from signorini_fenicsx.discrete.pairing import COARSER, Joint
 from signorini_fenicsx.expressions.simplices import barycentric_gradients
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
@@ -22,8 +22,8 @@ if TYPE_CHECKING:  # it has these
 
 SMALL = 0.1
 """The largest strain, and the largest rotation in radians, of which nothing is said: the error is of their size."""
-STIFFER, COARSER = 1.5, 1.4
-"""A slave that is stiffer than its master by the first factor should be coarser by the second one."""
+STIFFER = 1.5
+"""A slave that is stiffer than its master by this factor should be coarser by `COARSER`."""
 
 
 def notes_of(spaces: ElasticSpaces, data: ElasticData) -> list[str]:
