@@ -9,7 +9,18 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.data_section import READERS, KindSection, data_section
 from signorini_fenicsx.cases.plot import Word, with_unit
 from signorini_fenicsx.cases.values import choice
-from signorini_fenicsx.quantities import Dissipation, Energy, Flow, Flux, Force, Integral, Kind, Mean, Moment
+from signorini_fenicsx.quantities import (
+    Dissipation,
+    Energy,
+    Flow,
+    Flux,
+    Force,
+    Integral,
+    Kind,
+    Mean,
+    MeanPressure,
+    Moment,
+)
 
 KINDS: Mapping[str, type[Kind]] = {
     "integral": Integral,
@@ -20,6 +31,7 @@ KINDS: Mapping[str, type[Kind]] = {
     "moment": Moment,
     "flow": Flow,
     "dissipation": Dissipation,
+    "pressure": MeanPressure,
 }
 """The quantities by the names that case files have for them."""
 OF_QUANTITIES = READERS | {str | Sequence[str]: str | list[str], Sequence[float]: list[float]}

@@ -11,6 +11,29 @@
 """
 
 from signorini_fenicsx.quantities.bracket import Quantity
-from signorini_fenicsx.quantities.kinds import Dissipation, Energy, Flow, Flux, Force, Integral, Kind, Mean, Moment
+from signorini_fenicsx.quantities.kinds import (
+    Dissipation,
+    Energy,
+    Flow,
+    Flux,
+    Force,
+    Integral,
+    Kind,
+    Mean,
+    MeanPressure,
+    Moment,
+)
 
-__all__ = ["Dissipation", "Energy", "Flow", "Flux", "Force", "Integral", "Kind", "Mean", "Moment", "Quantity"]
+__all__ = [
+    "Dissipation",
+    "Energy",
+    "Flow",
+    "Flux",
+    "Force",
+    "Integral",
+    "Kind",
+    "Mean",
+    "MeanPressure",
+    "Moment",
+    "Quantity",
+]

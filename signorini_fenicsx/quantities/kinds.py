@@ -86,6 +86,17 @@ class Flow(OnParts):
 
 
 @dataclass(frozen=True)
+class MeanPressure(Kind):
+    """The mean of the pressure p of a fluid over regions.
+
+    Attributes:
+        region: Name of a region of the mesh, or a list of names; none for all of Ω.
+    """
+
+    region: str | Sequence[str] = ()
+
+
+@dataclass(frozen=True)
 class Dissipation(Kind):
     """∫2μ|ε(u)|²: the power that friction inside a fluid takes."""
 

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 FREE, HELD = "free", "held"
 INSIDE = "'{}' is inside the fluid, where it is a thin plate: u is given there, 0 by default, and nothing else"
 """What is said of other conditions on such a part."""
+IN_EXCESS = "[problem] u_D: where u_n is given"
+"""How the sentence begins about a flow that does not exist."""
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,20 @@
 """Whether a flow exists: what comes in has to be let out; and whether p is known, or up to a constant only.
 
-On each connected body of fluid let F be what comes in where u_n is given. Elsewhere u_n has an extent: under a law
-[lo, hi], on other parts any. ∇·u = 0 asks that F is in [Σ|e| lo, Σ|e| hi]. If F is an end of it, u_n is known on all of
-the boundary, and no pressure. If it is both ends, p is known up to a constant; if it is the lower one, u_n = lo holds
-under σ_nn of any size above a bound, so that p may fall by a constant; if it is the upper one, p may grow.
+On each connected body of fluid let F be what comes in where u_n is given, and as it grows. Elsewhere u_n has an extent:
+under a law [lo, hi], on other parts any. ∇·u = 0 asks that F is in [Σ|e| lo, Σ|e| hi]. If F is an end of it, u_n is
+known on all of the boundary, and no pressure. If it is both ends, p is known up to a constant; if it is the lower one,
+u_n = lo holds under σ_nn of any size above a bound, so that p may fall by a constant; if it is the upper one, p may
+grow.
 """
 
 import numpy as np
 from mpi4py import MPI
 
 from signorini_fenicsx.base.errors import InputError
+from signorini_fenicsx.discrete.linear_traces import blocks_of_cells
 from signorini_fenicsx.physics.elasticity.discrete.data import ElasticData
 from signorini_fenicsx.physics.elasticity.discrete.spaces import ElasticSpaces
+from signorini_fenicsx.physics.stokes.problem import IN_EXCESS
 
 BALANCED = 1e-9
 """What comes in and does not go out is rounding if it is at most this share of all that passes."""
@@ -43,6 +46,8 @@ def check_flow(spaces: ElasticSpaces, data: ElasticData) -> None:
         share = np.einsum("ni,ni->n", axes, facets.outward[:, None] * facets.normals)
         along[facets.blocks] += share**2
         out[facets.blocks] += facets.measure * share * data.lift[spaces.unknowns(facets, k)].mean(axis=1)
+    for cells in blocks_of_cells(spaces.mesh) if data.material.own else ():
+        np.add.at(sums[0], bodies[cells], -data.growth(spaces, cells))
     for facets in (spaces.dirichlet, spaces.neumann):
         given, of = along[facets.blocks] > 1 - GIVEN, bodies[facets.cells]
         for row, values in enumerate((out[facets.blocks], np.abs(out[facets.blocks]))):
@@ -60,8 +65,8 @@ def check_flow(spaces: ElasticSpaces, data: ElasticData) -> None:
             outlet = "nothing lets that out" if most == least == 0 else f"elsewhere {least:.6g} to {most:.6g} can leave"
             where = f" of the fluid around ({_middle(spaces, body)})" if number > 1 else ""
             raise InputError(
-                f"[problem] u_D: where u_n is given {-left:.6g} more comes in than goes out{where}, and {outlet}; the "
-                "fluid is incompressible: give another u_D, or let a part be free"
+                f"{IN_EXCESS} {-left:.6g} more comes in than goes out{where}, and {outlet}; the fluid is "
+                "incompressible: give another u_D, or let a part be free"
             )
         at_end = [abs(end + left) <= rounding for end in (least, most)]
         if any(at_end):

@@ -88,6 +88,7 @@ class Condensed:
         own: Those inside where the others are 0, shape (cells, d inner).
         flows: ∫ v·n over the boundary of each cell for unit coefficients around it, shape (cells, d outer).
         stiffness: Of the cells against these flows; 0 where they may be compressed.
+        grown: What these flows have to be.
     """
 
     nodes: Nodes
@@ -101,11 +102,12 @@ class Condensed:
     own: Array
     flows: Array
     stiffness: Array
+    grown: Array
 
     def without_flows(
         self, x: Array, lift: Array, solve: Callable[[Array], Array], pushed: Callable[[Array], Array]
     ) -> tuple[Array, float]:
-        """The x near this one with which nothing flows out of cells, and what still does as a share (collective).
+        """The x near this one with which nothing is lost or won in cells, and what still is as a share (collective).
 
         See `solve.mean_pressure`.
 
@@ -123,7 +125,7 @@ class Condensed:
             everywhere = la.vector(numbers, dim)
             everywhere.array[: len(x)] = x + lift
             everywhere.scatter_forward()
-            return mean.of(everywhere.array.reshape(-1, dim)[self.around].reshape(self.flows.shape))
+            return mean.of(everywhere.array.reshape(-1, dim)[self.around].reshape(self.flows.shape), self.grown)
 
         means, share = lost(x)
         for _ in range(MOST_SOLVES):
@@ -164,12 +166,13 @@ def condensed(
     load, softened, energy = la.vector(nodes.numbers, dim), la.vector(nodes.numbers, dim), 0.0
     load.array.reshape(-1, dim)[:size] = forces[nodes.of_space[:size]]
     cells, parts = split.cells[split.cells[:, 0] >= 0], list[tuple[Any, ...]]()
+    growth = material.growth() if material.incompressible else np.zeros(split.cells.max(initial=-1) + 1)
     for block in np.array_split(cells, -(-len(cells) // BLOCK[dim])) if len(cells) > 0 else []:
         which, places, number = _layout(space.dofmap.list[block[0]], nodes)
         of_cells, first = space.dofmap.list[block].reshape(len(block), -1)[:, places], dim * number
         outer, inside = np.split(of_cells, [number], axis=1)
         around, pull = nodes.number_of[outer], forces[inside].reshape(len(block), -1, 1)
-        flows, bulk = np.zeros((len(block), first)), np.zeros(len(block))
+        flows, bulk, grown = np.zeros((len(block), first)), np.zeros(len(block)), growth[block].sum(axis=1)
         law, degree = material.in_points(block.ravel(), 2 * space.element.basix_element.degree - 2)
         of_law = partial(_stiffness, split, space, block, which, frames[of_cells])
         if material.incompressible:
@@ -178,6 +181,7 @@ def condensed(
             share, alone, left, of_load = _incompressible(stiffness, of_law(volume, degree), first, pull)
             flows, bulk = _flows(split, space, block, which, frames[outer], modulus)
             left = left + bulk[:, None, None] * flows[:, :, None] * flows[:, None]
+            of_load, energy = of_load + (bulk * grown)[:, None] * flows, energy + float(bulk @ grown**2) / 2
         else:
             stiffness = of_law(law, degree)
             share, alone, left, of_load = _eliminated(stiffness, first, pull)
@@ -187,12 +191,12 @@ def condensed(
         ):
             np.add.at(sums.array.reshape(-1, dim), around, values.reshape(*around.shape, dim))
         energy -= float((pull[:, :, 0] * alone).sum()) / 2
-        parts.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, alone, flows, bulk))
+        parts.append(((left + left.swapaxes(1, 2)) / 2, around, inside, share, alone, flows, bulk, grown))
     for sums in (load, softened):
         sums.scatter_reverse(la.InsertMode.add)
     none = np.empty((0, 0), dtype=np.int32)
     matrices, numbers = np.empty((0, 0, 0)), np.empty((0, 0))
-    without_cells = [(matrices, none, none, matrices, numbers, numbers, np.empty(0))]
+    without_cells = [(matrices, none, none, matrices, numbers, numbers, np.empty(0), np.empty(0))]
     matrices, *others = (np.concatenate(each) for each in zip(*(parts or without_cells), strict=True))
     of_nodes = (each.array[: dim * size].copy() for each in (load, softened))
     return Condensed(nodes, matrices, next(of_nodes), energy, next(of_nodes), *others)

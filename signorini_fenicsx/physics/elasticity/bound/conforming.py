@@ -127,8 +127,9 @@ class BestDisplacement:
 
     @property
     def _without_v(self) -> Expr:
-        """The entries of −ε₀ − 𝔸y."""
-        return -self.material.eigenstrain - ufl.dot(self.material.compliance, vector(self.sigma))
+        """The entries of −ε₀ − 𝔸y; the ε₀ of a fluid, which has no deviator, is in the flows out of cells."""
+        given = -ufl.dot(self.material.compliance, vector(self.sigma))
+        return given if self.material.incompressible else given - self.material.eigenstrain
 
     def _collect_terms(self) -> None:
         """The conditions on Γ_C, then the terms of friction, one for each coefficient of each facet (collective).

@@ -178,6 +178,8 @@ def _mean_of(spaces: ElasticSpaces, tree: Tree, ends: Array, enough: float) -> t
     """The means of t between ends, and how far they may be from these, of parts that are halved until it is enough."""
     middle, radius, rows = np.zeros(len(ends)), np.full(len(ends), np.inf), np.arange(len(ends))
     for level in range(HALVINGS + 1):
+        if len(rows) == 0:
+            break
         at = np.linspace(0.0, 1.0, 2**level + 1)
         parts = _between(ends[rows], np.broadcast_to(at, (len(rows), len(at))))
         parts = np.stack([parts[:, :-1], parts[:, 1:]], axis=2).reshape(-1, 2, spaces.dim)
@@ -218,6 +220,8 @@ def _of_tree(spaces: ElasticSpaces, tree: Tree, ends: Array, degree: int) -> Arr
     enough = np.maximum(SHARE * np.sqrt(off**2 @ weights), ROUNDING * np.sqrt(rising**2 @ weights)) / (2 * length)
     squares, rows, begin = np.zeros(len(ends)), np.arange(len(ends)), np.zeros(len(ends))
     for level in range(HALVINGS + 1):
+        if len(rows) == 0:
+            break
         share = 0.5**level
         at = begin[:, None] + share * points[:, 0]
         parts = _between(ends[rows], np.stack([begin, begin + share], axis=1))

@@ -56,7 +56,7 @@ OWN = 4
 def is_enclosed(material: Material) -> bool:
     """Whether a material is isotropic, with texts or numbers for E and ν, or μ, and without strain of its own."""
     one = len(material.young) == 1 and (material.incompressible or len(material.poisson) == 1)
-    if not one or material.shear or material.axes or material.own:
+    if not one or material.shear or material.axes or (material.own and not material.incompressible):
         return False
     return all(datum.pieces is not None for datum in (*material.young, *material.poisson))
 

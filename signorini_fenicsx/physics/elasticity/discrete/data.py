@@ -24,7 +24,7 @@ from signorini_fenicsx.discrete.points import CellPoints
 from signorini_fenicsx.discrete.seen import Values, values_in
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws
 from signorini_fenicsx.physics.elasticity.discrete.friction import FrictionBounds, FromBefore, friction_bounds
-from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import SplitQuadrature, split_vertices
+from signorini_fenicsx.physics.elasticity.discrete.johnson_mercier import Cells, SplitQuadrature, split_vertices
 from signorini_fenicsx.physics.elasticity.discrete.material import (
     STIFF_VOLUME,
     Material,
@@ -202,6 +202,11 @@ class ElasticData:
         strains: Array = measure[:, None, None, None] / local.shape[1] * sums
         return strains
 
+    def growth(self, spaces: ElasticSpaces, cells: npt.NDArray[np.int32]) -> Array:
+        """∫ tr ε₀ over cells (collective)."""
+        strains = self.strains(spaces, cells, Cells(spaces.vertices[cells]).measure)
+        return np.asarray(strains[..., : spaces.dim].sum(axis=(1, 2, 3)))
+
 
 def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBefore | None = None) -> ElasticData:
     """Read the data and check them; in a step in time with the slip of the last step (collective).
@@ -210,8 +215,7 @@ def elastic_data(spaces: ElasticSpaces, problem: ElasticProblem, before: FromBef
         InputError: If something is not finite where it is needed, E ≤ 0 or ν not between −1 and ½ somewhere, or a
             region has no value; if plane stress is asked for in space.
     """
-    dim, viscosity = spaces.dim, problem.viscosity
-    material = material_of(spaces, problem) if viscosity is None else Viscous.of(spaces, viscosity)
+    dim, material = spaces.dim, (material_of if problem.viscosity is None else Viscous.of)(spaces, problem)
     f = vector_datum_of(spaces, "f", problem.f, continuous=False)
     _check_where_given(spaces, problem.u_D)
     u_D = vector_on_parts(spaces, "u_D", problem.u_D)
@@ -321,6 +325,14 @@ class OnSplit:
     eigenstrain: Expr
     degree: int
     incompressible: bool
+
+    def growth(self) -> Array:
+        """∫ tr ε₀ over the owned cells of the split mesh (collective)."""
+        space = fenicsx.function_space(self.stiffness.function_space.mesh, ("DG", 0))
+        if not isinstance(self.eigenstrain, fem.Function):
+            return np.zeros(len(fem.Function(space).x.array))
+        trace = sum(self.eigenstrain[k] for k in range(space.mesh.geometry.dim))
+        return np.asarray(fem.assemble_vector(fenicsx.form(trace * ufl.TestFunction(space) * self.dx)).array)
 
     @property
     def dx(self) -> ufl.Measure:

@@ -175,10 +175,14 @@ class Material:
                 yield "shear", datum.values(points)
             if self.axes:
                 yield "axes", np.isfinite(self.directions(points)).astype(np.float64)
-            for strain in self.own:
-                yield strain.name, strain.values(points)
-                values = strain.datum.values(points)
-                yield f"{strain.name}, skew", values - values.swapaxes(-1, -2) if strain.datum.shape else 0 * points.x
+            yield from self._own_looked_at(points)
+
+    def _own_looked_at(self, points: CellPoints) -> Iterator[tuple[str, Array]]:
+        """What of ε₀ and σ₀ has to be checked in points (collective)."""
+        for strain in self.own:
+            yield strain.name, strain.values(points)
+            values = strain.datum.values(points)
+            yield f"{strain.name}, skew", values - values.swapaxes(-1, -2) if strain.datum.shape else 0 * points.x
 
     @property
     def _kept(self) -> Array:
@@ -317,15 +321,20 @@ def material_of(spaces: MeshSpaces, problem: ElasticProblem) -> Material:
             tuple(read_datum(spaces, "axes", _entry("axes", each, i, dim, "components")) for i in range(dim))
             for each in directions
         ),
-        own=tuple(
-            Strain(name, read_datum(spaces, name, given, matrix=True), read_datum(spaces, name, _beyond(given)))
-            for name, given in (("eigenstrain", problem.eigenstrain), ("initial_stress", problem.initial_stress))
-            if given is not None
-        ),
+        own=strains_of(spaces, problem),
     )
     if material.axes and not material.shear and len(young) == len(material.poisson) == 1:
         raise InputError("[problem] axes: do nothing for an isotropic material; give young along each of them")
     return material
+
+
+def strains_of(spaces: MeshSpaces, problem: ElasticProblem) -> tuple[Strain, ...]:
+    """ε₀ and −σ₀, where they are given (collective)."""
+    return tuple(
+        Strain(name, read_datum(spaces, name, given, matrix=True), read_datum(spaces, name, _beyond(given)))
+        for name, given in (("eigenstrain", problem.eigenstrain), ("initial_stress", problem.initial_stress))
+        if given is not None
+    )
 
 
 def read_datum(spaces: MeshSpaces, key: str, given: Any, *, matrix: bool = False) -> Datum:

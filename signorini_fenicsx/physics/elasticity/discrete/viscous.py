@@ -7,12 +7,12 @@ import numpy as np
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.discrete.mesh_spaces import MeshSpaces
 from signorini_fenicsx.discrete.points import CellPoints
-from signorini_fenicsx.physics.elasticity.discrete.material import SPACE, Material, read_datum
-from signorini_fenicsx.physics.elasticity.problem import GivenViscosity, Plane
+from signorini_fenicsx.physics.elasticity.discrete.material import SPACE, Material, read_datum, strains_of
+from signorini_fenicsx.physics.elasticity.problem import ElasticProblem, Plane
 
 
 class Viscous(Material):
-    """The law on a mesh; the viscosity μ is in the place of E."""
+    """The law on a mesh; the viscosity μ is in the place of E, and a number ε₀ says how fast volumes grow."""
 
     incompressible = True
     words = ("viscosity",)
@@ -23,14 +23,14 @@ class Viscous(Material):
         return np.asarray(stresses - mean[..., None, None] * np.eye(self.dim))
 
     @classmethod
-    def of(cls, spaces: MeshSpaces, viscosity: GivenViscosity) -> "Viscous":
+    def of(cls, spaces: MeshSpaces, problem: ElasticProblem) -> "Viscous":
         """Read the viscosity, a number or a text, or one of these for each region (collective).
 
         Raises:
             InputError: If it cannot be read, or a region has no value.
         """
-        young = (read_datum(spaces, "viscosity", viscosity),)
-        return cls(spaces.mesh.geometry.dim, Plane.STRAIN, young, poisson=(), shear=(), axes=(), own=())
+        young, own = (read_datum(spaces, "viscosity", problem.viscosity),), strains_of(spaces, problem)
+        return cls(spaces.mesh.geometry.dim, Plane.STRAIN, young, poisson=(), shear=(), axes=(), own=own)
 
     def compliance(self, points: CellPoints) -> Array:
         """𝔸 in points, shape (cells, points, entries, entries) (collective)."""
@@ -38,6 +38,10 @@ class Viscous(Material):
         deviator = np.eye(number)
         deviator[: self.dim, : self.dim] -= 1 / self.dim
         return np.asarray(deviator / (2 * self.young[0].values(points)[..., None, None]))
+
+    def strain(self, points: CellPoints) -> Array:
+        """ε₀ in points, shape (cells, points, entries) (collective)."""
+        return np.asarray(self._own(points)[..., self._kept])
 
     def out_of_plane(self, points: CellPoints) -> tuple[Array, Array]:
         """The σ_zz = −p by the entries of σ, and without σ, see `Material.out_of_plane`."""
@@ -49,6 +53,7 @@ class Viscous(Material):
         """What has to be checked in points (collective)."""
         with np.errstate(all="ignore"):
             yield "viscosity", self.young[0].values(points)
+            yield from self._own_looked_at(points)
 
     def softness_in_space(self, points: CellPoints) -> Array:
         """The eigenvalues of 𝔸 in space, shape (cells, points, 6) (collective)."""

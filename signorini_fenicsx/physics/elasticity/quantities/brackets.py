@@ -203,11 +203,11 @@ class _Beside(Beside[_Side]):
         missing = sorted({name for each in both for name in not_in_the_spaces(each)})
         reason = reservation(resolution.unresolved(), missing, LACKING)
         value = (math.sqrt(total) + y.distance + missed) ** 2 / 4 + max(at_sites, 0.0)
-        unseen = self.unseen(resolution, missed, of_v.v, of_y.v)
+        unseen = self.unseen(resolution, missed, oscillation, of_v, of_y)
         return Half(value, reason, squares / 4 + np.maximum(contact, 0.0), unseen)
 
-    def unseen(self, resolution: Resolution, missed: float, of_v: fem.Function, of_y: fem.Function) -> float:
-        """What loads that quadrature misses add to the bound, whatever τ is (collective)."""
+    def unseen(self, resolution: Resolution, missed: float, oscillation: Array, of_v: _Side, of_y: _Side) -> float:
+        """What loads that y does not balance add to the bound, whatever τ is (collective)."""
         return 0.0
 
     def apart(self, one: _Side, other: _Side) -> float:
@@ -247,10 +247,10 @@ class Fluxes(_Beside):
         """⟨yn, w⟩ (collective)."""
         return np.array([self._of(of_y.solution, of_y.y.stresses), 0.0])
 
-    def unseen(self, resolution: Resolution, missed: float, of_v: fem.Function, of_y: fem.Function) -> float:
+    def unseen(self, resolution: Resolution, missed: float, oscillation: Array, of_v: _Side, of_y: _Side) -> float:
         """What loads that quadrature misses add to the bound, see `motions` (collective)."""
-        apart = fem.Function(of_v.function_space)
-        apart.x.array[:] = of_v.x.array - of_y.x.array
+        apart = fem.Function(of_v.v.function_space)
+        apart.x.array[:] = of_v.v.x.array - of_y.v.x.array
         return unseen_work(resolution, missed, self.kind, apart, self.tau)
 
     def discrete(self) -> float:

@@ -195,8 +195,9 @@ class ElasticBackend(TraceBackend):
             left = self._factors.left(load, self._x, posed.imposed)
             self._x.axpy(1.0, self._held)
             size = LINEAR * np.sqrt(self.comm.allreduce(float(load @ load)))
+        assert self.system.mean is not None
         means, pulls, self.lost, left = self._keep_volume(
-            self._x, posed, self.data.lift, left, size if self._grows else 0.0
+            self._x, posed, self.system.mean.grown, self.data.lift, left, size if self._grows else 0.0
         )
         self.system.take_means(means, pulls)
         self._solver.share = 0.0
@@ -210,6 +211,7 @@ class ElasticBackend(TraceBackend):
         self,
         x: PETSc.Vec,
         posed: Posed,
+        wanted: Array,
         lift: Array | float = 0.0,
         left: Array | float = 0.0,
         enough: float = 0.0,
@@ -228,7 +230,7 @@ class ElasticBackend(TraceBackend):
             self.system.mean.search(),
         )
         to_the_end, self._solver.share = self._solver.share, self.corrected_to if self.iterates else 0.0
-        means, share = self.system.means(self.system.everywhere(x.array_r) + lift)
+        means, share = self.system.means(self.system.everywhere(x.array_r) + lift, wanted)
         for _ in range(MOST):
             over = share / ENOUGH, self._norm(left) / enough if enough > 0 else 0.0
             falls = any(now < last / FALLS for now, last in zip(over, before, strict=True))
@@ -242,10 +244,10 @@ class ElasticBackend(TraceBackend):
             self._iterations += self._factors.solve_by_any(load, change, posed.imposed)[0]
             after = self._factors.left(load, change, posed.imposed) if self.iterates else 0.0
             x.axpy(1.0, change)
-            last, (means, share) = share, self.system.means(self.system.everywhere(x.array_r) + lift)
+            last, (means, share) = share, self.system.means(self.system.everywhere(x.array_r) + lift, wanted)
             if (length := search.length(means) if share >= last / FALLS else 1.0) != 1.0:
                 x.axpy(length - 1.0, change)
-                tried = self.system.means(self.system.everywhere(x.array_r) + lift)
+                tried = self.system.means(self.system.everywhere(x.array_r) + lift, wanted)
                 if tried[1] < BETTER * share:
                     means, share = tried
                 else:
@@ -265,7 +267,7 @@ class ElasticBackend(TraceBackend):
         """
         x = super()._at_rest(posed, load, lift, start)
         if self.system.mean is not None:
-            self.system.mean.of_response, self.pulled, lost, _ = self._keep_volume(x, posed)
+            self.system.mean.of_response, self.pulled, lost, _ = self._keep_volume(x, posed, self.system.mean.wanted)
             if lost > KKT:
                 raise LinearSolveFailure("a pressure that is known up to a constant only has no derivative")
         return x

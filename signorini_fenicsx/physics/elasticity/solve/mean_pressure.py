@@ -46,7 +46,8 @@ class MeanPressure:
 
     Attributes:
         values: m_T of each owned cell, that part of it which û does not give.
-        wanted: ∫_∂T û·n, which is 0 but for the adjoint of a functional of pressures.
+        grown: ∫_∂T û·n by the data, that of tr ε₀ over T.
+        wanted: That of the last response, which is 0 but for the adjoint of a functional of pressures.
         of_response: The means of the last response, which is no solution for the data.
     """
 
@@ -59,7 +60,7 @@ class MeanPressure:
             stiffness: 2μK/|T| of each.
         """
         self._comm, self._out, self._stiffness = comm, out, stiffness
-        self.values, self.wanted, self.of_response = np.zeros((3, len(out)))
+        self.values, self.grown, self.wanted, self.of_response = np.zeros((4, len(out)))
 
     @classmethod
     def of_traces(cls, spaces: ElasticSpaces, softness: Array, measure: Array) -> Self:
@@ -75,15 +76,16 @@ class MeanPressure:
         spaces.to_unknowns(out, np.arange(len(measure), dtype=np.int32))
         return cls(spaces.mesh.comm, out[:, :, 0], BULK / (softness * measure))
 
-    def of(self, values: Array) -> tuple[Array, float]:
+    def of(self, values: Array, wanted: Array) -> tuple[Array, float]:
         """What û adds to the means, and the flow out of cells as a share of that through them (collective).
 
         Args:
             values: û in the unknowns of each cell, shape (cells, n).
+            wanted: ∫_∂T û·n as it should be.
         """
         flows = self._out * values
-        out = flows.sum(axis=1) - self.wanted
-        sizes = [float(np.abs(each).max(initial=0.0)) for each in (out, flows, self.wanted)]
+        out = flows.sum(axis=1) - wanted
+        sizes = [float(np.abs(each).max(initial=0.0)) for each in (out, flows, wanted)]
         left, *most = (self._comm.allreduce(size, MPI.MAX) for size in sizes)
         return self._stiffness * out, left / max(most) if max(most) > 0 else 0.0
 

@@ -82,6 +82,8 @@ class ElasticSystem(HybridSystem):
         self.load = self.load_of(self._blocks, data.lift) + self.tractions + self.of_supports(moving.ravel())
         if self.mean is not None:
             self.load -= self.pulls_of_means(self.mean.values)
+            if data.material.own:
+                self.mean.grown = np.concatenate([data.growth(spaces, cells) for cells in blocks_of_cells(spaces.mesh)])
         given = any(values.any() for values in (self.tractions, *(block.flux_of_f for block in self._blocks)))
         self.loaded: bool = spaces.mesh.comm.allreduce(given, MPI.LOR)
 
@@ -108,11 +110,11 @@ class ElasticSystem(HybridSystem):
         pulls.scatter_reverse(la.InsertMode.add)
         return self._sides.forces(pulls.array[: self._size * self._numbers.size_local])
 
-    def means(self, x: Array) -> tuple[Array, float]:
+    def means(self, x: Array, wanted: Array) -> tuple[Array, float]:
         """What all unknowns of this rank add to the mean pressures, see `MeanPressure.of` (collective)."""
         assert self.mean is not None
         cells = np.arange(len(self.spaces.order), dtype=np.int32)
-        return self.mean.of(self._sides.values(x)[self._unknowns(cells)])
+        return self.mean.of(self._sides.values(x)[self._unknowns(cells)], wanted)
 
     def take_means(self, means: Array, pulls: Array) -> None:
         """Take means of pressures as given besides, with what they take from the right side."""
