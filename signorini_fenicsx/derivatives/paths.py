@@ -13,7 +13,6 @@ from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.law import EVERYWHERE, Law
 from signorini_fenicsx.expressions import TREES, is_polynomial, values
 from signorini_fenicsx.expressions.given import parsed
-from signorini_fenicsx.meshes.paired_parts import named_laws
 
 SECTIONS = {"law": ["laws"], "pair": ["laws"], "soil": ["kappa"]}
 """Where a problem has the sections of a case file other than `[problem]`."""
@@ -39,8 +38,8 @@ def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[An
             section, *names = control.split(".")
             if section == "soil" and names[:1] == [EVERYWHERE]:
                 names = names[1:]
-            if section == "pair":
-                names = _of_pair(problem, control, names)
+            if section in ("law", "pair"):
+                names = _in_laws(problem, section, names)
             make = partial(_constant, control, solution.spaces.mesh, constants)
             problem = _replaced(problem, [*SECTIONS.get(section, []), *names], make, control)
         else:
@@ -48,11 +47,11 @@ def with_constants(solution: Any, controls: Iterable[Any]) -> tuple[Any, list[An
     return solution if problem is solution.problem else solution.of_problem(problem), constants
 
 
-def _of_pair(problem: Any, path: str, names: Sequence[str]) -> list[str]:
-    """A path in the laws of a problem, from one in the pairs."""
-    laws = [name for name, _ in named_laws(problem.laws, problem.boundary.pairs)]
-    pair = ".".join(path.split(".")[:2])
-    return [str(laws.index(pair)) if pair in laws else "", *names[1:]]
+def _in_laws(problem: Any, section: str, names: Sequence[str]) -> list[str]:
+    """A path in the laws of a problem, from one in the laws or pairs of a case file, which may be several of these."""
+    number, key, *_ = *names, "", ""
+    laws = [(i, law) for i, (name, law) in enumerate(problem.named_laws) if name == f"{section}.{number}"]
+    return [next((str(i) for i, law in laws if hasattr(law, key)), ""), *names[1:]]
 
 
 def _constant(path: str, mesh: dolfinx.mesh.Mesh, constants: list[Any], given: Any) -> fem.Constant:

@@ -152,17 +152,16 @@ def _joint(domain: Domain, pair: PairedParts, ranks: Indices, extents: _Extents)
     )
     slave, side = _surface(mesh, slaves, ranks), _surface(mesh, masters, ranks)
     master = Surface(*(np.concatenate(comm.allgather(each)) for each in (side.corners, side.normals)))
-    if pair.shift is not None:
-        if len(pair.shift) != mesh.geometry.dim:
-            raise InputError(f"pair {pair.words}: shift has {len(pair.shift)} components")
-        master = replace(master, corners=master.corners + pair.shift)
+    shift = np.zeros(mesh.geometry.dim) if pair.shift is None else np.array(pair.shift)
+    if len(shift) != mesh.geometry.dim:
+        raise InputError(f"pair {pair.words}: shift has {len(shift)} components")
     directions = slave.normals
     if pair.direction != "normal":
         if len(pair.direction) != slave.normals.shape[1]:
             raise InputError(f"pair {pair.words}: direction has {len(pair.direction)} components")
         directions = np.tile(np.array(pair.direction) / np.linalg.norm(pair.direction), (len(slaves), 1))
     within = extents.least(mesh, slaves, masters) / 2 if pair.within is None else pair.within
-    pieces = overlay(slave, master, directions, within)
+    pieces = overlay(slave, replace(master, corners=master.corners + shift), directions, within)
     shares = pieces.covered(len(slaves))
     whole = np.abs(shares - 1) <= WHOLE
     if not comm.allreduce(bool(whole.any()), MPI.LOR):

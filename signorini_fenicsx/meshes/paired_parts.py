@@ -72,15 +72,17 @@ def without_law(pairs: Sequence[PairedParts]) -> list[str]:
     return [*dict.fromkeys(part for pair in pairs for part in (*(pair.slave if pair.tied else ()), *pair.master))]
 
 
-def named_laws(laws: Sequence[Any], pairs: Sequence[PairedParts]) -> list[tuple[str, Any]]:
+def named_laws(laws: Sequence[Any], pairs: Sequence[PairedParts], numbers: Sequence[int] = ()) -> list[tuple[str, Any]]:
     """Laws with their names in messages: "law.0" for the first one that is listed, "pair.0" for that of the first pair.
 
     Args:
         laws: All laws of a problem; that of a pair is on the slave.
         pairs: The pairs.
+        numbers: For each law that of its condition, if not each has one.
     """
     of_slaves = {part: f"pair.{number}" for number, pair in enumerate(pairs) for part in pair.slave}
-    return [(of_slaves.get(next(iter(law.parts), ""), f"law.{i}"), law) for i, law in enumerate(laws)]
+    counted = zip(numbers or range(len(laws)), laws, strict=True)
+    return [(of_slaves.get(next(iter(law.parts), ""), f"law.{i}"), law) for i, law in counted]
 
 
 def paired_parts(given: Sequence[PairedParts | Mapping[str, Any]], with_law: Sequence[str]) -> list[PairedParts]:

@@ -127,6 +127,10 @@ def test_without_dirichlet_part(folder: Path):
         options = case.with_values({"solve.algorithm": name, "solve.eps": 1e-11})
         assert_same(solve_case(options, COMM, domain=domain, tuning=Tuning(direct_up_to=direct_up_to)), mixed, 1e-6)
     bound = certify(mixed).sigma_bound
+    alone = case.with_values({"boundary.signorini": [], "boundary.neumann": ["left", "right", "top", "bottom"]})
+    alone = solve_case(alone, COMM, domain=domain)
+    np.testing.assert_allclose(alone.u.x.array, mixed.u.x.array, atol=1e-10)
+    assert certify(alone).sigma_bound == pytest.approx(bound, rel=1e-6)
     iterative = solve_case(case, COMM, domain=domain, tuning=Tuning(direct_up_to=0))
     assert certify(iterative).sigma_bound == pytest.approx(bound, rel=1e-6)
     balanced = case.with_values({"problem.f": "3*(1 if x > 0.5 else 0)"})

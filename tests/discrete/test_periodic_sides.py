@@ -6,6 +6,7 @@ import pytest
 from elastic import box
 from mpi4py import MPI
 
+from signorini_fenicsx.api import Contact, Pressure
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.contact.laws import Dirichlet, Neumann, Wall
 from signorini_fenicsx.discrete.pairs import Pair, Tied
@@ -52,6 +53,16 @@ def test_a_sheared_layer():
     left, right = (np.array(solution.resultants()[name][:2]) for name in ("left", "right"))
     assert np.allclose(left, [0, -shear], atol=1e-13)
     assert np.allclose(left, -right, atol=1e-13)
+
+
+def test_a_load_that_would_tip_it():
+    """Periodic sides do not turn: a moment of the loads is no rigid motion, but a motion along them is one."""
+    conditions = [SIDES, Dirichlet("top", 0, components="x"), Contact("bottom"), Pressure("top", "x - 0.4")]
+    solution = solve(square(3), Elasticity(young=1, poisson=0.3, conditions=conditions))
+    assert abs(solution.resultants()["bottom"][1] - 0.1) < 1e-12
+    conditions = [SIDES, Dirichlet("bottom", 0, components="y"), Pressure("top", 0.1)]
+    with pytest.raises(InputError, match=r"the body can move rigidly, along \(1, 0\)"):
+        solve(square(2), Elasticity(young=1, poisson=0.3, conditions=conditions))
 
 
 def test_in_space():

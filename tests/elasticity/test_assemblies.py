@@ -11,7 +11,7 @@ import ufl
 from commands import signorini
 from mpi4py import MPI
 
-from signorini_fenicsx import load_case, solve_case
+from signorini_fenicsx import load_case, load_solution, solve_case
 from signorini_fenicsx.base.errors import InputError
 from signorini_fenicsx.cases.inspection import check
 from signorini_fenicsx.cases.solving import adapt_case, evolve_case
@@ -141,9 +141,11 @@ def test_steps_have_the_other_side(tmp_path: Path, kind: str) -> None:
 
 
 def test_derivatives_by_the_path_of_a_pair(tmp_path: Path) -> None:
-    """By mu of a pair beside a law, which is listed before it."""
-    law = '[[law]]\nkind = "friction"\nparts = ["up.left"]\ngap = 0.001\nmu = 0.1\n'
-    text = BLOCKS.replace("[0, -0.05]", "[0.02, -0.05]").replace('"up.left", ', "") + law
+    """By mu of a pair beside laws, which are listed before it; contact without friction counts, read again too."""
+    law = '[[law]]\nkind = "contact"\nparts = ["low.left"]\n'
+    law += '[[law]]\nkind = "friction"\nparts = ["up.left"]\ngap = 0.001\nmu = 0.1\n'
+    free = BLOCKS.replace('"up.left", ', "").replace('"low.left", ', "")
+    text = free.replace("[0, -0.05]", "[0.02, -0.05]") + law
     (tmp_path / "case.toml").write_text(text + PAIR.replace("contact", "friction") + "mu = 0.2\n")
     case = load_case(tmp_path / "case.toml")
     solution, more, less = (solve_case(case.with_values({"pair.0.mu": mu})) for mu in (0.2, 0.2 + 1e-5, 0.2 - 1e-5))
@@ -154,8 +156,14 @@ def test_derivatives_by_the_path_of_a_pair(tmp_path: Path) -> None:
     _, (gradient,) = solution.gradient(squares(solution), ["pair.0.mu"])
     above, below = (each.spaces.integrate(squares(each)) for each in (more, less))
     assert (above - below) / 2e-5 == pytest.approx(gradient, rel=1e-6)
-    with pytest.raises(InputError, match=r"pair.1.mu: there is no such number"):
-        solution.gradient(squares(solution), ["pair.1.mu"])
+    write_solution(solution, tmp_path / "out", fields=False)
+    for of in (solution, load_solution(tmp_path / "out")):
+        assert of.gradient(squares(of), ["pair.0.mu", "law.1.mu"])[1][0] == pytest.approx(gradient, rel=1e-9)
+        for path in ("pair.1.mu", "law.0.mu"):
+            with pytest.raises(InputError, match=f"{path}: there is no such number"):
+                of.gradient(squares(of), [path])
+    with pytest.raises(InputError, match=r"law.1.mu: must be finite and not negative"):
+        solve_case(case.with_values({"law.1.mu": "-1"}))
 
 
 def test_results_of_other_coverage_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,6 +19,7 @@ from signorini_fenicsx.expressions.given import (
     with_data,
 )
 from signorini_fenicsx.meshes.domain import Boundary, Domain, other_side
+from signorini_fenicsx.meshes.paired_parts import named_laws
 from signorini_fenicsx.physics.diffusion.soils import FORMS
 
 NO_DATA = ("laws", "boundary", "form")
@@ -174,6 +175,11 @@ class Problem(Scalar):
         check_kind("boundary", self.boundary, Boundary)
         parts = [*self.boundary.signorini, *(part for law in self.laws for part in law.parts)]
         object.__setattr__(self, "boundary", replace(self.boundary, signorini=list(dict.fromkeys(parts))))
+
+    @property
+    def named_laws(self) -> list[tuple[str, Law]]:
+        """All laws with their names in messages."""
+        return named_laws(self.laws, self.boundary.pairs)
 
     @property
     def has_laws_inside(self) -> bool:

@@ -213,6 +213,7 @@ OF_PROBLEM = data_section(
     plane=Annotated[str, choice("plane", tuple(Plane))],
     exact=None,
     laws=None,
+    numbers=None,
     joint=None,
     boundary=None,
     viscosity=None,

@@ -178,8 +178,9 @@ class Elasticity(Body):
         dirichlet = [condition for condition in self.conditions if isinstance(condition, Dirichlet)]
         loads = [condition for condition in self.conditions if isinstance(condition, Neumann | Pressure)]
         springs = [condition for condition in self.conditions if isinstance(condition, Support)]
-        meeting: list[Meeting] = [each for each in self.conditions if isinstance(each, Contact | JointSprings)]
-        meeting += [condition for condition in self.conditions if is_normal(condition)]
+        meeting: list[Meeting] = [
+            each for each in self.conditions if isinstance(each, Contact | JointSprings) or is_normal(each)
+        ]
         pairs = [condition for condition in self.conditions if isinstance(condition, Pair)]
         gaps = {part: getattr(each, "gap", 0.0) for each in meeting for part in each.parts}
         gaps |= {part: pair.added[1] for pair in pairs if not isinstance(pair.law, Tied) for part in pair.slave}
@@ -215,11 +216,13 @@ class Elasticity(Body):
 def of_meeting(meeting: Sequence[Meeting]) -> dict[str, Any]:
     """The fields of an `ElasticProblem` for parts in contact and for those with other laws, but for the gap."""
     touching = [condition for condition in meeting if isinstance(condition, Contact)]
+    laws = [(number, law) for number, each in enumerate(meeting) for law in _laws_of(each)]
     return {
         "surface": {part: each.surface for each in touching if each.surface is not None for part in each.parts},
         "force": {part: each.force for each in touching if each.force for part in each.parts},
         "moment": {part: each.moment for each in touching if each.moment for part in each.parts},
-        "laws": tuple(law for each in meeting for law in _laws_of(each)),
+        "laws": tuple(law for _, law in laws),
+        "numbers": tuple(number for number, _ in laws),
         "joint": {part: each.shear for each in meeting if isinstance(each, JointSprings) for part in each.parts},
     }
 
@@ -302,6 +305,7 @@ class ElasticProblem(Body):
         exact: u itself, where it is known.
         laws: Friction on parts of Γ_C; elsewhere Γ_C is without friction. Or other laws, between the
             opening p = gap − u_n and the pressure −σ_nn, in the place of contact on parts of Γ_C.
+        numbers: For each law that of its condition, by which messages call it; () if each has one.
         shear: Moduli of shear, see `Elasticity`; likewise the next three.
         axes: Directions of the axes of the material.
         eigenstrain: ε₀.
@@ -320,6 +324,7 @@ class ElasticProblem(Body):
     gap: Given | Mapping[str, Given] = 0.0
     surface: Mapping[str, str | Path] = field(default_factory=dict)
     laws: Sequence[ElasticLaw] = ()
+    numbers: Sequence[int] = ()
     force: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     moment: Mapping[str, Mapping[str, Given]] = field(default_factory=dict)
     joint: GivenByPart = field(default_factory=dict)
@@ -381,12 +386,12 @@ class ElasticProblem(Body):
     def _changed(self, change: Callable[[str, Any], Any]) -> Self:
         """The problem with changed data, also those of the laws, see `with_data`."""
         laws = [law.with_data(partial(_changed_in, name, change)) for name, law in self.named_laws]
-        return replace(with_data(self, change, but=("plane", "laws", "surface", "boundary")), laws=laws)
+        return replace(with_data(self, change, but=("plane", "laws", "numbers", "surface", "boundary")), laws=laws)
 
     @property
     def named_laws(self) -> list[tuple[str, ElasticLaw]]:
         """All laws with their names in messages."""
-        return named_laws(self.laws, self.boundary.pairs)
+        return named_laws(self.laws, self.boundary.pairs, self.numbers)
 
     @property
     def rough(self) -> list[str]:

@@ -11,7 +11,6 @@ from signorini_fenicsx.contact.law import Law
 from signorini_fenicsx.contact.laws import Signorini
 from signorini_fenicsx.discrete.datum import Datum
 from signorini_fenicsx.discrete.part_laws import PartLaw, by_ends, chains_of, checked, data_of_law, parts_of_laws
-from signorini_fenicsx.meshes.paired_parts import named_laws
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -67,7 +66,7 @@ def boundary_laws(spaces: Spaces, problem: Problem, psi: Datum, q_S: Datum) -> t
     Raises:
         InputError: If data are not what their law allows; the message says where.
     """
-    given = named_laws(problem.laws, problem.boundary.pairs)
+    given = problem.named_laws
     listed = parts_of_laws(spaces, given)
     plain = [part for part in spaces.part_names if part not in listed]
     laws: list[tuple[str, Law, Mapping[str, Datum]]] = []

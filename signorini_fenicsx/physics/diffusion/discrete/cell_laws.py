@@ -27,7 +27,6 @@ from signorini_fenicsx.discrete.points import facet_type, in_facets, quadratic_n
 from signorini_fenicsx.discrete.vertex_laws import VertexLaws, shared_compliance, vertex_graphs
 from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.expressions.given import Given, combined, parsed
-from signorini_fenicsx.meshes.paired_parts import named_laws
 from signorini_fenicsx.physics.diffusion.discrete.spaces import LinearSpaces, Spaces
 from signorini_fenicsx.physics.diffusion.problem import Problem
 
@@ -261,7 +260,7 @@ def with_reactions(spaces: Spaces, problem: Problem) -> Problem:
         InputError: If a region is unknown, or c or a reaction is a function of points.
     """
     names = "xyz"[: spaces.mesh.geometry.dim]
-    for of_law, law in named_laws(problem.laws, problem.boundary.pairs):
+    for of_law, law in problem.named_laws:
         if isinstance(law, Reaction):
             cells_of(spaces, law, of_law)
             c = parsed(law.c, names, f"{of_law}.c")

@@ -260,10 +260,14 @@ class Data:
         return flux if self.b is None else self.b.taken_from(flux, self.kappa)
 
     def extent(self, spaces: Spaces) -> tuple[float, float]:
-        """The smallest and the largest mean of u_D, of ψ on the boundary, and of references in Ω (collective)."""
+        """The smallest and the largest mean of u_D, of ψ on the boundary, and of references in Ω; 0 without any.
+
+        Collective.
+        """
         in_cells = np.empty(0) if self.inside is None else self.inside.means
         means = [self._dirichlet_means(spaces), self.psi_h[spaces.outer_rows], in_cells]
-        return extent(np.concatenate(means), spaces.mesh.comm)
+        low, high = extent(np.concatenate(means), spaces.mesh.comm)
+        return (low, high) if low <= high else (0.0, 0.0)
 
     def dirichlet_varies(self, spaces: Spaces, rounding: float) -> bool:
         """Whether facet means of u_D differ within one body by more than this share of the largest (collective)."""
