@@ -40,8 +40,6 @@ STRIP = {
     "ball": (0.06, 0.095, 0.396, 0.87),
 }
 """Pictures of the strip, and which part of each, inside its axes: left, upper, right and lower edge."""
-TINT = "#f5c9c9"
-"""The colour of what is held in legends, on white."""
 STRIP_HEIGHT, GAP = 260, 20
 
 
@@ -77,7 +75,7 @@ def save(picture: Image.Image, path: Path, width: int) -> None:
     """Write a picture with this width in few colours, among them those of sets: maps of u stay smooth."""
     size = (width, round(picture.height * width / picture.width))
     small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    sets = "".join(colour[1:] for colour in (style.CONTACT, style.FREE, *style.SEGMENTS, TINT, "#ffffff"))
+    sets = "".join(colour[1:] for colour in (style.CONTACT, style.FREE, *style.SEGMENTS, "#ffffff"))
     most = 256 - len(sets) // 6
     palette = small.quantize(most, Image.Quantize.MEDIANCUT, kmeans=2).getpalette() or []
     of_sets = Image.new("P", (1, 1))

@@ -52,16 +52,23 @@ class Cut:
         """Mask of the points on the side of the eye."""
         return (x - self.origin) @ self.normal > 0
 
-    def shown_from_inside(self, corners: Array, normals: Array, is_inside: Inside) -> Mask:
-        """Which triangles before the plane, or across it, turn their inner side to the eye and hide nothing of the cut.
+    def turned_inside(self, corners: Array, normals: Array) -> Mask:
+        """Which triangles before the plane, or across it, turn their inner side to the eye.
 
         Args:
             corners: Shape (triangles, 3, 3).
             normals: Outer normals of the triangles.
-            is_inside: Tells which points are in the domain.
         """
-        nearest = corners[np.arange(len(corners)), np.argmax(corners @ self.normal, axis=1)]
-        turned = self.is_before(nearest) & (normals @ self.view < 0)
+        return self.is_before(self._nearest(corners)) & (normals @ self.view < 0)
+
+    def _nearest(self, corners: Array) -> Array:
+        """The corner of each triangle that is most before the plane."""
+        nearest: Array = corners[np.arange(len(corners)), np.argmax(corners @ self.normal, axis=1)]
+        return nearest
+
+    def shown_from_inside(self, corners: Array, normals: Array, is_inside: Inside) -> Mask:
+        """Which of these the cut does not hide; `is_inside` tells which points are in the domain."""
+        nearest, turned = self._nearest(corners), self.turned_inside(corners, normals)
         height = (nearest[turned] - self.origin) @ self.normal / (self.view @ self.normal)
         turned[turned] = ~is_inside(nearest[turned] - height[:, None] * self.view)  # their shadows on the plane
         return turned

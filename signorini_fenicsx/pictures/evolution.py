@@ -129,11 +129,13 @@ def _draw_views(
     shown = [scenes[step] for step in steps]
     spaces = [Space(each) for each in shown]
     rows = [(view, panel) for view in spaces[-1].views for panel in panels] if panels else []
-    sheet = Sheet(max(len(steps), 1) * [SIDE], [SIDE] * len(rows) + [2.4] * below, title=shown[-1].title)
+    sheet = Sheet(
+        max(len(steps), 1) * [SIDE], [0.0] * len(rows) + [2.4] * below, title=f"{shown[-1].title}\n{spaces[-1].reach}"
+    )
     for row, (view, panel) in enumerate(rows):
         for column, (space, step) in enumerate(zip(spaces, steps, strict=True)):
-            title, axes = f"{panel.title}, $t = {style.power(times[step])}$", sheet.view(row, column)
-            space.draw(panel, sheet, axes, title, view, shown)
+            title = f"{panel.title}, $t = {style.power(times[step])}$"
+            space.draw(panel, sheet, (row, column), title, view, shown)
     columns = [panel.what for panel in panels if panel.where is Where.GAMMA]
     rim = any(len(each.rim.lines) > 0 for each in spaces) and bool(columns)
     blank = any(np.isnan(each.on_facets(column)).any() for each in shown for column in columns)

@@ -6,6 +6,9 @@ from matplotlib.figure import Figure
 
 from signorini_fenicsx.base.arrays import Array, Indices
 
+PIECES = 8
+"""Into so many pieces each edge of a triangle is cut."""
+
 
 def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indices]:
     """Fewer triangles with the same corners and edges, for pictures of large meshes.
@@ -35,6 +38,30 @@ def thinned(points: Array, triangles: Indices, most: int) -> tuple[Indices, Indi
     moved = chosen[triangles]
     kept = (moved[:, 0] != moved[:, 1]) & (moved[:, 1] != moved[:, 2]) & (moved[:, 2] != moved[:, 0])
     return moved[kept], rows[kept]
+
+
+def finer(points: Array, triangles: Indices, values: Array, most: float) -> tuple[Array, Indices, Array]:
+    """The same linear values, on smaller triangles where they differ by more than `most` on one.
+
+    Between the corners of a triangle Matplotlib mixes colours, and those of a scale do not mix to colours of the scale.
+
+    Returns:
+        The points, the triangles and the values at the points.
+    """
+    i, j = np.array([(i, j) for i in range(PIECES + 1) for j in range(PIECES + 1 - i)]).T
+    number = np.zeros((PIECES + 2, PIECES + 2), dtype=np.int64)
+    number[i, j] = np.arange(len(i))
+    shares, low, high = np.column_stack([PIECES - i - j, i, j]) / PIECES, i + j < PIECES, i + j < PIECES - 1
+    upright = np.column_stack([number[i, j], number[i + 1, j], number[i, j + 1]])[low]
+    turned = np.column_stack([number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]])[high]
+    steep = np.ptp(values[triangles], axis=1) > most
+    corners, small = triangles[steep], np.concatenate([upright, turned])
+    begins = len(points) + len(i) * np.arange(len(corners))
+    return (
+        np.concatenate([points, (shares @ points[corners]).reshape(-1, points.shape[1])]),
+        np.concatenate([triangles[~steep], (begins[:, None, None] + small).reshape(-1, 3)]),
+        np.concatenate([values, (values[corners] @ shares.T).ravel()]),
+    )
 
 
 def creases(points: Array, triangles: Indices, angle: float = 30) -> Indices:

@@ -183,10 +183,12 @@ class Page:
         return [*groups, *([(between, style.CONTACT, scene.edges)] if len(between := scene.free_boundary()) else [])]
 
     def traces(self, panel: Panel) -> list:
-        """What a panel shows, but for those on a logarithmic scale, of a part of the domain, or on cells in space."""
+        """What a panel shows, but for maps on a logarithmic scale or of names, of a part of the domain, or on cells."""
         scene = panel.scene or self.scene
         points, facets = self.raised(scene), scene.facets.vertices
-        if panel.log or scene.frame is not None or panel.where in (Where.SURFACE, Where.STEPS, Where.ACROSS):
+        if (panel.log and panel.where is not Where.STREAMS) or panel.names or scene.frame is not None:
+            return []
+        if panel.where in (Where.SURFACE, Where.STEPS, Where.ACROSS):
             return []
         if scene.dim == 2:
             of_map = panel.where in (Where.MAP, Where.STREAMS)
@@ -198,7 +200,7 @@ class Page:
             return [self.surface(points, facets, panel, values if values.ndim == 1 else np.linalg.norm(values, axis=1))]
         space = self.space.of(panel.scene) if panel.scene else self.space
         if panel.where is Where.STREAMS:
-            return self._streamlines(panel, space.streamlines)
+            return self._streamlines(panel, space.streamlines[0])
         grid = space.with_values(panel)
         cut = grid if panel.where is Where.OUTSIDE else grid.slice_orthogonal().combine()
         shown = cut.extract_surface(algorithm=None).triangulate()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matplotlib.colors import Colormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -57,10 +58,12 @@ class Panel:
         log: Whether colours are on a logarithmic scale.
         levels: Values on which maps have lines.
         lines: In the plane streamlines, and the corners of their arrow heads.
+        sign: In space the direction of arrow heads, −1 where it is against the flux.
         only: The triangles that a map shows, if not all.
         curves: On Γ_S in the plane the columns of the table, each with its label and look.
         of_jump: The title on parts inside the domain, if it is another one.
         peak: Whether the title in the plane tells the largest value.
+        names: The colours of what values count, by their names, which the legend has in the place of a bar.
         scene: What it shows, if not the solution as it is.
     """
 
@@ -68,16 +71,18 @@ class Panel:
     where: Where
     title: str = ""
     label: str = ""
-    colours: str = U_MAP
+    colours: str | Colormap = U_MAP
     in_cells: bool = False
     ends: tuple[float, float, str] | None = None
     log: bool = False
     levels: Sequence[float] = ()
     lines: tuple[Sequence[Array], Sequence[Array] | Array] = (), ()
+    sign: int = 1
     only: Mask | None = None
     curves: Mapping[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
     of_jump: str = ""
     peak: bool = False
+    names: Mapping[str, str] = field(default_factory=dict)
     scene: Scene | None = None
 
 
@@ -85,6 +90,12 @@ def error_panel(scene: Scene, title: str = r"contributions $\eta_T$ to the error
     """Where the error is, on a logarithmic scale; nothing if no bound is known."""
     eta = scene.fields.in_cells.get("indicator")
     return [] if eta is None else [Panel(eta, Where.MAP, title, r"$\eta_T$", ERROR_MAP, in_cells=True, log=True)]
+
+
+def named_colours(panels: Iterable[Panel]) -> list[Patch]:
+    """The entries of the legend for what values of panels count."""
+    names = {name: colour for panel in panels for name, colour in panel.names.items()}
+    return [Patch(color=colour, label=name) for name, colour in names.items()]
 
 
 def on_gamma(what: str, title: str, unit: str, curve: tuple[str, str, str], **look: Any) -> Panel:
@@ -108,9 +119,9 @@ class Overlay:
 
     Attributes:
         label: What the legend calls them, if they are in it.
-        points: The points of each, of shape (points, dim).
-        look: How Matplotlib draws them.
-        filled: Whether they are polygons.
+        points: The points of each, of shape (points, dim); in space triangles.
+        look: How Matplotlib draws them; in space their colour and opacity.
+        filled: Whether they are polygons; in space what is beside the outside alone.
     """
 
     label: str

@@ -19,8 +19,8 @@ from signorini_fenicsx.base.polylines import chains
 from signorini_fenicsx.base.tolerances import ROUNDING, TIE
 from signorini_fenicsx.pictures import style, traces
 from signorini_fenicsx.pictures.curves import draw_steps, moves
-from signorini_fenicsx.pictures.geometry import framed, thinned
-from signorini_fenicsx.pictures.panels import Panel, Where
+from signorini_fenicsx.pictures.geometry import finer, framed, thinned
+from signorini_fenicsx.pictures.panels import Panel, Where, named_colours
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
 
@@ -32,6 +32,8 @@ SLIM, NARROW = 0.25, 1.7
 """If width over height is below this, no surface is drawn, nor streamlines beside other panels; inches of a column."""
 TALL = 6.0
 """Inches of the highest map."""
+STEEP = 0.1
+"""Where values differ by more than this share of the scale on a triangle, they are drawn on smaller ones."""
 MAPS = (Where.MAP, Where.STREAMS, Where.SURFACE)
 OVERVIEW_PARTS = 3
 """Most parts of Γ_S that a sheet with maps shows."""
@@ -86,12 +88,7 @@ class Plane:
         scene, wide, panels = self.scene, self.wide, list(panels)
         maps = self._maps(panels)
         shown = [each for each in panels if each.where is Where.GAMMA]
-        of_parts = [
-            (panel, part)
-            for of in dict.fromkeys(each.scene for each in shown)
-            for part in list((of or scene).labels)[: OVERVIEW_PARTS if maps else None]
-            for panel in _in_pairs([each for each in shown if each.scene is of and (of or scene).shows(each, part)])
-        ]
+        of_parts = self._of_parts(shown, OVERVIEW_PARTS if maps else None)
         steps = [each for each in panels if each.where is Where.STEPS and moves(scene.history)]
         alone = not shown and not steps
         columns, width = (2, 4.4 if maps else 3.6) if wide or not maps else (3, 2.45)
@@ -101,7 +98,8 @@ class Plane:
             width = 7.0 if wide else min(most, max(TALL * self.aspect, NARROW))
         if steps and not maps and not of_parts:
             columns, width = 1, 3.8
-        beside = bool(steps and wide and maps)
+        left = -len(maps) % columns
+        beside = bool(steps and maps and (wide or (left and not of_parts)))
         rows = -(-(len(maps) + beside) // columns) if maps else 0
         below = [1.55] * (len(of_parts) // 2) or [2.6] * bool(steps and not beside)
         heights = [min(width / self.aspect, TALL) if alone else width / max(self.aspect, 0.7)] * rows + below
@@ -122,14 +120,30 @@ class Plane:
             if each is not None:
                 axes = sheet.panel(rows + number // 2, number % 2)
                 traces.draw_trace(each.scene or scene, axes, part, each, named)
-        entries = [*handles.values(), *traces.handles(scene, shown if of_parts else [], shades=not maps)]
+        entries = [
+            *handles.values(),
+            *named_colours(maps),
+            *traces.handles(scene, shown if of_parts else [], shades=not maps),
+        ]
         if steps:
-            across = {} if beside else {"rows": len(below)} if of_parts else {"columns": columns}
+            across = (
+                {"columns": left or columns} if beside else {"rows": len(below)} if of_parts else {"columns": columns}
+            )
             axes = sheet.panel(*(divmod(len(maps), columns) if beside else (rows, 2 if of_parts else 0)), **across)
             draw_steps(axes, scene.history, of_steps or named(steps[0].title))
             entries += axes.get_legend_handles_labels()[0]
         sheet.legend_below(entries)
         return sheet
+
+    def _of_parts(self, shown: Sequence[Panel], most: int | None) -> list[tuple[Panel | None, str]]:
+        """Panels and the parts on which they are, for rows of two; at most so many parts."""
+        scene = self.scene
+        return [
+            (panel, part)
+            for of in dict.fromkeys(each.scene for each in shown)
+            for part in list((of or scene).labels)[:most]
+            for panel in _in_pairs([each for each in shown if each.scene is of and (of or scene).shows(each, part)])
+        ]
 
     def _maps(self, panels: Sequence[Panel]) -> list[Panel]:
         """The maps among panels, and surfaces that can be seen."""
@@ -148,28 +162,33 @@ class Plane:
         if panel.where is Where.SURFACE:
             self._draw_surface(panel.what, axes, title)
             return
-        values, triangles = panel.what, self.triangulation
-        seen = values if panel.only is None else values[self.scene.fields.cells[panel.only]]
+        values, points, triangles = panel.what, self.scene.fields.points, self.triangulation
+        cells = self.scene.fields.cells if panel.only is None else self.scene.fields.cells[panel.only]
+        seen = values if panel.only is None else values[cells]
         low, high, extend = panel.ends or (float(seen.min()), float(seen.max()), "neither")
-        look: dict[str, Any] = {"norm": log_norm(values)} if panel.log else {"vmin": low, "vmax": high}
+        look: dict[str, Any] = {"vmin": low, "vmax": high}
+        if panel.log:
+            look = {"norm": log_norm(np.minimum(values, high))}
+            values = np.maximum(values, look["norm"].vmin)
+        drawn, colours = triangles, values
         if panel.in_cells:
-            values = np.maximum(values, look["norm"].vmin) if panel.log else values
             look |= {"edgecolors": "face", "linewidth": 0.3}
         else:
             look |= {"shading": "gouraud"}
-            if panel.only is not None:
-                triangles = Triangulation(*self.scene.fields.points.T, self.scene.fields.cells[panel.only])
-        image = axes.tripcolor(triangles, values, cmap=panel.colours, rasterized=True, **look)
-        bar = sheet.bar(axes, image, panel.label, extend)
-        if len(panel.levels):
+            triangles = triangles if panel.only is None else Triangulation(*points.T, cells)
+            points, cells, colours = finer(points, cells, values, STEEP * (high - low))
+            drawn = Triangulation(*points.T, cells)
+        image = axes.tripcolor(drawn, colours, cmap=panel.colours, rasterized=True, **look)
+        bar = None if panel.names else sheet.bar(axes, image, panel.label, extend)
+        if bar is not None and len(panel.levels):
             settled = on_levels(values, panel.levels)
             look = {"colors": "white", "linewidths": 0.6, "alpha": 0.8, "negative_linestyles": "solid"}
             bar.add_lines(axes.tricontour(triangles, settled, panel.levels, **look))
         lines, heads = panel.lines
         streams = LineCollection(lines, colors="white", linewidths=0.7), PolyCollection(heads, facecolors="white")
-        for drawn in streams if panel.where is Where.STREAMS else ():
-            axes.add_collection(drawn, autolim=False)
-            drawn.set_clip_path(PathPatch(self.outline, transform=axes.transData))
+        for each in streams if panel.where is Where.STREAMS else ():
+            axes.add_collection(each, autolim=False)
+            each.set_clip_path(PathPatch(self.outline, transform=axes.transData))
         self.surround(axes, title)
 
     def _draw_surface(self, u: Array, axes: Axes, title: str) -> None:

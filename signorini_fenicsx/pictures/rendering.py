@@ -10,6 +10,13 @@ import pyvista
 from matplotlib.axes import Axes
 
 from signorini_fenicsx.base.arrays import Array, Indices
+from signorini_fenicsx.pictures.scene import Scene
+
+ARROWS = 50
+"""Arrows on Γ_S are drawn on about this many facets; more would be too small to be seen."""
+STREAMLINES = 70
+STILL = 1e-3
+"""Vectors that are less than this share of the largest one have no arrow head."""
 
 
 @contextmanager
@@ -74,3 +81,82 @@ def surface_of(triangles: Sequence[Array]) -> pyvista.PolyData:
     """A surface of triangles."""
     corners = np.concatenate(triangles)
     return pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))
+
+
+def arrows_on(x: Array, measure: float, vectors: Array, least: float) -> pyvista.PolyData:
+    """Arrows along vectors that are longer than the least length, all of one length, on some of many facets.
+
+    Args:
+        x: The middles of the facets.
+        measure: Their area.
+        vectors: The vectors, of which some may be NaN.
+        least: The least length.
+    """
+    size = np.linalg.norm(np.nan_to_num(vectors), axis=1)
+    rows = np.flatnonzero(size > least)
+    rows = rows[:: 1 + len(rows) // ARROWS]
+    if not len(rows):
+        return pyvista.PolyData()
+    length, ways = 0.5 * np.sqrt(measure / len(rows)), vectors[rows] / size[rows, None]
+    points = pyvista.PolyData(x[rows] - length / 2 * ways)
+    points["ways"] = ways
+    return points.glyph(orient="ways", scale=False, factor=length)
+
+
+def arrow_heads(seeds: pyvista.PolyData, sign: int, length: float) -> pyvista.PolyData:
+    """Cones at the points through which streamlines go, along their vectors times the sign, where these are not 0."""
+    ways = seeds.extract_points(seeds["sigma_norm"] > STILL * seeds["sigma_norm"].max(), include_cells=False)
+    ways["ways"] = sign * ways["sigma"]
+    cone = pyvista.Cone(height=length, radius=0.35 * length, resolution=16)
+    return ways.glyph(orient="ways", scale=False, geom=cone) if ways.n_points else pyvista.PolyData()
+
+
+def streamlines(
+    scene: Scene, grid: pyvista.UnstructuredGrid, longest: float
+) -> tuple[pyvista.PolyData, pyvista.PolyData]:
+    """Streamlines of σ_h through points spread over the domain, and these points with their σ_h.
+
+    VTK finds them in single precision, near 0.
+
+    Args:
+        scene: A solution in space.
+        grid: Its mesh with the flux at its vertices.
+        longest: Their greatest length.
+    """
+    measure = np.cumsum(scene.measure)
+    share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
+    cells = np.searchsorted(measure, share * measure[-1])
+    points, jumping = scene.fields.points, scene.fields.in_cells.get("flow")
+    near_0, step = _grid_of_lines(grid, points - points[0], scene.fields.cells, jumping)
+    seeds = pyvista.PolyData((points - points[0])[scene.fields.cells[cells]].mean(axis=1))
+    lines = near_0.streamlines_from_source(
+        seeds,
+        vectors="sigma",
+        max_length=longest,
+        initial_step_length=step,
+        max_step_length=step,
+        max_steps=round(200 / step),
+        interpolator_type="point" if jumping is None else "cell",
+    )
+    seeds = seeds.sample(near_0)
+    for each in (lines, seeds):
+        each.points = np.asarray(each.points, dtype=np.float64) + points[0]
+    return lines, seeds
+
+
+def _grid_of_lines(
+    grid: pyvista.UnstructuredGrid, points: Array, cells: Indices, jumping: Array | None
+) -> tuple[pyvista.UnstructuredGrid, float]:
+    """The mesh in other places with the field of streamlines, and their step in parts of a cell.
+
+    Each cell has its own corners if the field jumps between cells; lines end a step before the boundary.
+    """
+    if jumping is None:
+        near_0 = grid.copy()
+        near_0.points = points
+        return near_0, 0.5
+    corners = points[cells].reshape(-1, 3)
+    near_0 = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: np.arange(len(corners)).reshape(-1, 4)}, corners)
+    near_0.point_data["sigma"] = jumping.reshape(-1, 3)
+    near_0.point_data["sigma_norm"] = np.linalg.norm(near_0.point_data["sigma"], axis=1)
+    return near_0, 0.1

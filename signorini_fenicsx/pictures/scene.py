@@ -237,9 +237,11 @@ class Scene:
 
     @cached_property
     def over(self) -> Sequence[Overlay]:
-        """What is drawn over maps of the plane: what the physics has, regions, the boundary, Γ_S by its groups."""
+        """What is drawn over maps: what the physics has; in the plane regions, the boundary, Γ_S by its groups too."""
         if self.given is not None:
             return self.given
+        if self.dim == 3:
+            return self.pictures.over(self, [])
         points, boundary = self.fields.points, self.boundary
         black = {"color": "black", "linewidth": 1.2, "clip_on": False}
         edge = [patheffects.Stroke(linewidth=4.5, foreground="black"), patheffects.Normal()]

@@ -4,7 +4,7 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +33,13 @@ LETTER = 0.082
 """Mean width of a letter of the title."""
 SPACE = r" (?!%)(?=(?:[^$]*\$[^$]*\$)*[^$]*$)"
 """A space outside of mathematics and not before "%"."""
+FLAT = 0.4
+"""Rows of views are at least this share of their width high."""
 NOTEBOOK_DPI = 75
 """A figure that is as wide as a page is as wide as the column of a notebook then."""
+
+type Place = tuple[float, float, float, float]
+"""Left and upper edge, width and height, in inches."""
 
 
 class Sheet(Figure):
@@ -44,7 +49,7 @@ class Sheet(Figure):
 
     Args:
         widths: Inches for each column, without its labels.
-        heights: Inches for each row, likewise.
+        heights: Inches for each row, likewise; rows of views grow.
         bars: Whether the columns have room for colour bars.
         title: A title of the sheet, perhaps of several lines.
         dpi: Points per inch, if not those of the style.
@@ -60,10 +65,10 @@ class Sheet(Figure):
         dpi: float | None = None,
     ) -> None:
         super().__init__(dpi=dpi)
-        self.widths, self._heights, self._bar = widths, heights, BAR if bars else RIGHT
+        self.widths, self.heights, self._bar = widths, list(heights), BAR if bars else RIGHT
         self._across = EDGE + sum(LEFT + width + self._bar for width in widths)
         self._lines = _wrapped(title, self._across - 1)[:LINES] if title else []
-        self._places: dict[Axes, tuple[float, float, float, float]] = {}
+        self._places: dict[Axes, Callable[[], Place]] = {}
         self.legend_below([])
 
     def panel(
@@ -79,31 +84,48 @@ class Sheet(Figure):
             aspect: Width over height of a map, beside which there is room for a colour bar. Other panels fill the cell.
             options: Those of `add_axes`.
         """
-        left = EDGE + LEFT + sum(LEFT + width + self._bar for width in self.widths[:column])
-        top = self._top + ABOVE + sum(ABOVE + height + BELOW for height in self._heights[:row])
-        width = sum(self.widths[column : column + columns]) + (columns - 1) * (LEFT + self._bar)
-        height = sum(self._heights[row : row + rows]) + (rows - 1) * (ABOVE + BELOW)
         axes = self.add_axes((0, 0, 1, 1), **options)
-        if aspect is None:
-            place = (left, top, width + self._bar - RIGHT, height)
-        else:
-            fitting = min(width, height * aspect)
-            place = (left + (width - fitting) / 2, top + (height - fitting / aspect) / 2, fitting, fitting / aspect)
-        self._places[axes] = place
+        self._places[axes] = lambda: self._place(row, column, rows, columns, aspect)
         return axes
 
-    def view(self, row: int, column: int) -> Axes:
-        """Axes for an image without labels, which also takes their room in its cell."""
-        axes = self.panel(row, column, aspect=self.widths[column] / self._heights[row])
-        left, top, width, height = self._places[axes]
-        self._places[axes] = left - LEFT + EDGE, top, width + LEFT - EDGE, height + BELOW - EDGE
+    def _place(self, row: int, column: int, rows: int, columns: int, aspect: float | None) -> Place:
+        left = EDGE + LEFT + sum(LEFT + width + self._bar for width in self.widths[:column])
+        top = self._top + ABOVE + sum(ABOVE + height + BELOW for height in self.heights[:row])
+        width = sum(self.widths[column : column + columns]) + (columns - 1) * (LEFT + self._bar)
+        height = sum(self.heights[row : row + rows]) + (rows - 1) * (ABOVE + BELOW)
+        if aspect is None:
+            return left, top, width + self._bar - RIGHT, height
+        fitting = min(width, height * aspect)
+        return left + (width - fitting) / 2, top + (height - fitting / aspect) / 2, fitting, fitting / aspect
+
+    def view(self, row: int, column: int, aspect: float) -> Axes:
+        """Axes for an image without labels, which also takes their room in its cell; the row is made as high.
+
+        Args:
+            row: Of the cell, from above.
+            column: Of the cell.
+            aspect: Width over height of the image.
+        """
+        axes, width = self.add_axes((0, 0, 1, 1)), self.widths[column]
+        high = (width + LEFT - EDGE) / aspect - (BELOW - EDGE)
+        self.heights[row] = max(self.heights[row], min(width, max(high, FLAT * width)))
+
+        def place() -> Place:
+            left, top, _, height = self._place(row, column, 1, 1, None)
+            return left - LEFT + EDGE, top, width + LEFT - EDGE, height + BELOW - EDGE
+
+        self._places[axes] = place
         return axes
 
     def bar(self, axes: Axes, image: object, label: str, extend: str = "neither") -> Colorbar:
         """A colour bar beside a map."""
-        left, top, width, height = self._places[axes]
-        beside = self.add_axes((0, 0, 1, 1))
-        self._places[beside] = (left + width + 0.12, top + 0.06 * height, min(0.13, 0.1 * height), 0.88 * height)
+        of_map, beside = self._places[axes], self.add_axes((0, 0, 1, 1))
+
+        def place() -> Place:
+            left, top, width, height = of_map()
+            return left + width + 0.12, top + 0.06 * height, min(0.13, 0.1 * height), 0.88 * height
+
+        self._places[beside] = place
         bar = self.colorbar(image, cax=beside, label=label, extend=extend)
         beside.yaxis.set_offset_position("left")  # a power of ten starts above the bar, not above the map
         return bar
@@ -113,9 +135,10 @@ class Sheet(Figure):
         longest = max((len(handle.get_label()) for handle in handles), default=0)
         columns = max(1, min(len(handles), int(self._across / max(WORDS, 0.45 + 0.75 * LETTER * longest))))
         legend = EDGE + ENTRY * -(-len(handles) // columns)
-        down = self._top + sum(ABOVE + height + BELOW for height in self._heights) + legend
+        down = self._top + sum(ABOVE + height + BELOW for height in self.heights) + legend
         self.set_size_inches(self._across, down)
-        for axes, (left, top, width, height) in self._places.items():
+        for axes, place in self._places.items():
+            left, top, width, height = place()
             axes.set_position((left / self._across, 1 - (top + height) / down, width / self._across, height / down))
         if self._lines:
             self.suptitle("\n".join(self._lines), fontsize=11, y=1 - EDGE / down)

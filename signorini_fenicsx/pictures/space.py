@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,26 +13,35 @@ import pyvista
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from signorini_fenicsx.base.arrays import Array, Indices, Mask
+from signorini_fenicsx.cases.plot import with_unit
 from signorini_fenicsx.discrete.mesh_spaces import SIGNORINI
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.curves import draw_steps, moves
 from signorini_fenicsx.pictures.cuts import VIEWS, Cut, best_cuts, best_view, outward, seen_from
 from signorini_fenicsx.pictures.geometry import creases
-from signorini_fenicsx.pictures.panels import Panel, Where
+from signorini_fenicsx.pictures.panels import Overlay, Panel, Where, named_colours
 from signorini_fenicsx.pictures.plane import log_norm
-from signorini_fenicsx.pictures.rendering import cropped, go_near, lines_of, offscreen, surface_of, triad
+from signorini_fenicsx.pictures.rendering import (
+    arrow_heads,
+    arrows_on,
+    cropped,
+    go_near,
+    lines_of,
+    offscreen,
+    streamlines,
+    surface_of,
+    triad,
+)
 from signorini_fenicsx.pictures.scene import Scene
 from signorini_fenicsx.pictures.sheet import Sheet
 
 PIXELS = 700
-STREAMLINES = 70
 EDGES_UP_TO = 6_000
 """Edges of Γ_S are drawn up to this number of triangles; more cannot be distinguished."""
-ARROWS = 50
-"""Arrows on Γ_S are drawn on about this many facets; more would be too small to be seen."""
 STILL = 1e-6
 """Vectors that are less than this share of the largest one of the scale have no arrow."""
 HULL = "#c8c8c8"
@@ -43,6 +52,7 @@ SAME = 0.92
 """One view is enough if it shows this share of what all views show."""
 SIDE, WIDE_SIDE = 2.7, 3.4
 """Inches of a view in a sheet of three columns and of fewer."""
+type Cell = tuple[int, int]
 SHOWN, CUTS = set(Where) - {Where.SURFACE}, (Where.MAP, Where.CUT, Where.ACROSS)
 
 
@@ -75,6 +85,13 @@ class Space:
     def extent(self) -> float:
         """The longest side of the domain."""
         return float(np.ptp(self.scene.fields.points, axis=0).max())
+
+    @property
+    def reach(self) -> str:
+        """From where to where the domain reaches."""
+        low, high = self.scene.fields.points.min(axis=0), self.scene.fields.points.max(axis=0)
+        sides = (rf"${a:.3g} \leq {x} \leq {b:.3g}$" for x, a, b in zip("xyz", low, high, strict=True))
+        return with_unit(", ".join(sides), self.scene.plot.length_unit)
 
     @cached_property
     def is_small(self) -> bool:
@@ -129,69 +146,48 @@ class Space:
         """Mask of the points in the domain."""
         return np.atleast_1d(self.grid.find_containing_cell(x)) >= 0 if len(x) else np.zeros(0, dtype=bool)
 
-    @cached_property
-    def streamlines(self) -> pyvista.PolyData:
-        """Streamlines of σ_h through points spread over the domain; VTK finds them in single precision, near 0."""
-        measure = np.cumsum(self.scene.measure)
-        share = (np.arange(STREAMLINES) + 0.5) / STREAMLINES
-        cells = np.searchsorted(measure, share * measure[-1])
-        points = self.scene.fields.points
-        near_0, jumps = self._grid_of_lines(points - points[0]), "flow" in self.scene.fields.in_cells
-        step = 0.1 if jumps else 0.5  # of a cell; lines end a step before the boundary
-        seeds = pyvista.PolyData(near_0.points[self.scene.fields.cells[cells]].mean(axis=1))
-        lines = near_0.streamlines_from_source(
-            seeds,
-            vectors="sigma",
-            max_length=2 * self.extent,
-            initial_step_length=step,
-            max_step_length=step,
-            max_steps=round(200 / step),
-            interpolator_type="cell" if jumps else "point",
-        )
-        lines.points = np.asarray(lines.points, dtype=np.float64) + points[0]
-        return lines
+    @property
+    def surfaces(self) -> list[Overlay]:
+        """What the physics draws over maps: surfaces, which are lines on cuts."""
+        return [each for each in self.scene.over if not each.filled and len(each.points)]
 
-    def _grid_of_lines(self, points: Array) -> pyvista.UnstructuredGrid:
-        """The mesh in other places with the field of streamlines; each cell has its own, if it jumps between cells."""
-        if (jumping := self.scene.fields.in_cells.get("flow")) is None:
-            grid = self.grid.copy()
-            grid.points = points
-            return grid
-        corners = points[self.scene.fields.cells].reshape(-1, 3)
-        cells = np.arange(len(corners)).reshape(-1, 4)
-        grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells}, corners)
-        grid.point_data["sigma"] = jumping.reshape(-1, 3)
-        grid.point_data["sigma_norm"] = np.linalg.norm(grid.point_data["sigma"], axis=1)
-        return grid
+    @cached_property
+    def streamlines(self) -> tuple[pyvista.PolyData, pyvista.PolyData]:
+        """Streamlines of σ_h, or of the velocity, and the points where they begin."""
+        return streamlines(self.scene, self.grid, 2 * self.extent)
 
     def sheet(self, panels: Iterable[Panel], title: str = "") -> Sheet:
         """Views in rows; those of Γ_S alone of each part, from all sides that show it."""
         steps, on_gamma = moves(self.scene.history), (Where.GAMMA, Where.SETS)
         shown = [each for each in panels if each.where in SHOWN and (steps or each.where is not Where.STEPS)]
+        shown = [each for each in shown if each.where is not Where.GAMMA or self._by_parts(each)]
         if alone := all(each.where in on_gamma for each in shown):
             shown = [part for each in shown for part in self._by_parts(each)]
         views = {id(each): self._views_of(each, alone) for each in shown}
         cells = [(panel, view) for side in range(2) for panel in shown for view in views[id(panel)][side : side + 1]]
         columns = min(2 if len(cells) == 4 else 3, len(cells))
-        size, handles = SIDE if columns == 3 else WIDE_SIDE, self.handles()
-        sheet = Sheet([size] * columns, [size] * -(-len(cells) // columns), title=title)
+        size, handles = SIDE if columns == 3 else WIDE_SIDE, [*self.handles(), *named_colours(shown)]
+        title = f"{title}\n{self.reach}".strip()
+        sheet = Sheet([size] * columns, [0.0] * -(-len(cells) // columns), title=title)
         for number, (panel, view) in enumerate(cells):
             place = divmod(number, columns)
             name = panel.title if len(cells) == 1 else f"{style.letter(number)} {panel.title}"
             if panel.where is Where.STEPS:
-                axes = sheet.panel(*place)
+                axes, sheet.heights[place[0]] = sheet.panel(*place), size
                 draw_steps(axes, self.scene.history, name)
                 handles += axes.get_legend_handles_labels()[0]
             else:
-                (self.of(panel.scene) if panel.scene else self).draw(panel, sheet, sheet.view(*place), name, view)
+                (self.of(panel.scene) if panel.scene else self).draw(panel, sheet, place, name, view)
         sheet.legend_below(handles)
         return sheet
 
     def _by_parts(self, panel: Panel) -> list[Panel]:
         """A panel of Γ_S for each part on which it shows something."""
         scene = panel.scene or self.scene
-        if panel.where is not Where.GAMMA or len(scene.labels) == 1:
+        if panel.where is not Where.GAMMA:
             return [panel]
+        if len(scene.labels) == 1:
+            return [panel] if scene.shows(panel, *scene.labels) else []
         return [replace(panel, scene=part) for part in scene.by_parts if part.shows(panel, *part.labels)]
 
     def _views_of(self, panel: Panel, alone: bool) -> list[Array]:
@@ -205,14 +201,14 @@ class Space:
         return self.others.setdefault(id(scene), Space(scene))
 
     def draw(
-        self, panel: Panel, sheet: Sheet, axes: Axes, title: str, view: Array, scenes: Sequence[Scene] = ()
+        self, panel: Panel, sheet: Sheet, place: Cell, title: str, view: Array, scenes: Sequence[Scene] = ()
     ) -> None:
         """A panel. A small Γ_S is enlarged, and its title tells.
 
         Args:
             panel: What is shown.
             sheet: The sheet.
-            axes: Where it is drawn.
+            place: Row and column where it is drawn.
             title: The title, without what the view adds.
             view: Direction from which Γ_S is seen.
             scenes: The scenes that share the scale of the colours on Γ_S, if not this one alone.
@@ -226,19 +222,20 @@ class Space:
                 title += f", at most {getattr(self.scene.sites, panel.what).max():.4g}"
         elif where is not Where.SETS:
             view, ends = self.views[0], panel.ends or (float(panel.what.min()), float(panel.what.max()), "neither")
-        norm = log_norm(panel.what) if panel.log else Normalize(*ends[:2])
+        norm = log_norm(np.minimum(panel.what, ends[1])) if panel.log else Normalize(*ends[:2])
         if where in CUTS:
             cut = self.cuts[where is Where.ACROSS]
             view, across = cut.view, " across (a)" * (where is Where.ACROSS)
             title += ", behind a cut" if panel.in_cells else f" on a cut{across}"
-        self._show(axes, title, panel, lambda plotter: self._fill(plotter, panel, norm, view, cut), view, near=near)
-        if where is not Where.SETS:
+        build = partial(self._fill, panel=panel, norm=norm, view=view, cut=cut)
+        axes = self._show(sheet, place, title, panel, build, view, near=near)
+        if where is not Where.SETS and not panel.names:
             sheet.bar(axes, ScalarMappable(norm, panel.colours), panel.label, ends[2])
 
     def _fill(self, plotter: pyvista.Plotter, panel: Panel, norm: Normalize, view: Array, cut: Cut | None) -> None:
         """What a panel shows."""
         look: dict[str, Any] = {"cmap": panel.colours, "clim": (norm.vmin, norm.vmax), "lighting": False}
-        look |= {"show_scalar_bar": False}
+        look |= {"show_scalar_bar": False, "log_scale": panel.log}
         if panel.where is Where.SETS:
             self._add_contact(plotter)
             self._add_hull(plotter)
@@ -249,12 +246,13 @@ class Space:
             self._add_hull(plotter)
         elif panel.where is Where.STREAMS:
             self._add_contact(plotter, opacity=0.3)
-            for triangles in (each for each in self.scene.lines.values() if len(each)):
-                plotter.add_mesh(surface_of(triangles), color=style.WATER, opacity=0.35, lighting=False)
-            lines = self.streamlines
+            for each in self.surfaces:
+                plotter.add_mesh(surface_of(each.points), lighting=False, **each.look)
+            lines, seeds = self.streamlines
             tubes = lines.tube(radius=0.005 * self.extent, n_sides=8) if lines.n_points else lines
-            if tubes.n_points:  # without flux each line is a point, which has no tube
-                plotter.add_mesh(tubes, scalars="sigma_norm", **look | {"lighting": True, "ambient": 0.4})
+            for mesh in (tubes, arrow_heads(seeds, panel.sign, 0.04 * self.extent)):
+                if mesh.n_points:  # without flux each line is a point, which has no tube
+                    plotter.add_mesh(mesh, scalars="sigma_norm", **look | {"lighting": True, "ambient": 0.4})
         elif panel.where is Where.OUTSIDE:
             surface = self.with_values(panel).extract_surface(algorithm=None)
             plotter.add_mesh(surface, scalars="values", **look)
@@ -270,10 +268,10 @@ class Space:
             self._add_shell_of(plotter, cut)
 
     def _add_half(self, plotter: pyvista.Plotter, panel: Panel, cut: Cut, look: dict[str, Any]) -> None:
-        """Values of the cells behind a cut, on a logarithmic scale."""
+        """Values of the cells behind a cut."""
         half = self.grid.clip(cut.normal, origin=cut.origin, crinkle=True).extract_surface(algorithm=None)
-        half.cell_data["log"] = np.log10(np.maximum(panel.what, look["clim"][0]))[half.cell_data["cell"]]
-        plotter.add_mesh(half, scalars="log", **look | {"clim": np.log10(look["clim"]).tolist()})
+        half.cell_data["values"] = np.asarray(panel.what)[half.cell_data["cell"]]
+        plotter.add_mesh(half, scalars="values", **look)
         rim = self.rim.clip(cut.normal, origin=cut.origin) if self.rim.n_cells else self.rim
         if rim.n_cells:
             self._add_lines(plotter, rim, cut.view, style.CONTACT, 4)
@@ -286,35 +284,37 @@ class Space:
 
     def mesh(self) -> Sheet:
         """The mesh on the boundary, with the contact set."""
-        sheet = Sheet([WIDE_SIDE] * len(self.views), [WIDE_SIDE])
+        sheet = Sheet([WIDE_SIDE] * len(self.views), [0.0], title=self.reach)
 
         def build(plotter: pyvista.Plotter) -> None:
             plotter.add_mesh(self.hull, color="white", lighting=False, show_edges=True, line_width=0.5)
             self._add_contact(plotter)
 
         for number, view in enumerate(self.views):
-            self._show(sheet.view(0, number), self.scene.fields.count, Where.MAP, build, view)
+            self._show(sheet, (0, number), self.scene.fields.count, Where.MAP, build, view)
         sheet.legend_below(self.handles())
         return sheet
 
     def handles(self) -> list:
         """The entries of the legend of Γ_S and of the states of laws in Ω."""
         edge = [Patch(color=style.CONTACT, label=self.scene.edges)] if len(self.scene.free_boundary()) > 0 else []
-        groups, lines = self.scene.groups, self.scene.lines
-        names = [Patch(color="black", label=name.replace("line", "surface")) for name, own in lines.items() if len(own)]
+        groups = self.scene.groups
+        names = [Patch(color=each.look["color"], label=each.label) for each in self.surfaces]
         of_gamma = [Patch(color=group.colour, label=f"{self.scene.gamma}, {group.name}") for group in groups]
-        return [*of_gamma, *edge, *names]
+        around = Line2D([], [], color=style.CONTACT, linewidth=2.5, label=self.scene.word("around the contact set"))
+        rim = self.rim.n_cells > 0 and style.CONTACT not in [group.colour for group in groups]
+        return [*of_gamma, *[around] * rim, *edge, *names]
 
     def _add_shell_of(self, plotter: pyvista.Plotter, cut: Cut) -> None:
-        """The shell of the domain, whose inner side is pale where it is before the cut."""
+        """The shell of the domain, whose inner side is pale where it is before the cut, and hidden by all else."""
         boundary, facets = self.scene.boundary, self.scene.facets
         groups = [(group.colour, facets.vertices[group.facets]) for group in self.scene.groups]
         for colour, vertices in [*groups, (HULL, boundary.vertices[boundary.kind != SIGNORINI])]:
             self._add_shell(plotter, cut, colour, vertices)
-        for triangles in self.scene.lines.values():
-            edge = surface_of(triangles).slice(cut.normal, origin=cut.origin) if len(triangles) else pyvista.PolyData()
+        for each in self.surfaces:
+            edge = surface_of(each.points).slice(cut.normal, origin=cut.origin)
             if edge.n_cells:
-                self._add_lines(plotter, edge, cut.view, "black", 4)
+                self._add_lines(plotter, edge, cut.view, each.look["color"], 4)
         sets = [*groups, (style.CONTACT, self.scene.free_boundary())]
         for colour, vertices in (each for each in sets if len(each[1])):
             edge = self._triangles(vertices).slice(cut.normal, origin=cut.origin)
@@ -322,17 +322,22 @@ class Space:
                 self._add_lines(plotter, edge, cut.view, colour, 5)
 
     def _add_shell(self, plotter: pyvista.Plotter, cut: Cut, colour: str, vertices: Indices) -> None:
-        """Triangles of the boundary behind a cut, and those before it that turn their inner side to the eye."""
+        """Triangles of the boundary behind a cut, and those before it that turn their inner side to the eye.
+
+        These are moved along the view, which in parallel projection changes nothing but what hides what.
+        """
         if not len(vertices):
             return
         corners = self.scene.fields.points[vertices]
-        inner = cut.shown_from_inside(corners, outward(self.scene, vertices), self._is_inside)
-        parts = [(vertices, True, colour), (vertices[inner], False, _pale(colour))]
-        for triangles, is_behind, shown_in in parts:
+        inner = cut.turned_inside(corners, outward(self.scene, vertices))
+        away = -2 * np.linalg.norm(np.ptp(self.scene.fields.points, axis=0)) * cut.view
+        parts = [(vertices, True, colour, 0 * away), (vertices[inner], False, _pale(colour), away)]
+        for triangles, is_behind, shown_in, moved in parts:
             if len(triangles):
                 clipped = self._triangles(triangles).clip(cut.normal, origin=cut.origin, invert=is_behind)
                 if clipped.n_cells:
-                    plotter.add_mesh(clipped, color=shown_in, ambient=0.6, diffuse=0.45, specular=0.0)
+                    look = {"ambient": 0.6, "diffuse": 0.45, "specular": 0.0, "reset_camera": False}
+                    plotter.add_mesh(clipped.translate(moved), color=shown_in, **look)
 
     def _triangles(self, vertices: Indices) -> pyvista.PolyData:
         return pyvista.PolyData.from_regular_faces(self.scene.fields.points, vertices)
@@ -354,28 +359,14 @@ class Space:
             plotter.add_mesh(self.hull, color="grey", opacity=0.12, lighting=False)
 
     def _add_arrows(self, plotter: pyvista.Plotter, vectors: Array, least: float, view: Array) -> None:
-        """Arrows along vectors on facets of Γ_S, all of one length, on some of the facets if there are many.
-
-        Vectors of at most the least length have none, numbers that are no vectors neither.
-        """
+        """Arrows along vectors on facets of Γ_S that are longer than the least length; numbers have none."""
         if vectors.ndim == 1:
             return
-        size = np.linalg.norm(np.nan_to_num(vectors), axis=1)
-        rows = np.flatnonzero(size > least)
-        rows = rows[:: 1 + len(rows) // ARROWS]
-        if not len(rows):
-            return
-        length = 0.5 * np.sqrt(self.scene.facets.measure.sum() / len(rows))
-        ways = vectors[rows] / size[rows, None]
-        begins = self.scene.facets.x[rows] - length / 2 * ways + 0.004 * self.extent * view
-        points = pyvista.PolyData(begins)
-        points["ways"] = ways
-        plotter.add_mesh(
-            points.glyph(orient="ways", scale=False, factor=length),
-            color="white",
-            lighting=False,
-            silhouette={"color": "black", "line_width": 2},
-        )
+        facets = self.scene.facets
+        drawn = arrows_on(facets.x + 0.004 * self.extent * view, facets.measure.sum(), vectors, least)
+        if drawn.n_points:
+            edge = {"color": "black", "line_width": 2}
+            plotter.add_mesh(drawn, color="white", lighting=False, silhouette=edge)
 
     def _add_lines(
         self, plotter: pyvista.Plotter, lines: pyvista.PolyData, view: Array, color: str, width: float
@@ -385,35 +376,45 @@ class Space:
         plotter.add_mesh(moved, color=color, line_width=width, lighting=False, render_lines_as_tubes=width > 2)
 
     def _show(
-        self, axes: Axes, title: str, key: object, build: Callable[[Any], None], view: Array, *, near: bool = False
-    ) -> None:
-        """Render into axes, with the edges of the domain and the coordinate directions; each image is rendered once."""
+        self,
+        sheet: Sheet,
+        place: Cell,
+        title: str,
+        key: object,
+        build: Callable[[Any], None],
+        view: Array,
+        *,
+        near: bool = False,
+    ) -> Axes:
+        """Render a view, with the edges of the domain and the coordinate directions; each image is rendered once."""
         if (key, tuple(view)) not in self.rendered:
-            rim = not (isinstance(key, Panel) and key.where in CUTS)
-            self.rendered[key, tuple(view)] = self._render(build, view, rim=rim, near=near)
+            is_cut = isinstance(key, Panel) and key.where in CUTS
+            self.rendered[key, tuple(view)] = self._render(build, view, is_cut=is_cut, near=near)
         image = self.rendered[key, tuple(view)]
         height, width = image.shape[:2]
-        axes.imshow(image, interpolation="antialiased")
         room = 0.1 * max(width, height)  # for the coordinate directions, also beside what is flat
+        axes = sheet.view(*place, (width + room) / (height + room))
+        axes.imshow(image, interpolation="antialiased")
         axes.set(xlim=(-room, width), ylim=(height + room, 0))
         axes.set_axis_off()
         axes.set_title(title)
         triad(axes, view, (2.2 * room / (width + room), 2.2 * room / (height + room)))
+        return axes
 
-    def _render(self, build: Callable[[Any], None], view: Array, *, rim: bool, near: bool) -> npt.NDArray[np.uint8]:
+    def _render(self, build: Callable[[Any], None], view: Array, *, is_cut: bool, near: bool) -> npt.NDArray[np.uint8]:
         with offscreen():
             plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
             plotter.suppress_rendering = True  # otherwise each of the following calls renders
             plotter.set_background("white")
             build(plotter)
             for lines, color, width in ((self.frame, "black", 1.5), (self.rim, style.CONTACT, 4)):
-                if lines.n_cells and (rim or lines is self.frame):
+                if lines.n_cells and not (is_cut and lines is self.rim):
                     self._add_lines(plotter, lines, view, color, width)
             plotter.enable_parallel_projection()
-            plotter.view_vector(view, (0, 0, 1))
+            plotter.view_vector(view, (0, 0, 1), bounds=self.grid.bounds if is_cut else None)
             if near:
                 go_near(plotter.camera, self.scene.fields.points[self.scene.facets.vertices], view)
-                plotter.reset_camera_clipping_range()
+            plotter.reset_camera_clipping_range()
             plotter.enable_anti_aliasing("msaa")
             plotter.suppress_rendering = False
             image = plotter.screenshot(return_img=True)

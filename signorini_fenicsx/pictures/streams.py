@@ -13,6 +13,12 @@ GRID = 110
 """Points of the grid along the longer side of the domain."""
 ARROW = 0.022
 """Length of the arrow heads, relative to this side."""
+DENSITY = 0.95
+"""Lines along the longer side of the domain, in parts of 30; across a thin one there are fewer."""
+APART = 1.6
+"""Heads are at least this many times their length from each other."""
+SHARES = (0.5, 0.4, 0.6, 0.3, 0.7)
+"""Where a head may be on its line, the best place first."""
 STILL = 1e-3
 """A flux smaller than this, relative to the usual one, has no meaningful direction."""
 NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
@@ -43,9 +49,10 @@ def streamlines(fields: Fields, at_corners: Array) -> tuple[list[Array], Array]:
     if not np.nanmax(norm, initial=0.0) > 0:
         return [], np.empty((0, 3, 2))
     sigma[:, norm < STILL * np.nanquantile(norm, style.QUANTILE)] = np.nan
-    plot = Figure().add_subplot().streamplot(x, y, *sigma, density=0.95, num_arrows=0, integration_max_step_scale=2)
+    look = {"density": [DENSITY * np.sqrt(np.ptp(each) / size) for each in (x, y)], "num_arrows": 0}
+    plot = Figure().add_subplot().streamplot(x, y, *sigma, integration_max_step_scale=2, **look)
     lines = [line for line in plot.lines.get_segments() if len(line) > 2]
-    return lines, heads(lines, size)
+    return lines, heads(lines, (low, high))
 
 
 def on_grid(fields: Fields, at_corners: Array, x: Array, y: Array) -> Array:
@@ -79,14 +86,31 @@ def _spread(sigma: Array) -> Array:
     return np.where(np.isfinite(sigma), sigma, np.where(finite.any(axis=0), mean, np.nan))
 
 
-def heads(lines: Sequence[Array], size: float) -> Array:
-    """A triangle in the middle of each line, pointing along it, shape (lines, 3, 2)."""
-    return np.array([_head(line, ARROW * size) for line in lines]).reshape(-1, 3, 2)
+def heads(lines: Sequence[Array], box: tuple[Array, Array]) -> Array:
+    """Triangles near the middle of lines, pointing along them, shape (heads, 3, 2); where there is room for them.
+
+    Args:
+        lines: The points of each line.
+        box: The smallest and the largest coordinates of the domain, beyond which nothing is drawn.
+    """
+    low, high = box
+    length, found = ARROW * float((high - low).max()), np.empty((0, 3, 2))
+    for line in sorted(lines, key=_length, reverse=True):
+        for head in (_head(line, length, share) for share in SHARES):
+            others = np.linalg.norm(found.mean(axis=1) - head.mean(axis=0), axis=1)
+            if others.min(initial=np.inf) > APART * length and np.all((head > low) & (head < high)):
+                found = np.concatenate([found, head[None]])
+                break
+    return found
 
 
-def _head(line: Array, length: float) -> Array:
+def _length(line: Array) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+
+
+def _head(line: Array, length: float, share: float) -> Array:
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    at = int(np.searchsorted(np.cumsum(steps), steps.sum() / 2))
+    at = int(np.searchsorted(np.cumsum(steps), share * steps.sum()))
     along = line[at + 1] - line[at]
     along *= length / max(float(np.linalg.norm(along)), 1e-300)
     across = 0.38 * np.array([-along[1], along[0]])

@@ -44,6 +44,8 @@ DOLLARS = re.compile(r"((?<!\\)\$.*?(?<!\\)\$)")
 """Mathematics in a line."""
 FLAT = 1e-3
 """Values that differ by less than this share of the largest have a scale from 0."""
+MIDDLE = 0.05
+"""Values whose median is less than this share of the usual largest one have a logarithmic scale."""
 QUANTILE = 0.99
 """The colour scale ends at the value below which this share of the domain is, so a corner singularity is beyond it."""
 
@@ -74,6 +76,19 @@ def limits(values: Array, weights: Array) -> tuple[float, float, str]:
     if high > 1.2 * usual > 0:
         return min(low, usual), usual, "max"
     return (low, high, "neither") if high - low > FLAT * high else (0.0, high or 1.0, "neither")
+
+
+def spans_decades(values: Array, weights: Array) -> bool:
+    """Whether most of values that are not negative would have one colour on a scale up to the usual largest one.
+
+    Args:
+        values: The values.
+        weights: The measure of the cell of each value.
+    """
+    order = np.argsort(values)
+    measure = np.cumsum(weights[order])
+    middle, usual = (values[order[np.searchsorted(measure, share * measure[-1])]] for share in (0.5, QUANTILE))
+    return bool(0 < middle < MIDDLE * usual)
 
 
 def around_0(values: Array) -> tuple[float, float]:

@@ -26,6 +26,9 @@ from signorini_fenicsx.meshes.meshing import build_domain
 from signorini_fenicsx.physics.diffusion.show.heads import HEAD, MINUS_HEAD, PRESSURE
 from signorini_fenicsx.physics.diffusion.soils import Gardner, VanGenuchten
 from signorini_fenicsx.physics.diffusion.solution import Solution
+from signorini_fenicsx.pictures.rendering import arrow_heads
+from signorini_fenicsx.pictures.scene import gathered_scene
+from signorini_fenicsx.pictures.space import Space
 
 COMM = MPI.COMM_WORLD
 RT1 = Options(element="RT1")
@@ -175,6 +178,18 @@ def test_surface_in_space():
     assert np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2 == pytest.approx(1.17, abs=0.05)
     assert triangles[..., 2].min() > 0.15
     assert triangles[..., 2].max() < 0.85
+    if (found := gathered_scene(solution)) is not None:
+        outside, surface = found.over
+        wet = np.array(outside.points)
+        assert [outside.label, surface.label] == ["water outside", "phreatic surface"]
+        assert set(wet[..., 0].ravel()) == {0.0, 1.0}
+        assert 0.5 < wet[..., 2].max() < 1
+        head, streams, pressure, _ = found.files["water"][1]
+        np.testing.assert_allclose(pressure.what, head.what - found.fields.points[:, 2])
+        _, seeds = Space(found).streamlines
+        heads = arrow_heads(seeds, streams.sign, 0.1)
+        assert heads.n_cells > 50 * 16
+        assert streams.sign * seeds["sigma"][:, 0].mean() > 0.1  # from left to right, the head falls
 
 
 CASE = """

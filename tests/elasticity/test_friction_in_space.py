@@ -369,8 +369,8 @@ def test_picture_of_shear_and_slip():
     views = {axes.get_title()[4:]: axes.images[0].get_array() for axes in sheet.axes if axes.get_title()}
     assert [title.split()[0] for title in views] == ["pressure", "pressure", "gap", "contact", "shear", "slip"]
     lengths = replace(body, sites=replace(body.sites, gap=np.linalg.norm(body.sites.shear_vector, axis=1)))
-    axes = sheet.view(0, 0)
-    Space(lengths).draw(Panel("gap", Where.GAMMA), sheet, axes, "", views_of.views[0])
+    Space(lengths).draw(Panel("gap", Where.GAMMA), sheet, (0, 0), "lengths", views_of.views[0])
+    axes = next(each for each in sheet.axes if each.get_title().startswith("lengths"))
     white = [
         np.mean(np.min(image, axis=2) == 255)
         for image in (axes.images[-1].get_array(), views[r"shear $|\sigma_t|$ on z0"])
@@ -390,8 +390,8 @@ def test_small_part_is_enlarged(monkeypatch: pytest.MonkeyPatch):
     for near in (0.25, 2.0):
         monkeypatch.setattr(space, "NEAR", near)
         sheet = Sheet([2.5], [2.5])
-        axes = sheet.view(0, 0)
-        Space(few).draw(Panel("pressure", Where.GAMMA), sheet, axes, "pressure", Space(few).views[0])
+        Space(few).draw(Panel("pressure", Where.GAMMA), sheet, (0, 0), "pressure", Space(few).views[0])
+        axes = sheet.axes[0]
         assert axes.get_title() == r"pressure on $\Gamma_C$" + ("" if near < 1 else ", enlarged")
         shares.append(np.mean(np.ptp(np.asarray(axes.images[0].get_array(), dtype=int), axis=2) > 50))
     assert shares[1] > 3 * shares[0] > 0

@@ -365,8 +365,8 @@ def test_cuts_show_the_contact_set():
     assert np.ptp(np.asarray(edges.points)[:, 0]) > 1.8  # Γ_S is cut from one end to the other
 
 
-def test_facets_that_would_hide_a_cut_are_left_out():
-    """Of two walls before a cut the one that stands before the domain itself is not drawn."""
+def test_a_cut_hides_the_shell_before_it():
+    """Of two walls before a cut the one that stands before the domain itself is hidden."""
     cut = Cut(np.array([0.0, -1.0, 0.0]), np.zeros(3), np.array([0.6, -0.8, 0.0]))
     wall = np.array([[0.0, -0.1, 0.0], [0.0, -0.2, 1.0], [0.0, -0.2, 0.0]])
     corners = np.stack([wall + np.array([0.5, 0, 0]), wall - np.array([1.0, 0, 0])])

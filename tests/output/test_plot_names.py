@@ -15,14 +15,16 @@ from signorini_fenicsx.cases.plot import Plot
 from signorini_fenicsx.cases.solving import evolve_case, quantities_of, solve_case
 from signorini_fenicsx.cli.solution_report import interval
 from signorini_fenicsx.physics.diffusion.case import Case
-from signorini_fenicsx.physics.diffusion.show.pictures import columns_of_cells
+from signorini_fenicsx.physics.diffusion.show.pictures import columns_of_cells, segments
 from signorini_fenicsx.physics.diffusion.show.pools import WATER_LINES, Pools, water_lines, wet
 from signorini_fenicsx.physics.diffusion.show.seepage import seepage
 from signorini_fenicsx.pictures.drawing import draw_all, overview
+from signorini_fenicsx.pictures.geometry import finer
 from signorini_fenicsx.pictures.panels import Panel
 from signorini_fenicsx.pictures.scene import Scene, gathered_scene
 from signorini_fenicsx.pictures.sheet import Sheet
-from signorini_fenicsx.pictures.style import around_0, colours_of
+from signorini_fenicsx.pictures.streams import APART, ARROW, SHARES, heads
+from signorini_fenicsx.pictures.style import around_0, colours_of, spans_decades
 from signorini_fenicsx.studies.study import make_run
 
 HEAT = {
@@ -128,6 +130,51 @@ def test_states_of_cells_are_in_words():
         assert list(columns_of_cells(last.solution).values()) == names
 
 
+@pytest.mark.parametrize("element", ["RT0", "RT1"])
+def test_cells_have_colours_by_segment(element: str):
+    """Each law in Ω has a panel with its segments in colours of their own; where there are two laws both have one."""
+    case = load_case("two_obstacles").with_values({"solve.h": 0.125, "solve.element": element})
+    found = scene(case)
+    (panel,) = segments(found)
+    middle = found.fields.points[found.fields.cells].mean(axis=1)[:, 0]
+    names = ["no law", "lower", "open", "upper"]
+    shown = np.array(names)[np.asarray(panel.what)]
+    assert set(shown[middle < 0.12]) == {"lower"}
+    assert set(shown[middle > 0.88]) == {"upper"}
+    assert set(panel.names) == set(names[1:])
+    assert len(set(panel.names.values())) == 3
+    steep = {"kind": "graph", "region": "all", "corners": [[0, 0], [0.05, 1]], "names": ["none", "some", "most"]}
+    first, second = segments(scene(case.with_values({"law": [case.law[0].model_dump(exclude_none=True), steep]})))
+    assert {"lower", "open"} <= set(first.names) <= {"lower", "open", "upper"}
+    assert {"none", "most"} <= set(second.names) <= {"none", "some", "most"}
+
+
+def test_arrow_heads_are_apart_and_inside():
+    """Of parallel lines that are near each other only some have a head, none has one on the edge of the domain."""
+    lines = [
+        np.column_stack([np.linspace(0, 4, 50), np.full(50, y)]) for y in (0.0, 0.5, 0.505, 0.51, 0.515, 0.52, 0.525)
+    ]
+    found = heads(lines, (np.zeros(2), np.array([4.0, 1.0])))
+    middle = found.mean(axis=1)
+    apart = np.linalg.norm(middle[:, None] - middle, axis=2)[~np.eye(len(middle), dtype=bool)]
+    assert len(found) == len(SHARES)
+    assert apart.min() > APART * ARROW * 4
+    assert middle[:, 1].min() > 0.4
+
+
+def test_steep_values_are_drawn_on_small_triangles():
+    """The smaller ones fill the steep one, and have its linear values."""
+    points, values = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.array([0.0, 0.05, 1.0, 0.0])
+    flat = np.array([[0, 1, 3]])
+    x, triangles, at = finer(points, np.concatenate([flat, [[0, 1, 2]]]), values, 0.1)
+    corners = x[triangles[1:]]
+    edges = corners[:, 1:] - corners[:, :1]
+    assert triangles[:1].tolist() == flat.tolist()
+    assert np.abs(np.linalg.det(edges)).sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(at[4:], 0.05 * x[4:, 0] + x[4:, 1], atol=1e-15)
+    assert np.ptp(at[triangles], axis=1).max() < 0.2
+
+
 def test_names_are_kept_with_a_solution(tmp_path: Path):
     (tmp_path / "mine.toml").write_text(
         '[geometry]\nshape = "square"\n[boundary]\nsignorini = ["bottom"]\n[problem]\nf = "-1"\n[plot]\nu = "head"\n'
@@ -175,6 +222,14 @@ def test_scales_have_0_in_their_middle_or_at_an_end():
     found = [around_0(np.array(values)) for values in ([-1.0, 2.0], [-3.0, 1e-9], [0.0, 2.0], [0.0])]
     assert found[:3] == [(-2, 2), (-3, 0), (0, 2)]
     assert found[3][0] < found[3][1]
+
+
+def test_scales_of_decades():
+    """They are for values most of which are small beside the usual largest one."""
+    size = np.full(100, 0.01)
+    assert spans_decades(np.linspace(0.01, 1, 100) ** 6, size)
+    assert not spans_decades(np.linspace(0.01, 1, 100), size)
+    assert not spans_decades(np.zeros(100), size)
 
 
 def test_a_slim_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -15,6 +15,7 @@ from signorini_fenicsx.physics.diffusion.show.shown import (
     GammaTable,
     corners_of,
     edges_of,
+    in_cells,
     lines_of,
     of_facets,
 )
@@ -111,9 +112,7 @@ def drawn(solution: LinearSolution) -> Drawn:
     """The solution for pictures (collective)."""
     laws, u = solution.data.laws, solution.u_vertices
     sigma = solution.cell_flux.centroid
-    cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.divergences}
-    if solution.data.cells_at is not None:
-        cells |= {"contact": solution.held_cells, "states": solution.cell_segments}
+    cells = {"sigma": sigma, "divergence": solution.divergences, **in_cells(solution)}
     return Drawn(
         corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)} | corners_of(solution, u),
         facets=table(solution),

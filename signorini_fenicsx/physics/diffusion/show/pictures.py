@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import ListedColormap
 
-from signorini_fenicsx.base.arrays import Mask
 from signorini_fenicsx.cases.plot import with_unit
+from signorini_fenicsx.contact.law import EVERYWHERE
 from signorini_fenicsx.physics.diffusion.show.phreatic import lines_in
 from signorini_fenicsx.physics.diffusion.show.pools import Pools, water_lines
-from signorini_fenicsx.physics.diffusion.show.shown import STATE
+from signorini_fenicsx.physics.diffusion.show.shown import SEGMENTS, STATE
 from signorini_fenicsx.physics.diffusion.show.states import titles
 from signorini_fenicsx.pictures import style
 from signorini_fenicsx.pictures.curves import moves
@@ -32,6 +33,7 @@ LINE: dict[str, Any] = {"linewidth": 1.6}
 DASHED = {"color": "black", "linewidth": 1.0, "linestyle": "--"}
 DOTS = {"color": "C1", "linestyle": "", "marker": "o", "markersize": 2.8}
 FLUX = LINE | {"color": "C2"}
+IN_SPACE = {"color": "black", "opacity": 0.25}
 SETS = Panel("", Where.SETS, "contact set")
 
 
@@ -43,14 +45,15 @@ def files(scene: Scene) -> dict[str, File]:
     cut = Panel(sigma, Where.CUT, r"$|\sigma_h|$", r"$|\sigma_h|$", style.FLUX_MAP, ends=streams.ends)
     across = replace(u, where=Where.ACROSS)
     on_gamma = [*_on_gamma(scene, water), *of_states(scene)] if scene.labels else []
+    by_laws = [] if water is not None and water.only is not None else segments(scene)
     in_cells = [across, *([replace(SETS, title=scene.edges)] if "states" in scene.fields.in_cells else [])]
     error, steps = error_panel(scene, r"error contributions $\eta_T$"), Panel("", Where.STEPS, "iteration errors")
     of_water = [] if water is None else wetness(scene, water)
     surface = [] if water is not None else [replace(u, where=Where.SURFACE, title=f"{u.label} as a surface")]
-    overview = [u, streams, *(of_water[-1:] or error or [cut]), *(on_gamma or in_cells), steps]
+    overview = [u, streams, *(of_water[-1:] or error or [cut]), *by_laws, *(on_gamma or in_cells), steps]
     return {
         "overview": (f"{scene.title}\n{scene.caption}", overview),
-        "u": ("", [u, across, *surface]),
+        "u": ("", [u, across, *surface, *by_laws]),
         "water": ("", [u, streams, *of_water] if of_water else []),
         "sigma": ("", [cut, streams]),
         "certificate": ("", error_panel(scene)),
@@ -73,10 +76,11 @@ def _streams(scene: Scene, water: Pools | None) -> Panel:
     fields, label = scene.fields, scene.plot.flux_label
     title = f"streamlines of {scene.plot.flux_name if water is None else 'the water'}"
     strength = np.linalg.norm(fields.at_points["sigma"], axis=1)
-    ends = scene.usual(np.linalg.norm(fields.in_cells["sigma"], axis=1))
-    streams = Panel(strength, Where.STREAMS, title, label, style.STREAM_MAP, ends=ends)
+    in_cells = np.linalg.norm(fields.in_cells["sigma"], axis=1)
+    ends, log = scene.usual(in_cells), style.spans_decades(in_cells, scene.measure)
+    streams = Panel(strength, Where.STREAMS, title, label, style.STREAM_MAP, ends=ends, log=log)
     if scene.dim == 3:
-        return streams
+        return replace(streams, sign=sign_of(scene))
     if water is not None and water.only is not None:
         head = _u(scene, water)
         return replace(head, where=Where.STREAMS, title=title, levels=(), lines=water_lines(fields))
@@ -103,6 +107,21 @@ def _on_gamma(scene: Scene, water: Pools | None) -> list[Panel]:
         Panel("p", Where.GAMMA, title, curves=curves | psi, of_jump=jump, scene=shown),
         Panel("flux", Where.GAMMA, with_unit(name, plot.flux_unit), curves={"flux": (flux, FLUX)} | q_S, scene=shown),
     ]
+
+
+def segments(scene: Scene) -> list[Panel]:
+    """The cells of each law in Ω by its segments."""
+    laws, found = getattr(scene.solution.data, "inside", None), []
+    for part in () if laws is None else laws.of_regions:
+        of_cells, where = scene.fields.in_cells[SEGMENTS + part.name], " and ".join(part.law.region)
+        colours = {"no law": "0.92", **style.colours_of(part.titles())}
+        names = ["no law", *part.titles()]
+        title = f"cells by the law in {r'$\Omega$' if EVERYWHERE in part.law.region else where}"
+        look: dict[str, Any] = {"in_cells": True, "ends": (-0.5, len(names) - 0.5, "neither")}
+        look |= {"colours": ListedColormap([colours[name] for name in names])}
+        present = {names[int(each)]: colours[names[int(each)]] for each in np.unique(of_cells)}
+        found.append(Panel(of_cells, Where.MAP, title, names=present, **look))
+    return found
 
 
 def of_states(scene: Scene) -> list[Panel]:
@@ -135,9 +154,8 @@ def wetness(scene: Scene, water: Pools) -> list[Panel]:
 
 
 def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
-    """Over maps: the water outside, cells in contact, fronts, the phreatic line."""
-    points, contact = scene.fields.points, scene.fields.in_cells.get("contact")
-    water, colour = Pools.of(scene), style.WATER
+    """Over maps: the water outside, what is dry, fronts, the phreatic line."""
+    points, water, colour = scene.fields.points, Pools.of(scene), style.WATER
     if water is not None:
         colour = "black"
         face = f"{scene.gamma}, contact"
@@ -147,22 +165,14 @@ def over(scene: Scene, usual: list[Overlay]) -> list[Overlay]:
     if water is not None and water.only is not None:
         dry = {"facecolor": "0.9", "linewidth": 0, "rasterized": True}
         usual += [Overlay("dry", list(points[scene.fields.cells[~water.only]]), dry, filled=True)]
-    elif contact is not None:
-        tint = {"facecolor": style.CONTACT, "alpha": 0.25, "linewidth": 0, "rasterized": True}
+    elif scene.dim == 2:
         fronts = {"color": style.CONTACT, "linewidth": 1.8}
-        usual += [Overlay(_held(scene, contact), list(points[scene.fields.cells[contact]]), tint, filled=True)]
         usual += [Overlay(scene.edges, list(points[scene.free_boundary()]), fronts)]
-    return [
-        *usual,
-        *(Overlay(name, lines, {"color": colour, "linewidth": 1.8}) for name, lines in scene.lines.items()),
-    ]
-
-
-def _held(scene: Scene, contact: Mask) -> str:
-    """What legends call the cells where laws in Ω hold u: their segments, if there is one law."""
-    names, held = list(columns_of_cells(scene.solution).values()), np.unique(scene.fields.in_cells["states"][contact])
-    several = len(scene.solution.data.inside.of_regions) > 1
-    return "held" if several else names[0] if len(names) == 1 else ", ".join(names[int(each)] for each in held)
+    look = {"color": colour, "linewidth": 1.8}
+    for name, lines in scene.lines.items():
+        named, drawn = (name.replace("line", "surface"), IN_SPACE) if scene.dim == 3 else (name, look)
+        usual = [*usual, Overlay(named, lines, drawn)]
+    return usual
 
 
 def kept(solution: Any, steps: int) -> Mapping[str, Sequence[int]]:

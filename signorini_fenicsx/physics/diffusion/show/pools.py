@@ -29,7 +29,7 @@ class Pools:
         water: What u is of it.
         head: Its head at the points of the scene.
         pressure: Its pressure head there.
-        pools: In the plane outlines of the water outside, each of shape (n, 2).
+        pools: In the plane outlines of the water outside, each of shape (n, 2), in space the triangles that it wets.
         only: Mask of the cells that are wet, if there is nothing to be seen in the others.
     """
 
@@ -47,7 +47,7 @@ class Pools:
             return None
         at = scene.fields.points, scene.u, scene.fields.at_points["sigma"]
         only = wet(scene.fields) if water.u == INTEGRAL else None
-        return cls(water, water.head(*at), water.pressure(*at), _pools(scene, water) if scene.dim == 2 else [], only)
+        return cls(water, water.head(*at), water.pressure(*at), _pools(scene, water), only)
 
     def heads_on(self, sites: Any, dim: int) -> dict[str, Array]:
         """The columns of a table of Γ_S that have u, or bounds of it, as heads."""
@@ -60,7 +60,9 @@ class Pools:
 
     def overlays(self) -> list[Overlay]:
         """The water outside with its level."""
-        blue = {"color": style.WATER}
+        blue: dict[str, Any] = {"color": style.WATER}
+        if self.pools and self.pools[0].shape[1] == 3:
+            return [Overlay("water outside", self.pools, blue | {"opacity": 0.5})]
         levels = [
             np.column_stack([np.linspace(pool[:, 0].min(), pool[:, 0].max(), 3), np.full(3, pool[:, 1].max())])
             for pool in self.pools
@@ -73,7 +75,7 @@ class Pools:
 
 
 def _levels(scene: Scene, water: Water) -> tuple[Indices, Array]:
-    """The facets of the plane that water outside may wet, and its level before each, NaN where there is none.
+    """The facets that water outside may wet, and its level before each, NaN where there is none.
 
     These are walls where u is given, on Γ_S where the pressure is positive, and rivers. Of Baiocchi's dam they are
     upright.
@@ -84,9 +86,9 @@ def _levels(scene: Scene, water: Water) -> tuple[Indices, Array]:
     if dam is not None:
         levels = np.where(middle[:, 0] < dam.L / 2, dam.H, dam.h)
         return given, np.where(np.ptp(points[given][:, :, 0], axis=1) == 0, levels, np.nan)
-    x = scene.facets.x[:, :2]
+    x = scene.facets.x[:, : scene.dim]
     on_gamma = water.head(x, scene.on_facets("p"))
-    on_gamma[on_gamma <= x[:, 1] + SAME * float(np.ptp(points[:, 1]))] = np.nan
+    on_gamma[on_gamma <= x[:, -1] + SAME * float(np.ptp(points[:, -1]))] = np.nan
     laws = scene.solution.data.laws.of_parts
     rivers = [part for each in laws if isinstance(each.law, River) for part in each.law.parts]
     at_river = np.isin(scene.facets.part, [index for index, part in enumerate(scene.labels) if part in rivers])
@@ -96,9 +98,11 @@ def _levels(scene: Scene, water: Water) -> tuple[Indices, Array]:
 
 
 def _pools(scene: Scene, water: Water) -> list[Array]:
-    """Outlines of the water before walls that it wets."""
+    """Outlines of the water before walls that it wets, in space what it wets."""
     points = scene.fields.points
-    size, (facets, level) = float(np.ptp(points[:, 1])), _levels(scene, water)
+    size, (facets, level) = float(np.ptp(points[:, -1])), _levels(scene, water)
+    if scene.dim == 3:
+        return list(points[facets[level > points[facets][:, :, 2].mean(axis=1)]])
     pools = []
     for each in np.unique(np.round(level[np.isfinite(level)] / size, 7)) * size:
         near = np.isclose(level, each, rtol=0, atol=SAME * size)
@@ -142,4 +146,4 @@ def water_lines(fields: Fields) -> tuple[list[Array], Array]:
     levels = np.linspace(float(seen.min()), float(seen.max()), WATER_LINES + 2)[1:-1]
     lines = level_lines(fields.points, cells, stream, levels) if levels[-1] > levels[0] else []
     lines = [line if line[-1, 0] > line[0, 0] else line[::-1] for line in lines]
-    return lines, heads(lines, float(np.ptp(fields.points, axis=0).max()))
+    return lines, heads(lines, (fields.points.min(axis=0), fields.points.max(axis=0)))

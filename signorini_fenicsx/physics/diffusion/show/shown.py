@@ -209,9 +209,7 @@ def drawn(solution: Solution) -> Drawn:
     ):  # u is constant where it is held, and a line of this level is to end there
         u = np.where(solution.held_cells[:, None], owned_values(solution.u)[:, None], u)
     sigma = solution.cell_flux.centroid
-    cells: dict[str, npt.NDArray] = {"sigma": sigma, "divergence": solution.cell_flux.divergence}
-    if laws_inside is not None:
-        cells |= {"contact": solution.held_cells, "states": solution.cell_segments}
+    cells = {"sigma": sigma, "divergence": solution.cell_flux.divergence, **in_cells(solution)}
     above = max((about.get("above_table", 0.0) for about in solution.water.values()), default=0.0)
     return Drawn(
         corners={"u": u[:, :, None], "sigma": np.repeat(sigma[:, None], u.shape[1], axis=1)} | corners_of(solution, u),
@@ -224,6 +222,23 @@ def drawn(solution: Solution) -> Drawn:
         lines=lines_of(solution),
         words=[f"{100 * above:.3g} % of the discharge at negative pressure"] if above else [],
     )
+
+
+SEGMENTS = "segments of "
+
+
+def in_cells(solution: Any) -> dict[str, npt.NDArray]:
+    """Values for pictures of laws in Ω: where u is held, states, of each law its segment, 0 elsewhere (collective)."""
+    laws = solution.data.inside
+    if laws is None:
+        return {}
+    found = {"contact": solution.held_cells, "states": solution.cell_segments}
+    for part in laws.of_regions:
+        segment = np.sort(part.law.named(solution.segments_of_law(part)).reshape(len(part.rows), -1), axis=1)
+        labels = np.zeros(len(solution.held_cells), dtype=np.int64)
+        labels[part.rows] = 1 + segment[:, segment.shape[1] // 2]  # with RT1 that of most vertices
+        found[SEGMENTS + part.name] = labels
+    return found
 
 
 VIOLATIONS = {"trace": "‖[p]_-‖", "flux": "‖[σ·n]_-‖", "mass_balance": "‖∇·σ + f_h‖"}
