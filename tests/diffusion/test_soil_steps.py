@@ -194,14 +194,15 @@ def test_a_step_that_fails_is_done_in_halves(monkeypatch: pytest.MonkeyPatch, le
 
     monkeypatch.setattr(QuasiLinear, "_newton", in_short_steps)
     conditions = [Neumann(["left", "right", "bottom"], 0), Dirichlet("top", 1)]
-    problem = Diffusion(kappa=Gardner(1.0, 2.0, theta_s=0.4), f=0, conditions=conditions)
+    soil = Gardner(1.0, 2.0, theta_s=0.4) if parts else CLAY
+    problem = Diffusion(kappa=soil, f=0, conditions=conditions)
 
     def last(steps: int) -> Instant:
         *_, instant = evolve(column(3, 1.0), problem, Evolution(end=0.3, steps=steps, initial="y - 1"))
         return instant
 
     if parts == 0:
-        with pytest.raises(NumericalFailure, match="1/1024 of the step") as failure:
+        with pytest.raises(NumericalFailure, match=r"n near 1 needs an air_entry.*1/1024 of the step") as failure:
             last(2)
         assert not failure.value.solution.converged
         return

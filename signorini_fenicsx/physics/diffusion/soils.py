@@ -23,6 +23,8 @@ FLOOR = 1e-12
 TINY = 1e-14
 """The least α|ψ| at which slopes are taken: at 0 that of van Genuchten's k_r is infinite for n < 2."""
 
+STEEP = 1.3
+"""Below this n of van Genuchten k_r falls below 0.7 within α|ψ| = 0.003, if there is no air entry."""
 BISECTIONS = 30
 """How often a step of Newton's method is halved to find how far it goes."""
 FARTHEST = 3.0
@@ -99,6 +101,11 @@ class Soil(ABC):
         """The soil with the present values of its Constants."""
         return replace(self, **{name: float(constant.value) for name, constant in self.constants.items()})
 
+    @property
+    def is_steep(self) -> bool:
+        """Whether k_r falls by tenths within a hair of saturation."""
+        return False
+
     @abstractmethod
     def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:
         """k_r, its derivative, S and its derivative by α|ψ| > 0, without an air entry."""
@@ -159,6 +166,11 @@ class VanGenuchten(Soil):
 
     model = "van Genuchten"
     least_n = 1.0
+
+    @property
+    def is_steep(self) -> bool:
+        """See `Soil.is_steep`."""
+        return self.n is not None and self.n < STEEP and self.air_entry == 0
 
     def curves(self, suction: Array) -> tuple[Array, Array, Array, Array]:
         """See `Soil.curves`; 1 − S^1/m without loss of digits."""

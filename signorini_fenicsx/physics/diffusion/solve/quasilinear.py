@@ -45,6 +45,7 @@ NEWTON = 40
 EXACT = 1e-13
 """Newton's method ends where no residual is above this share of u, in time above `CHANGE` of it, or where they do not
 fall below `CHANGE` of it."""
+ADVICE = "; soil of van Genuchten with an n near 1 needs an air_entry, such as 0.02 m"
 KEPT, NEAR = "u gives the κ of its problem", "a u that differs by rounding gives the κ of this problem"
 """Why it ends."""
 POWERS, SHORTEST, GROWS = 5, 1e-3, 1.5
@@ -98,10 +99,11 @@ class QuasiLinear:
                         return self._told(outcome)
         if outcome is None:
             raise LinearSolveFailure("no problem with a fixed κ can be solved")
-        last = self.changes[-1]
+        last, of_u = self.changes[-1], self.backend.data.quasilinear
         return self._told(outcome).ended(
             f"after {len(self.changes)} problems with a fixed κ the last u still changes κ by {last.largest:.1e} of "
             f"itself, and κ∇u by {last.energy:.1e} in the energy norm"
+            + (ADVICE if any(soil.is_steep for _, soil in of_u.soils) else "")
         )
 
     def _ways(self) -> list[Iterator[Outcome]]:
