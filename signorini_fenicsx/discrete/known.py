@@ -1,17 +1,41 @@
 """Keeps what was made of data that do not change from one problem to the next."""
 
-from collections.abc import Callable
-from typing import Any
+import hashlib
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import Array
 from signorini_fenicsx.expressions import Tree, linear_terms
 from signorini_fenicsx.expressions.given import is_fixed
 
+type AnyArray = npt.NDArray[Any]
+
 MOST_TERMS = 8
 """Trees of more terms are always made as a whole; each term is kept."""
+MOST_KEPT = 8
+"""So many results of each name are kept by their arrays."""
+
+
+class Kept:
+    """The last results by all that they are made of, which return in steps."""
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self._found: dict[str, dict[Hashable, Any]] = {}
+
+    def get[T](self, comm: MPI.Comm, name: str, of: Hashable, arrays: Sequence[AnyArray], make: Callable[[], T]) -> T:
+        """What `make` gives, or what of this name it gave for the same data and arrays on all ranks (collective)."""
+        found = self._found.setdefault(name, {})
+        key = of, *(hashlib.blake2b(np.ascontiguousarray(array)).digest() for array in arrays)
+        known = comm.allreduce(key in found, MPI.LAND)
+        found[key] = value = found.pop(key) if known else make()
+        while len(found) > MOST_KEPT:
+            found.pop(next(iter(found)))
+        return cast("T", value)
 
 
 class Known:

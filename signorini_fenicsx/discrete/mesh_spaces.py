@@ -29,6 +29,7 @@ from signorini_fenicsx.base.parallel import collector_off
 from signorini_fenicsx.contact.sites import Kind, Sites
 from signorini_fenicsx.discrete.cell_shapes import facet_corners
 from signorini_fenicsx.discrete.kept_forms import Build, Coefficient, KeptForms
+from signorini_fenicsx.discrete.known import Kept
 from signorini_fenicsx.expressions.cutting import Frame
 from signorini_fenicsx.meshes.domain import Domain, facet_pairs
 
@@ -70,6 +71,7 @@ class MeshSpaces:
         ds_dirichlet: Measure of Γ_D on the mesh.
         ds_neumann: Measure of Γ_N on the mesh.
         kept_forms: The forms of `kept`.
+        kept_results: What is proved of data on this mesh.
         notices: What is worth knowing of the mesh with these parts, in sentences.
     """
 
@@ -92,6 +94,7 @@ class MeshSpaces:
     ds_dirichlet: ufl.Measure
     ds_neumann: ufl.Measure
     kept_forms: KeptForms = field(default_factory=KeptForms)
+    kept_results: Kept = field(default_factory=Kept)
     notices: list[str] = field(default_factory=list)
 
     @property

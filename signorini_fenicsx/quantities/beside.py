@@ -20,7 +20,7 @@ from signorini_fenicsx.expressions import TREES
 from signorini_fenicsx.expressions.given import Given, combined, parsed
 from signorini_fenicsx.expressions.products import products
 from signorini_fenicsx.meshes.domain import Domain, other_side
-from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket
+from signorini_fenicsx.quantities.bracket import UNBOUNDED, Ends, Half, Quantity, bracket, power_of_two
 from signorini_fenicsx.quantities.kinds import Integral, Mean
 from signorini_fenicsx.solving.options import Options
 from signorini_fenicsx.solving.solver import Solver
@@ -35,6 +35,8 @@ NEAR = 1e-6
 """The first τ moves u by this share at least of how far ψ, gaps and u_D are from 0: less may be rounding where u is."""
 SHARE = 0.02
 """What may be wrong of integrals is aimed at to be this share of what is known besides."""
+SHARPLY = 1e-6
+"""What may be wrong of a weight's integral that steps keep, as a share."""
 NOTHING = 1e-12
 """An integral that is at most this share of what it could be by the size of its integrand is rounding of 0."""
 
@@ -71,12 +73,13 @@ class Beside[Fields](ABC):
         """
         size, response = self.size(), self.response()
         if near is not None and near.tau * size > 0:
-            stays = self.solution.step is not None and len(self.solution.outcome.history) == 1
-            return self._found(near.tau * size, size, response, before=near.width, alone=stays)
+            stays, tau = self.solution.step is not None and len(self.solution.outcome.history) == 1, near.tau * size
+            rounded = power_of_two(tau) if stays else tau  # with which data, and what is kept of them, are the same
+            quantity = self._found(rounded, size, response, before=near.width, alone=stays)
+            return replace(quantity, tau=near.tau) if math.isclose(quantity.tau * size, rounded) else quantity
         moves = response * self.softness() * self.spaces.length ** (1 - self.domain.mesh.topology.dim / 2)
         first = max(size / response, NEAR * self.distance() / moves) if response > 0 else 0.0
-        first = 2.0 ** round(math.log2(first)) if 0 < first < math.inf else 1.0
-        return self._found(first, size, response)
+        return self._found(power_of_two(first) if 0 < first < math.inf else 1.0, size, response)
 
     def _found(self, first: float, size: float, response: float, **how: Any) -> Quantity:
         """The interval from a first τ, see `bracket` (collective)."""
@@ -206,7 +209,13 @@ class Integrals[Fields](Beside[Fields]):
         most = max(abs(quantity.lower), abs(quantity.upper))
         enough = SHARE * quantity.width / most * abs(integral) if 0 < most < math.inf else math.inf
         known = integral**2 > NOTHING**2 * square * measure
-        return quantity.divided(*(self._of_weight(enough) if known else (0.0, 0.0)))
+        if not known:
+            return quantity.divided(0.0, 0.0)
+        if self.solution.step is None or self.weight.pieces is None:
+            return quantity.divided(*self._of_weight(enough))
+        of = tuple(tree for tree, _ in self.weight.pieces), (*self.kind.region, "on", *self.kind.parts)
+        kept, enough = self.spaces.kept_results, SHARPLY * abs(integral)
+        return quantity.divided(*kept.get(self.comm, "weight", of, (), lambda: self._of_weight(enough)))
 
     def value(self, of_v: Fields, of_y: Fields, enough: float) -> Array:
         """The integral of v (collective)."""

@@ -180,6 +180,11 @@ class Ends:
         return self.upper - self.lower
 
 
+def power_of_two(number: float) -> float:
+    """That nearest to a positive number."""
+    return float(2.0 ** round(math.log2(number)))
+
+
 def bracket(
     ends: Callable[[float], Ends], first: float, value: float, *, before: float = 0.0, alone: bool = False
 ) -> Quantity:
@@ -210,9 +215,9 @@ def bracket(
         first /= SMALLER
     near = width(first) <= FARTHER * before < math.inf
     scale = 0.0 if near else tried[first].scale
-    tau = float(2.0 ** round(math.log2(scale))) if 0 < scale < math.inf else first
+    tau = power_of_two(scale) if 0 < scale < math.inf else first
     while not math.isfinite(width(tau)) and tau > 2 * first and math.isfinite(width(first)) and len(tried) < MOST:
-        tau = 2.0 ** round(math.log2(tau * first) / 2)  # too far from the problem itself for its solver
+        tau = power_of_two(math.sqrt(tau * first))  # too far from the problem itself for its solver
     if not width(tau) <= width(first):  # such as one with which u_D is beyond a bound
         tau = first
     for factor in (0.5, 2.0) if math.isfinite(width(tau)) and not (near and alone) else ():

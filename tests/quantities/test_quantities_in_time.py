@@ -12,6 +12,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import evolve_case
+from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.quantities import Mean
 from signorini_fenicsx.quantities.beside import Beside
 from signorini_fenicsx.solving.solver import Solver
@@ -131,19 +132,28 @@ def test_each_step(folder: Path):
 
 
 def test_what_changes_alone_is_solved_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    """A step on whose sets the last one has ended takes the τ of its interval, and the matrix of the step."""
+    """A step on whose sets the last one has ended takes its τ, the matrix of the step, and what is proved of data."""
     (folder / "case.toml").write_text(FALLING.replace("h = 1\n", 'h = "1/4"\n'), encoding="utf-8")
-    solved, made, found, counts = list[float](), list[object](), None, list[int]()
-    of_tau, set_up = Beside.solved, Solver.__init__
+    solved, made, enclosed, found = list[float](), list[object](), list[object](), None
+    counts, news = list[int](), list[int]()
+    of_tau, set_up, enclose = Beside.solved, Solver.__init__, Resolution._newly_enclosed
     monkeypatch.setattr(Beside, "solved", lambda self, tau: (solved.append(tau), of_tau(self, tau))[1])
     monkeypatch.setattr(Solver, "__init__", lambda self, *given: (made.append(self), set_up(self, *given))[1])
-    for instant in evolve_case(load_case(folder / "case.toml").with_values({"time.end": 1, "time.steps": 5})):
+    counted = lambda self, *given: (enclosed.append(self), enclose(self, *given))[1]  # noqa: E731
+    monkeypatch.setattr(Resolution, "_newly_enclosed", counted)
+    kind = Mean("1 if x < 0.3 else 0.5")
+    for instant in evolve_case(load_case(folder / "case.toml").with_values({"time.end": 1.4, "time.steps": 7})):
         solved.clear()
-        found = instant.solution.quantity(Mean(), found)
+        enclosed.clear()
+        before, found = found, instant.solution.quantity(kind, found)
         assert found.proved
         counts.append(len(solved))
-        if instant.step == 5:
-            whole = instant.solution.quantity(Mean())
+        news.append(len(enclosed))
+        if instant.step == 7:
+            assert min(news) == 0
+            instant.solution.spaces.kept_results._found.clear()
+            anew, whole = instant.solution.quantity(kind, before), instant.solution.quantity(kind)
+            assert (anew.lower, anew.upper) == pytest.approx((found.lower, found.upper), abs=1e-12)
             assert 0.8 * whole.width < found.width < 1.2 * whole.width
             assert max(found.lower, whole.lower) < min(found.upper, whole.upper)
     assert counts[0] > 2

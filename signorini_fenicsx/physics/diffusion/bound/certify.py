@@ -72,6 +72,8 @@ LITTLE = 0.01
 """For RT1 loads that make up this share of the error need not be measured sharply."""
 ENOUGH = 5e-3
 """A bound of missed loads below this share of the bound need not be sharp."""
+SHARPER = 0.125
+"""Data that return are enclosed as if the error were this share of what it is."""
 LAST_KAPPA = "the exact solution of the problem with the last κ"
 OF_PENALTY = "the exact solution of the penalty problem"
 
@@ -165,8 +167,13 @@ class Admissible:
     trace: Trace
 
     @classmethod
-    def of(cls, solution: Solution, goal: Goal, field: fem.Function | None = None) -> Admissible:
-        """The admissible fields of a solution; v is near a field if there is one, see `conforming` (collective)."""
+    def of(
+        cls, solution: Solution, goal: Goal, field: fem.Function | None = None, *, returns: bool = False
+    ) -> Admissible:
+        """The admissible fields of a solution; v is near a field if there is one, see `conforming` (collective).
+
+        `returns` as in `Resolution`.
+        """
         spaces, data = solution.spaces, solution.data
         comm = spaces.mesh.comm
         metric = cell_metric(spaces, data)
@@ -175,12 +182,10 @@ class Admissible:
             math.sqrt(comm.allreduce(metric.squares(each).sum())) for each in (solution.cell_flux, driving)
         )
         cells, dim = spaces.Q.dofmap.index_map.size_global, spaces.mesh.topology.dim
-        resolution = Resolution(
-            spaces,
-            data,
-            max(size, of_driving) * cells ** (-(spaces.degree + 1) / dim),
-            comm.allreduce(metric.volume.sum()),
-        )
+        error = max(size, of_driving) * cells ** (-(spaces.degree + 1) / dim)
+        if returns and 0 < error < math.inf:  # the same in many problems, and sharp, as much is kept
+            error = SHARPER * 2.0 ** math.floor(math.log2(error))
+        resolution = Resolution(spaces, data, error, comm.allreduce(metric.volume.sum()), returns)
         metric = enclosed(resolution, metric, data.kappa, size)
         energies = Energies(resolution, metric, data.kappa)
         if data.kappa.number is None:

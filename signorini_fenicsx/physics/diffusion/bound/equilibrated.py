@@ -20,6 +20,7 @@ If c is known well, the flux z for it gives (c, w) = (z, ∇w) ≤ ‖z‖ |w|. 
 
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any, cast
 
@@ -327,7 +328,14 @@ class _Bounds:
 
     def of_load(self, load: Array) -> float:
         """The norm ‖z‖ for a load (collective)."""
-        return distance(self._spaces, self._metric, self._flux(load), fem.Function(self._spaces.V))
+        return self._kept(
+            "load", load, lambda: distance(self._spaces, self._metric, self._flux(load), fem.Function(self._spaces.V))
+        )
+
+    def _kept(self, name: str, load: Array, make: Callable[[], float]) -> float:
+        """What depends on a load, on κ and on the mesh alone, and is kept there (collective)."""
+        given = load, self._metric.inverse, self._metric.low
+        return self._spaces.kept_results.get(self._spaces.mesh.comm, name, None, given, make)
 
     def _flux(self, load: Array) -> fem.Function:
         of_cells = function_of(self._spaces.Q, load)
@@ -335,6 +343,9 @@ class _Bounds:
 
     def _largest(self, size: Array) -> float:
         """The largest κ^-½|z| for a z with −∇·z ≥ size > 0 (collective)."""
+        return self._kept("largest", size, lambda: self._made_largest(size))
+
+    def _made_largest(self, size: Array) -> float:
         comm, flux = self._spaces.mesh.comm, CellFlux.of(self._spaces, self._flux(size))
         squares = squares_of(flux.in_vertices(), self._metric.inverse).max(axis=1, initial=0.0) / self._metric.low
         s = comm.allreduce(np.sqrt(squares.max(initial=0.0)), MPI.MAX)

@@ -10,11 +10,12 @@ within ρ_e of a polynomial, a quadrature that is exact for products and squares
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import dolfinx.mesh
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from signorini_fenicsx.base.arrays import AnyIndices, Array, Indices
 from signorini_fenicsx.base.owned import cell_dofs
@@ -24,7 +25,7 @@ from signorini_fenicsx.discrete.cell_shapes import Entities
 from signorini_fenicsx.discrete.datum import DEGREES, Datum, quadrature_degree
 from signorini_fenicsx.discrete.interpolants import as_basix, in_nodes
 from signorini_fenicsx.discrete.points import CellPoints, cells_of_facets, facet_quadrature, in_cells
-from signorini_fenicsx.expressions import Tree, is_polynomial
+from signorini_fenicsx.expressions import Tree, is_polynomial, values
 from signorini_fenicsx.expressions.enclosures import BESIDE, distances
 from signorini_fenicsx.expressions.products import EXACT, Products, products
 from signorini_fenicsx.expressions.series import DEGREE
@@ -36,6 +37,8 @@ from signorini_fenicsx.physics.diffusion.bound.resolution import SMALLEST
 
 SHARP = 1e-3
 """How far v is from polynomials is found up to about this share of its error."""
+SHARPLY = 1e-6
+"""How sharply what is kept of weights is found, as a share of their size."""
 MOST = 12
 """Polynomials up to this degree are known as such where v contains them."""
 CUT_OFFS = 2
@@ -93,7 +96,9 @@ class NearPolynomial:
         total, measure, found = np.zeros(2), self.own.solution.spaces.cell_measures, np.zeros((2, len(self.off)))
         for tree, rows in datum.trees_in(cells):
             some = cells[rows]
-            of_tree = self._enclosed(tree, some, lambda jet: jet[:, :, 0] ** power, power * self.order, enough)
+            of_tree = self._by_moments(tree, some) if power == 1 and self.own.resolution.returns else None
+            if of_tree is None or not self._comm.allreduce(of_tree.total[1]) <= enough:
+                of_tree = self._enclosed(tree, some, lambda jet: jet[:, :, 0] ** power, power * self.order, enough)
             total, found[:, some] = total + of_tree.total, (of_tree.norm, of_tree.rho)
         near = np.intersect1d(cells, self.own.trace.cells)
         if power == 2:
@@ -160,6 +165,10 @@ class NearPolynomial:
         return max(of_datum + self.degree, 2 * of_datum, 2 * self.degree)
 
     @property
+    def _comm(self) -> MPI.Comm:
+        return self._mesh.comm
+
+    @property
     def _mesh(self) -> dolfinx.mesh.Mesh:
         return self.own.solution.spaces.mesh
 
@@ -179,6 +188,24 @@ class NearPolynomial:
             for at in in_cells(self._mesh, some.astype(np.int32), *rule):
                 integrals[at.cells] = at.integrals(density(at, trace.jet(at, near=close, gradient=True)))
         return integrals
+
+    def _by_moments(self, tree: Tree, cells: AnyIndices) -> Products:
+        """The integrals of a tree times p by those with each polynomial of Bernstein, which steps keep (collective)."""
+        spaces, number = self.own.solution.spaces, self.p.shape[1]
+        in_middle = values(tree, self.own.resolution.vertices[cells].mean(axis=1))
+        size = self._comm.allreduce(float(np.abs(in_middle) @ spaces.cell_measures[cells]))
+
+        def of_each(i: int) -> Products:
+            unit = replace(self, p=np.broadcast_to(np.eye(number)[i], self.p.shape))
+            return unit._enclosed(tree, cells, lambda jet: jet[:, :, 0], self.order, SHARPLY * size)
+
+        def make() -> list[Products]:
+            return [of_each(i) for i in range(number)]
+
+        found = spaces.kept_results.get(self._comm, "moments", (tree, number), (cells,), make)
+        value = sum(each.value * p for each, p in zip(found, self.p[cells].T, strict=True))
+        radius = sum(each.radius * abs(p) for each, p in zip(found, self.p[cells].T, strict=True))
+        return replace(found[0], value=value, radius=radius)
 
     def _enclosed(
         self, tree: Tree, cells: AnyIndices, of_jet: Callable[[Array], Array], degree: int, enough: float

@@ -16,7 +16,7 @@ import basix
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Mask
-from signorini_fenicsx.base.owned import owned_cells
+from signorini_fenicsx.base.owned import owned_cells, owned_values
 from signorini_fenicsx.base.reference_cells import orthonormal, positive_quadrature
 from signorini_fenicsx.discrete.datum import Datum, quadrature_degree
 from signorini_fenicsx.discrete.interpolants import quadratic_of
@@ -232,7 +232,14 @@ def _load(
     """
     if data.f.number is not None and not isinstance(flux, LinearFlux):
         return None
-    cell, means_of_f = spaces.mesh.basix_cell(), data.means_of_f
+    cell, means_of_f, degree = spaces.mesh.basix_cell(), data.means_of_f, quadrature_degree(data.f, power=2)
+    enclosed = resolution.encloses("f", data.f)
+    if enclosed and resolution.returns and not isinstance(flux, LinearFlux):  # what is made of f alone returns
+        of_f = _projected(spaces, data.f.values, degree)[1]
+        off = np.where(takes_f, 0.0, of_f - means_of_f)
+        is_more = np.abs(off) > ROUNDING * np.abs(owned_values(data.f_h))
+        resolution.add_means("f", np.where(is_more, off, 0.0), metric)
+        means_of_f = of_f
 
     def f_h(points: CellPoints) -> Array:
         means = np.repeat(means_of_f[points.rows, None], points.shape[1], axis=1)
@@ -241,8 +248,6 @@ def _load(
         divergence = flux.divergence_at(points)
         return means + flux.divergence[points.rows].mean(axis=1, keepdims=True) - divergence
 
-    degree = quadrature_degree(data.f, power=2)
-    enclosed = resolution.encloses("f", data.f)
     high = HIGH[spaces.mesh.topology.dim]
     of_load = of_load if enclosed else OF_LOAD if data.f.number is not None else high
     load, means = _projected(spaces, lambda points: data.f.values(points) - f_h(points), degree, of_load)

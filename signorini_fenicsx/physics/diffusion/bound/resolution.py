@@ -13,8 +13,9 @@ certificate replaces a load e by a polynomial p; d = e − p is the difference.
 Polynomials are integrated exactly. Data given in Python have no trees; for these the bound relies on quadrature.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
@@ -42,6 +43,8 @@ MUCH = 0.5
 """If enclosures add more than this share of the bound, data are not resolved."""
 SHARE = 0.02
 """Enclosures stop where their uncertainty is about this share of the error."""
+QUANTUM = 1e-6
+"""Loads that return are rounded to about this share of the largest."""
 SMALLEST = 1e-100
 """Tolerances are at least this."""
 
@@ -74,6 +77,7 @@ class Resolution:
         data: The data.
         error: Rough size of the error in the energy norm.
         volume: |Ω|.
+        returns: Whether data are those of many problems, such as of all steps: then what is proved of them is kept.
         by_quadrature: Data without enclosures: those given in Python, and loads if there is no Γ_D for their means.
         unresolved: Data with a place each that are not resolved, on this rank.
         coarse: Mask of the owned cells with such places.
@@ -86,6 +90,7 @@ class Resolution:
     data: Data
     error: float
     volume: float
+    returns: bool = False
     by_quadrature: set[str] = field(default_factory=set)
     unresolved: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
     coarse: Mask = field(init=False)
@@ -184,6 +189,14 @@ class Resolution:
 
     def _enclosed(self, tree: Tree, vertices: Array, seen: Seen, weight: Array) -> tuple[Array, Array]:
         """Root mean square and the ends of the mean of a tree minus p, with the weights of `means` (collective)."""
+        if not self.returns:
+            return self._newly_enclosed(tree, vertices, seen, weight)
+        p = [getattr(seen.p, each.name) for each in fields(seen.p)]
+        arrays = [np.asarray(each) for each in (*p, vertices, seen.norm, seen.mean, weight)]
+        kept, comm = self.spaces.kept_results, self.spaces.mesh.comm
+        return kept.get(comm, "enclosed", tree, arrays, lambda: self._newly_enclosed(tree, vertices, seen, weight))
+
+    def _newly_enclosed(self, tree: Tree, vertices: Array, seen: Seen, weight: Array) -> tuple[Array, Array]:
         limit = 1 / np.sqrt(self.spaces.frame.simplices * weight)
         rho = 2 * distances(tree, vertices, self.spaces.frame, limit / 4)
         norm, mean = seen.norm + rho, np.stack([seen.mean - rho, seen.mean + rho])
@@ -247,7 +260,7 @@ class Resolution:
 
         Then these loads rely on quadrature (collective).
         """
-        left = measure(self.load)
+        left = measure(_rounded_out(self.load, self.spaces.mesh.comm) if self.returns else self.load)
         if np.isfinite(left) or self.spaces.held:
             return left
         self.by_quadrature |= self._loads
@@ -274,6 +287,18 @@ class Resolution:
                 worst = (size >= most / 4) & (size > 0)
                 self.note(name, self.vertices[worst].mean(axis=1), np.flatnonzero(worst))
         return first_places(self.unresolved, comm)
+
+
+def _rounded_out(load: Interval, comm: MPI.Comm) -> Interval:
+    """An interval around a load that is not another one for rounding, so that what is kept of it is found (collective).
+
+    Its ends are multiples of a power of 2 that is about QUANTUM of the largest load.
+    """
+    largest = comm.allreduce(load.largest.max(initial=0.0), MPI.MAX)
+    if not 0 < largest < math.inf:
+        return load
+    step = 2.0 ** math.floor(math.log2(QUANTUM * largest))
+    return Interval(step * (np.round(load.lo / step) - 1), step * (np.round(load.hi / step) + 1))
 
 
 def is_enclosed(tree: Tree | Rows) -> bool:

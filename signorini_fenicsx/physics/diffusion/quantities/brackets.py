@@ -147,7 +147,8 @@ class _Beside(Beside[Admissible]):
 
     def admissible(self, solution: Solution) -> Admissible:
         """The admissible fields of a solution (collective)."""
-        return Admissible.of(solution, Goal.of(solution, for_signorini=True))
+        in_steps = self.solution.step is not None
+        return Admissible.of(solution, Goal.of(solution, for_signorini=True), returns=in_steps)
 
     def half(self, of_v: Admissible, of_y: Admissible) -> Half:
         """The right side of the theorem, with the laws that have moved (collective)."""
