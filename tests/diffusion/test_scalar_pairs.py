@@ -24,6 +24,7 @@ from signorini_fenicsx.api import (
     Solution,
     Tied,
     TwoSided,
+    VanGenuchten,
     Wall,
     load_case,
     load_solution,
@@ -106,19 +107,27 @@ def test_a_linear_u_on_a_slanted_interface(direction: Any) -> None:
     np.testing.assert_allclose(solution.sigma_values - [2.0, -1.0], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("law", [Tied(), Wall((), beta=4), Friction((), g=0.3), Signorini((), psi="0.1*x")])
-def test_a_matching_mesh_as_one_cut_inside(law: Any) -> None:
-    """Where both surfaces have the same facets a pair is what a part inside the domain is, to rounding."""
+@pytest.mark.parametrize(
+    ("law", "kappa", "tolerance"),
+    [
+        (Tied(), 1, 1e-12),
+        (Wall((), beta=4), 1, 1e-12),
+        (Friction((), g=0.3), "1 + u^2", 1e-8),
+        (Signorini((), psi="0.1*x"), VanGenuchten(1, 2, 2), 1e-8),
+    ],
+)
+def test_a_matching_mesh_as_one_cut_inside(law: Any, kappa: Any, tolerance: float) -> None:
+    """Where both surfaces have the same facets a pair is what a part inside is, to rounding or the change of κ."""
     given = [Dirichlet("l10", 0), Dirichlet("u11", "sin(3*x)")]
     cases = [(two(MPI.COMM_SELF, (4, 3), (4, 3)), Neumann([f"{body}0{end}" for body in "ul" for end in (0, 1)]))]
     cases.append((joined((4, 3)), Neumann(["x0", "x1"])))
     inner = TwoSided("u10", psi_upper=0) if isinstance(law, Tied) else type(law)("u10", **law.data())
     found = []
     for (domain, sides), meeting in zip(cases, (Pair("u10", "l11", law), inner), strict=True):
-        problem = Diffusion(f="1 + x", c=0.5, conditions=[*given, sides, meeting])
+        problem = Diffusion(f="1 + x", kappa=kappa, c=0.5, conditions=[*given, sides, meeting])
         found.append(solve(domain, problem, Options(element="RT1")))
     assert {key: found[0].norms()[key] for key in ("sigma_L2", "u_L2", "div_sigma_L2")} == pytest.approx(
-        {key: found[1].norms()[key] for key in ("sigma_L2", "u_L2", "div_sigma_L2")}, rel=1e-12
+        {key: found[1].norms()[key] for key in ("sigma_L2", "u_L2", "div_sigma_L2")}, rel=tolerance
     )
 
 
@@ -176,6 +185,9 @@ def test_a_heat_sink() -> None:
     assert 100.2 < measure @ solution.u_values[chip].mean(axis=1) / measure.sum() < 1.03 * 100.2
 
 
+STORED = '[[law]]\nkind = "storage"\nregion = "up"\ncorners = [[0, 0]]\nbefore = 1\nbeyond = 1\n'
+
+
 @pytest.mark.parametrize(
     ("pair", "words"),
     [
@@ -188,6 +200,7 @@ def test_a_heat_sink() -> None:
         (PAIR + "direction = [0, -1]\n", "no facet of the slave is covered"),
         (PAIR + "[solve]\nelement = 'RT0'\n", "pairs of surfaces take RT1"),
         (PAIR + "[solve]\nbackend = 'mixed'\n", "pairs take the hybrid"),
+        (PAIR + STORED + "[time]\nend = 1\nsteps = 1\n", "no RT1 for storage; pairs of surfaces take no other"),
         (PAIR + "[solve]\nalgorithm = 'amf'\n", "alg1"),
     ],
 )

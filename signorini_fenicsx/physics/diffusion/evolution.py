@@ -95,7 +95,7 @@ class DiffusionSteps:
         self.remembered, self._before = Remembered.among(spaces, self._problem.laws), start
         for some, what in ((self.storage, "storage"), (self.remembered.laws, "laws with memory")):
             if spaces.degree and some:
-                raise InputError(f"element: there is no RT1 for {what}; take RT0")
+                raise InputError(f"element: there is no RT1 for {what}; {instead_of_rt1(spaces)}")
         if evolution.scheme != "implicit-euler" and self.remembered.laws:
             raise InputError("[time] scheme: laws with memory need implicit-euler")
         if evolution.scheme != "implicit-euler" and self._jumps():
@@ -298,6 +298,11 @@ class DiffusionSteps:
         means = cell_means(self.spaces, datum)
         check_means(f"[time] {key}", "in the domain", means, self.spaces)
         return means
+
+
+def instead_of_rt1(spaces: Spaces) -> str:
+    """What to do where there is no RT1."""
+    return "pairs of surfaces take no other, so mesh the bodies as one" if spaces.joints else "take RT0"
 
 
 def problem_of_step(problem: Problem, evolution: Evolution, step: int, dim: int) -> Problem:

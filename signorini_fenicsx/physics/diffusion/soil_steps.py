@@ -19,7 +19,7 @@ from signorini_fenicsx.expressions import exactly
 from signorini_fenicsx.physics.diffusion.discrete.quasilinear import quasilinear_of
 from signorini_fenicsx.physics.diffusion.discrete.spaces import Spaces
 from signorini_fenicsx.physics.diffusion.discrete.storing import Storing, Water
-from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps, Left
+from signorini_fenicsx.physics.diffusion.evolution import DiffusionSteps, Left, instead_of_rt1
 from signorini_fenicsx.physics.diffusion.problem import Problem
 from signorini_fenicsx.physics.diffusion.solution import Solution
 from signorini_fenicsx.solving.evolution import Evolution, Past
@@ -48,7 +48,7 @@ class SoilSteps(DiffusionSteps):
         c = problem.in_time(spaces.mesh.geometry.dim).c
         for present, what, instead in (
             (evolution.capacity is not None, "[time] capacity: soils say what is stored", "leave it out"),
-            (spaces.degree > 0, "element: there is no RT1 for soils in time", "take RT0"),
+            (spaces.degree > 0, "element: there is no RT1 for soils in time", instead_of_rt1(spaces)),
             (problem.has_laws_inside, "[time]: with soils there are no laws in Ω", "leave out the law or the obstacle"),
             (c != exactly(0), "[problem] c: with soils in time there is none", "leave it out"),
         ):
