@@ -42,7 +42,7 @@ class Place:
         parts: The parts of the boundary, and those inside.
         inside: Those that are inside.
         dim: The dimension.
-        pairs: Parts of several bodies that are near one another.
+        pairs: Parts of bodies that share no nodes and are near one another.
     """
 
     geometry: str
@@ -65,7 +65,7 @@ class Place:
         rows, times = np.unique(faces(mesh.cells), axis=0, return_counts=True)
         rows_of_parts = {part: rows_of(facets, rows) for part, facets in mesh.parts.items()}
         inside = [part for part, own in rows_of_parts.items() if np.any(times[own[own >= 0]] > 1)]
-        return cls(f"file = {_path(name, folder)}", list(rows_of_parts), inside, mesh.dim)
+        return cls(f"file = {_path(name, folder)}", list(rows_of_parts), inside, mesh.dim, facing(mesh))
 
     @classmethod
     def of_bodies(cls, files: Mapping[str, str], folder: Path) -> "Place":
@@ -133,9 +133,7 @@ def case_text(title: str, place: Place, physics: str, conditions: Mapping[str, s
             f"unknown physics '{physics}'; use one of {', '.join(PHYSICS)}{did_you_mean(physics, PHYSICS)}"
         )
     kinds = PHYSICS[physics].case.first_pairs
-    if place.pairs and not kinds:
-        raise InputError(f"init: bodies with meshes of their own have no pairs in {physics}")
-    pairs = place.of_pairs(conditions, next(iter(kinds), ""))
+    pairs = place.of_pairs(conditions, kinds[0]) if kinds else {}
     paired = {part: kind for pair, kind in pairs.items() for part in (pair.slave, pair.master)}
     for part, word in conditions.items():
         if part not in place.parts:

@@ -1,4 +1,4 @@
-"""Which parts of bodies with meshes of their own are near one another and face each other, for a first case."""
+"""Which parts of bodies that share no nodes are near one another and face each other, for a first case."""
 
 import itertools
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from signorini_fenicsx.base.arrays import Array, Indices
-from signorini_fenicsx.base.rows import rows_of
+from signorini_fenicsx.base.rows import joined, rows_of
 from signorini_fenicsx.discrete.overlay import WHOLE, Surface, overlay
 from signorini_fenicsx.meshes.checks import FileMesh, faces
 from signorini_fenicsx.meshes.seams import unit_normals
@@ -42,23 +42,26 @@ def facing(mesh: FileMesh) -> list[Facing]:
     """Parts of different bodies that are near one another, the nearest first; each part is in one of them (rank 0).
 
     Args:
-        mesh: That of the bodies, whose parts are called `body.part`.
+        mesh: That of the bodies, of one file or several.
     """
+    of_node = joined(len(mesh.points), mesh.cells)
+    if not of_node.any():
+        return []
+    bodies_of = {part: frozenset(of_node[facets].ravel().tolist()) for part, facets in mesh.parts.items()}
     surfaces = {part: _surface(mesh, facets) for part, facets in mesh.parts.items()}
-    sizes = dict[str, float]()
+    sizes = dict[frozenset[int], float]()
     for part, surface in surfaces.items():
-        body, reach = part.partition(".")[0], _size(surface.corners)
-        sizes[body] = max(sizes.get(body, 0.0), reach)
+        sizes[bodies_of[part]] = max(sizes.get(bodies_of[part], 0.0), _size(surface.corners))
     found = []
     for two in itertools.combinations(surfaces, 2):
-        bodies = frozenset(part.partition(".")[0] for part in two)
-        if len(bodies) == 2:
+        bodies = [bodies_of[part] for part in two]
+        if not frozenset.intersection(*bodies):
             within = NEAR * min(sizes[body] for body in bodies)
             found += _opposite(surfaces, sorted(two, key=lambda part: -surfaces[part].balls[1].mean()), within)
-    nearest, used, first = [], set[str](), dict[frozenset[str], float]()
+    nearest, used, first = [], set[str](), dict[frozenset[frozenset[int]], float]()
     for each in sorted(found, key=lambda each: (abs(each.least), -each.share)):
-        bodies = frozenset(part.partition(".")[0] for part in (each.slave, each.master))
-        farther = abs(each.least) - first.setdefault(bodies, abs(each.least))
+        bodies = [bodies_of[each.slave], bodies_of[each.master]]
+        farther = abs(each.least) - first.setdefault(frozenset(bodies), abs(each.least))
         if not {each.slave, each.master} & used and farther <= FARTHER * min(sizes[body] for body in bodies):
             nearest.append(each)
             used |= {each.slave, each.master}

@@ -51,7 +51,7 @@ def init(
     physics = physics or ("elasticity" if bodies else None)
 
     def text() -> str:
-        from signorini_fenicsx.cases.first_case import Place, case_text
+        from signorini_fenicsx.cases.first_case import Place, case_text, first_law
         from signorini_fenicsx.solving.physics import DIFFUSION
 
         if case.suffix != ".toml":
@@ -61,7 +61,7 @@ def init(
         if conditions or not sys.stdin.isatty():
             place = Place.of_bodies(bodies, case.parent) if bodies else Place.of(mesh or shape or "square", case.parent)
             if not conditions and not place.pairs:
-                example = f"--on {place.parts[0] if place.parts else 'PART'}=signorini"
+                example = f"--on {place.parts[0] if place.parts else 'PART'}={first_law(physics or DIFFUSION)}"
                 raise InputError(f"init: give a condition, such as {example}; the parts are {', '.join(place.parts)}")
             return case_text(title, place, physics or DIFFUSION, conditions)
         return _asked(case, bodies or mesh or shape, physics, title)
@@ -124,9 +124,10 @@ def _asked(case: Path, where: str | dict[str, str] | None, physics: str | None, 
         physics = physics or _choice("Physics", tuple(PHYSICS), DIFFUSION)
         typer.echo(f"Conditions: {', '.join(words(physics))}")
         conditions, kinds = dict[str, str](), PHYSICS[physics].case.first_pairs
-        for pair in place.pairs:
+        pairs = place.pairs if kinds else ()
+        for pair in pairs:
             conditions[pair.slave] = _choice(f"  between {pair.slave} and {pair.master}", kinds, kinds[0])
-        paired = [part for pair in place.pairs for part in (pair.slave, pair.master)]
+        paired = [part for pair in pairs for part in (pair.slave, pair.master)]
         others = [part for part in place.parts if part not in paired]
         for left, part in enumerate(others, start=1 - len(others)):  # one part has a law, at last the last
             has_law = not {HELD, GIVEN, SYMMETRIC}.issuperset(conditions.values())

@@ -78,6 +78,19 @@ def test_parts_of_bodies_that_face_each_other_are_pairs(tmp_path: Path, physics:
     assert "100 % of the slave is opposite to the master, at 0.01 to 0.01" in (tmp_path / "mine.toml").read_text()
 
 
+def test_bodies_of_one_file_are_paired(tmp_path: Path):
+    """Two rectangles of one file that share no nodes, as solids of one drawing do."""
+    (tmp_path / "two.geo").write_text(
+        'SetFactory("OpenCASCADE"); Rectangle(1) = {0, 0, 0, 1, 0.5}; Rectangle(2) = {0, 0.5, 0, 1, 0.5};\n'
+        'Physical Surface("soft") = {1}; Physical Surface("hard") = {2};\n'
+        'Physical Curve("ground") = {1}; Physical Curve("below") = {3}; Physical Curve("above") = {5};\n'
+        "MeshSize{:} = 0.5;\n"
+    )
+    assert signorini(tmp_path, "init", "mine.toml", "--mesh", "two.geo", "--on", "below=wall").returncode == 0
+    (pair,) = load_case(tmp_path / "mine.toml").pair
+    assert (pair.slave, pair.master, pair.kind) == (["below"], ["above"], "wall")
+
+
 def test_every_condition_is_written_above():
     for physics in ("diffusion", "elasticity"):
         tried = [options for options in FIRST if ("elasticity" in options) == (physics == "elasticity")]
