@@ -28,11 +28,15 @@ class Kept:
         self._found: dict[str, dict[Hashable, Any]] = {}
 
     def get[T](self, comm: MPI.Comm, name: str, of: Hashable, arrays: Sequence[AnyArray], make: Callable[[], T]) -> T:
-        """What `make` gives, or what of this name it gave for the same data and arrays on all ranks (collective)."""
-        found = self._found.setdefault(name, {})
-        key = of, *(hashlib.blake2b(np.ascontiguousarray(array)).digest() for array in arrays)
-        known = comm.allreduce(key in found, MPI.LAND)
-        found[key] = value = found.pop(key) if known else make()
+        """What `make` gives, or what of this name it gave for the same data and arrays on all ranks (collective).
+
+        The key is made of the arrays of all ranks: what is found may depend on those of others.
+        """
+        found, digest = self._found.setdefault(name, {}), hashlib.blake2b(str(comm.rank).encode(), digest_size=16)
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array))
+        key = of, comm.allreduce(int.from_bytes(digest.digest()))
+        found[key] = value = found.pop(key) if key in found else make()
         while len(found) > MOST_KEPT:
             found.pop(next(iter(found)))
         return cast("T", value)

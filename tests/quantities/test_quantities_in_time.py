@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import signorini
 from in_time import run, run_in_two
@@ -12,6 +13,7 @@ from mpi4py import MPI
 from signorini_fenicsx.base.parallel import on_root
 from signorini_fenicsx.cases.case import load_case
 from signorini_fenicsx.cases.solving import evolve_case
+from signorini_fenicsx.discrete.known import Kept
 from signorini_fenicsx.physics.diffusion.bound.resolution import Resolution
 from signorini_fenicsx.quantities import Mean
 from signorini_fenicsx.quantities.beside import Beside
@@ -159,6 +161,17 @@ def test_what_changes_alone_is_solved_again(folder: Path, monkeypatch: pytest.Mo
     assert counts[0] > 2
     assert counts[-1] == 2
     assert len(made) == 1
+
+
+@pytest.mark.parallel(2)
+def test_what_is_kept_is_that_of_all_ranks():
+    """What is kept by arrays of which one rank has the same for all is that of the arrays of the others."""
+    kept, made = Kept(), list[float]()
+    for number in (1.0, 2.0, 1.0):
+        of_rank = np.array([number if COMM.rank == 0 else 0.0])
+        found = kept.get(COMM, "sum", None, [of_rank], lambda x=of_rank: (made.append(1.0), COMM.allreduce(x[0]))[1])
+        assert found == number
+    assert len(made) == 2
 
 
 def test_after_a_restart(folder: Path):
