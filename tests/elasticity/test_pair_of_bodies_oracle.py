@@ -56,9 +56,7 @@ class Programme:
         for vertex in range(3):
             one, other = (third for third in range(3) if third != vertex)
             n = np.array([[0, 1], [-1, 0]]) @ (corners[vertex] - middle)
-            places = [
-                (third, vertex - (vertex > third)) for third in (one, other)
-            ]  # in the third
+            places = [(third, vertex - (vertex > third)) for third in (one, other)]  # in the third
             for ends in (places, [(one, 2), (other, 2)]):
                 self.equations += [*(self.at(number, *ends[0], n) - self.at(number, *ends[1], n))]
 
